@@ -1,0 +1,1 @@
+"""Robot models: one folder a robot, data only.  Read through ``importlib.resources``."""

@@ -1,0 +1,182 @@
+"""Rigid motions: one immutable ``Pose`` of position and unit quaternion (w, x, y, z).
+
+Naming: ``pose_ab`` is the pose of b seen from a; it maps b's coordinates into a's:
+``p_a = pose_ab @ p_b`` and ``pose_ac = pose_ab @ pose_bc``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+# Below this angle the series of sin(x)/x is exact to double precision.
+_SMALL_ANGLE = 1e-8
+
+
+def quat_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product of quaternions (4,), wxyz: first ``b``, then ``a``."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def quat_to_matrix(wxyz: Array) -> Array:
+    """Rotation matrix (3, 3) of a unit quaternion (4,)."""
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def matrix_to_quat(rotation: ArrayLike) -> Array:
+    """Unit quaternion (4,), w >= 0, of a rotation matrix (3, 3) (Shepperd 1978)."""
+    r = np.asarray(rotation, dtype=float)
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    pick = int(np.argmax([trace, r[0, 0], r[1, 1], r[2, 2]]))
+    if pick == 0:
+        q = [1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
+    elif pick == 1:
+        q = [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]]
+    elif pick == 2:
+        q = [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]]
+    else:
+        q = [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]]
+    quat = np.array(q)
+    quat /= np.linalg.norm(quat)
+    return -quat if quat[0] < 0 else quat
+
+
+def rotation_log(wxyz: Array) -> Array:
+    """Rotation vector (3,), angle in [0, pi], of a unit quaternion (4,)."""
+    w, vector = float(wxyz[0]), np.asarray(wxyz[1:], dtype=float)
+    if w < 0:
+        w, vector = -w, -vector
+    norm = float(np.linalg.norm(vector))
+    if norm < _SMALL_ANGLE:
+        return vector * (2.0 / max(w, 0.5))
+    return vector * (2.0 * np.arctan2(norm, w) / norm)
+
+
+def rotation_exp(vector: ArrayLike) -> Array:
+    """Unit quaternion (4,), wxyz, of a rotation vector (3,) in rad."""
+    v = np.asarray(vector, dtype=float)
+    half = 0.5 * float(np.linalg.norm(v))
+    scale = 0.5 if half < _SMALL_ANGLE else np.sin(half) / (2.0 * half)
+    return np.concatenate([[np.cos(half)], v * scale])
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Position (3,) in metres and unit quaternion (4,), wxyz.
+
+    The quaternion is normalised on construction; both arrays are read-only copies.
+
+    Raises:
+        ValueError: Wrong shape, a number that is not finite, or a zero quaternion.
+    """
+
+    position: Array
+    wxyz: Array
+
+    def __init__(
+        self, position: ArrayLike = (0.0, 0.0, 0.0), wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    ) -> None:
+        p = np.array(position, dtype=float)
+        q = np.array(wxyz, dtype=float)
+        if p.shape != (3,) or q.shape != (4,):
+            raise ValueError(f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}")
+        norm = float(np.linalg.norm(q))
+        if not (np.isfinite(p).all() and np.isfinite(norm)):
+            raise ValueError(f"a pose must be finite, not {p.tolist()}, {q.tolist()}")
+        if norm < 1e-12:
+            raise ValueError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
+        q /= norm
+        p.flags.writeable = False
+        q.flags.writeable = False
+        object.__setattr__(self, "position", p)
+        object.__setattr__(self, "wxyz", q)
+
+    @classmethod
+    def from_rotation(cls, rotation: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
+        """From a rotation matrix (3, 3) and a position (3,)."""
+        return cls(position, matrix_to_quat(rotation))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> Pose:
+        """From a homogeneous matrix (4, 4)."""
+        m = np.asarray(matrix, dtype=float)
+        if m.shape != (4, 4):
+            raise ValueError(f"a homogeneous matrix is (4, 4), not {m.shape}")
+        return cls.from_rotation(m[:3, :3], m[:3, 3])
+
+    @classmethod
+    def exp(cls, twist: Sequence[float] | Array) -> Pose:
+        """Pose reached by (translation (3,), rotation vector (3,)), each taken by itself (R3 x SO(3))."""
+        t = np.asarray(twist, dtype=float)
+        return cls(t[:3], rotation_exp(t[3:]))
+
+    def log(self) -> Array:
+        """(6,): translation over rotation vector; inverse of ``exp``."""
+        return np.concatenate([self.position, rotation_log(self.wxyz)])
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation matrix (3, 3)."""
+        return quat_to_matrix(self.wxyz)
+
+    @property
+    def matrix(self) -> Array:
+        """Homogeneous matrix (4, 4)."""
+        m = np.eye(4)
+        m[:3, :3] = self.rotation
+        m[:3, 3] = self.position
+        return m
+
+    def inverse(self) -> Pose:
+        """``pose_ba`` of ``pose_ab``."""
+        conjugate = self.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+        return Pose(-(quat_to_matrix(conjugate) @ self.position), conjugate)
+
+    def __matmul__(self, other: Pose | ArrayLike) -> Pose | Array:  # type: ignore[override]
+        if isinstance(other, Pose):
+            return self.compose(other)
+        return self.apply(other)
+
+    def compose(self, other: Pose) -> Pose:
+        """``pose_ac = pose_ab.compose(pose_bc)``; the same as ``@`` with the type known."""
+        return Pose(
+            self.position + self.rotation @ other.position, quat_multiply(self.wxyz, other.wxyz)
+        )
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Points (3,) or (n, 3) of frame b in frame a."""
+        return np.asarray(points, dtype=float) @ self.rotation.T + self.position
+
+    def distance(self, other: Pose) -> tuple[float, float]:
+        """Distance to ``other``: metres between origins, radians of the rotation between axes."""
+        turn = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
+        return (
+            float(np.linalg.norm(other.position - self.position)),
+            float(np.linalg.norm(turn)),
+        )
+
+    def __repr__(self) -> str:
+        p = ", ".join(f"{v:.6g}" for v in self.position)
+        q = ", ".join(f"{v:.6g}" for v in self.wxyz)
+        return f"Pose(position=({p}), wxyz=({q}))"

@@ -1,0 +1,94 @@
+"""What the parts of the program plug into each other with: protocols only.
+
+Nothing here knows a robot, a solver or a servo.  Joint vectors are ``q`` of shape (nq,) in
+radians (metres for slides), in the robot's joint order; times are seconds on the clock of
+whoever runs the loop.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Goal_co = TypeVar("Goal_co", covariant=True)
+
+
+@dataclass(frozen=True)
+class JointReading:
+    """Measured joint angles.
+
+    Attributes:
+        q: (nq,) rad or m, never clipped to limits.
+        time: When they were sampled, seconds on the run's clock.
+    """
+
+    q: Array
+    time: float
+
+
+@runtime_checkable
+class JointSink(Protocol):
+    """Takes joint angles: a viewer, a recorder, a servo arm."""
+
+    def send(self, q: Array, now: float) -> None:
+        """Takes the commanded ``q`` (nq,) for the time ``now`` in seconds.  Must not keep or change ``q``."""
+        ...
+
+
+@runtime_checkable
+class JointSource(Protocol):
+    """Gives measured joint angles."""
+
+    def read(self) -> JointReading:
+        """The newest measured joint angles."""
+        ...
+
+
+class GoalSource(Protocol[Goal_co]):
+    """Feeds goals to ``follow``: a hand, a curve, a script, a camera."""
+
+    def poll(self, now: float) -> Goal_co | None:
+        """The goal for the time ``now`` in seconds; ``None`` means: hold where you are."""
+        ...
+
+
+class Clock(Protocol):
+    """Tells and spends time; real, or virtual so that tests and simulated buses run at full speed."""
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+        ...
+
+    def sleep_until(self, deadline: float) -> None:
+        """Returns at ``deadline`` (seconds on this clock) or at once if that has passed."""
+        ...
+
+
+class RealClock:
+    """The machine's monotonic clock: jumps of the wall clock have no effect."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep_until(self, deadline: float) -> None:
+        wait = deadline - time.monotonic()
+        if wait > 0.0:
+            time.sleep(wait)
+
+
+class VirtualClock:
+    """Time that passes only when somebody sleeps."""
+
+    def __init__(self, start: float = 0.0) -> None:
+        self._now = start
+
+    def now(self) -> float:
+        return self._now
+
+    def sleep_until(self, deadline: float) -> None:
+        self._now = max(self._now, deadline)
