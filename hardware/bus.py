@@ -1,0 +1,138 @@
+"""What every servo bus can do, whatever lies behind it: a serial port, a pty or plain Python objects.
+
+Values cross this interface decoded (signed where the register is signed) and in the servo's own units;
+radians begin one layer up, in ``JointMap``.  All methods are safe to call from any thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.control_table import Register
+
+ALERT_BIT = 0x80
+"""Bit 7 of the ERR byte: the servo has a hardware error, see register 70 (Protocol 2.0 manual)."""
+
+BROADCAST_ID = 254
+"""Every servo listens to this id and none answers a write to it."""
+
+ERROR_REASONS: dict[int, str] = {
+    1: "result fail",
+    2: "unknown instruction",
+    3: "checksum of the request was wrong",
+    4: "data range (for goal registers also: bus watchdog has tripped)",
+    5: "data length",
+    6: "data limit (outside the servo's own limits)",
+    7: "access (read-only, undefined, or EEPROM while torque is on)",
+}
+"""ERR byte, bits 0-6: a number, not a mask (Protocol 2.0 manual, "Status packet")."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """What one servo answered to one request.
+
+    Attributes:
+        id: Servo id.
+        data: Decoded register value; ``None`` when the servo did not answer, answered without
+            usable data, or was not asked for data (writes).
+        error: ERR number 0..7 (bits 0-6); 0 is good.
+        alert: The servo reports a latched hardware error.  Information, not a failure: the data are good.
+        answered: A well-formed status packet came from this servo.
+    """
+
+    id: int
+    data: int | None
+    error: int = 0
+    alert: bool = False
+    answered: bool = True
+
+    @property
+    def ok(self) -> bool:
+        """Answered, and the servo did what was asked."""
+        return self.answered and self.error == 0
+
+    @classmethod
+    def silent(cls, id: int) -> Status:
+        """The servo did not answer."""
+        return cls(id=id, data=None, answered=False)
+
+
+@dataclass
+class Counters:
+    """Running totals of one bus since it was made; they add up over reconnects.
+
+    Attributes:
+        cycles: Sync reads.
+        timeouts: Answers that never came (one per servo).
+        corrupt: Answers that came and could not be trusted (checksum, length).
+        retries: Requests repeated because of the above.
+        alerts: Answers that carried the alert bit.
+        bytes_sent, bytes_received: On the wire, from the host's side.
+    """
+
+    cycles: int = 0
+    timeouts: int = 0
+    corrupt: int = 0
+    retries: int = 0
+    alerts: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+
+
+@runtime_checkable
+class ServoBus(Protocol):
+    """A bus of Protocol 2.0 servos.
+
+    Errors: ``BusNotOpenError`` (open, or any call before it), ``BusTimeoutError`` (a single servo did
+    not answer ``read``/``write``/``ping``), ``BusCorruptError`` (it answered nonsense every time),
+    ``BusDisconnectedError`` (the port went away), ``ServoRefusedError`` (error number in the answer).
+    ``sync_read`` never raises for a servo: what is missing has ``answered`` False and ``data`` None.
+    """
+
+    port: str
+    counters: Counters
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        ...
+
+    def open(self) -> None:
+        """Opens the port for this process alone."""
+        ...
+
+    def close(self) -> None:
+        """Closes the port; may be called any number of times and never raises."""
+        ...
+
+    def ping(self, id: int) -> int:
+        """Model number of one servo."""
+        ...
+
+    def broadcast_ping(self) -> dict[int, int]:
+        """Servo id -> model number of everyone who answers; may take a second on a real wire."""
+        ...
+
+    def read(self, id: int, register: Register) -> Status:
+        """One register of one servo; ``data`` is never ``None`` in what is returned."""
+        ...
+
+    def write(self, id: int, register: Register, value: int) -> Status:
+        """One register of one servo.  To ``BROADCAST_ID`` nobody answers and ``answered`` is False."""
+        ...
+
+    def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, Status]:
+        """The same register of many servos in one cycle; a row for every id asked."""
+        ...
+
+    def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
+        """The same register of many servos in one packet (servo id -> value); nobody answers."""
+        ...
+
+    def reboot(self, id: int) -> None:
+        """Restarts one servo: clears latched errors; torque is off and RAM registers are at their defaults after."""
+        ...
