@@ -1,0 +1,185 @@
+"""What ``robot-ik doctor`` looks at: each check returns rows, opens nothing that moves, and cannot hang.
+
+A row is OK, a NOTE (works, or is not needed, but worth knowing) or a PROBLEM (something robot_ik needs
+is broken).  Only problems make the doctor's exit code 2.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from robot_ik import environment
+
+OK, NOTE, PROBLEM = "ok", "note", "problem"
+
+#: Seconds a child process may take; all children run side by side, so this bounds the whole doctor.
+CHILD_LIMIT = 7.0
+
+OPENCV_WHEELS = (
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "opencv-python",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the report: what was looked at, how it is, what was found, what to do about it."""
+
+    what: str
+    status: str
+    found: str
+    do: str = ""
+
+
+def version_of(package: str) -> str:
+    """Installed version of a distribution, or an empty string."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of robot_ik and of what it stands on, without importing any of it."""
+    opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
+    names = ("robot_ik", "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
+    return {name: version_of(name) for name in names}
+
+
+def check_python() -> list[Row]:
+    version = sys.version.split()[0]
+    where = f"{version}, {sys.executable}"
+    if sys.version_info < (3, 11):
+        return [Row("python", PROBLEM, where, "robot_ik needs Python 3.11 or newer")]
+    return [Row("python", OK, where)]
+
+
+def check_packages() -> list[Row]:
+    """Every package that robot_ik's own metadata requires is installed."""
+    missing, present = [], []
+    for requirement in metadata.requires("robot_ik") or []:
+        if "extra ==" in requirement:
+            continue
+        match = re.match(r"[A-Za-z0-9._-]+", requirement)
+        name = match.group() if match else requirement
+        if name.startswith("opencv"):
+            continue  # any of four wheels will do: see check_opencv
+        version = version_of(name)
+        (present if version else missing).append(f"{name} {version}".strip())
+    rows = [Row("packages", OK, ", ".join(present))]
+    if missing:
+        rows.append(Row("packages", PROBLEM, f"missing: {', '.join(missing)}", "pip install robot_ik"))
+    return rows
+
+
+def check_mujoco() -> list[Row]:
+    """MuJoCo 4 is an umbrella over mujoco-core; an upgrade across it can leave an empty shell."""
+    clean = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
+    code = "import mujoco; mujoco.MjModel; print(mujoco.__version__)"
+    probe = environment.run_probe(code, timeout=CHILD_LIMIT, environment=clean)
+    umbrella, core = version_of("mujoco"), version_of("mujoco-core")
+    repair = "pip uninstall -y mujoco mujoco-core mujoco-studio && pip install mujoco"
+    if not probe.ok:
+        return [Row("mujoco", PROBLEM, probe.text, repair)]
+    if core and umbrella and core != umbrella:
+        return [Row("mujoco", NOTE, f"mujoco {umbrella} with mujoco-core {core}: mixed versions", repair)]
+    return [Row("mujoco", OK, probe.text)]
+
+
+def check_opencv() -> list[Row]:
+    """One OpenCV wheel, importable, with the marker detector."""
+    wheels = [name for name in OPENCV_WHEELS if version_of(name)]
+    code = "import cv2; cv2.aruco.ArucoDetector; print(cv2.__version__)"
+    probe = environment.run_probe(code, timeout=CHILD_LIMIT)
+    one = "pip uninstall -y " + " ".join(wheels) + " && pip install opencv-contrib-python-headless"
+    if not probe.ok:
+        do = one if wheels else "pip install opencv-contrib-python-headless"
+        return [Row("opencv", PROBLEM, probe.text, do)]
+    if len(wheels) > 1:
+        return [
+            Row("opencv", NOTE, f"{probe.text}; several wheels share one folder: {', '.join(wheels)}", one)
+        ]
+    return [Row("opencv", OK, f"{probe.text} ({wheels[0] if wheels else 'not from a wheel'})")]
+
+
+def check_user_gl() -> list[Row]:
+    """The user's own ``MUJOCO_GL``: when its library is missing, ``import mujoco`` fails."""
+    value = os.environ.get("MUJOCO_GL", "")
+    if not value:
+        return [Row("MUJOCO_GL", OK, "not set; robot_ik needs no OpenGL")]
+    if value.lower().strip() in environment.GL_OFF:
+        return [Row("MUJOCO_GL", OK, f"{value}: OpenGL is switched off")]
+    probe = environment.run_probe("import mujoco", timeout=CHILD_LIMIT)
+    if not probe.ok:
+        error = environment.graphics_error(value, probe.text)
+        return [Row("MUJOCO_GL", PROBLEM, str(error.args[0]), "; ".join(error.hint.splitlines()[:2]))]
+    drawn = environment.probe_gl(value, timeout=CHILD_LIMIT)
+    if not drawn.ok:
+        return [Row("MUJOCO_GL", NOTE, f"{value} cannot draw: {drawn.text}", "unset MUJOCO_GL")]
+    return [Row("MUJOCO_GL", OK, f"{value}: {drawn.text}")]
+
+
+def check_gl(backend: str) -> list[Row]:
+    """Whether ``mujoco.Renderer`` could draw with this back end (nothing in robot_ik must)."""
+    if not sys.platform.startswith("linux"):
+        return []
+    probe = environment.probe_gl(backend, timeout=CHILD_LIMIT)
+    if probe.ok:
+        return [Row(f"GL {backend}", OK, probe.text)]
+    do = f"only for mujoco.Renderer: sudo apt-get install {environment.GL_PACKAGES[backend]}"
+    return [Row(f"GL {backend}", NOTE, f"not usable: {probe.text}", do)]
+
+
+def check_display() -> list[Row]:
+    """Whether the viewer window (--view) can open."""
+    probe = environment.probe_display(timeout=CHILD_LIMIT)
+    if probe.ok:
+        do = "run through mjpython to use --view" if sys.platform == "darwin" else ""
+        return [Row("display", OK, f"{probe.text} ({os.environ.get('DISPLAY', '')})", do)]
+    return [Row("display", NOTE, probe.text, "only --view needs one; pictures are written without it")]
+
+
+def check_cache() -> list[Row]:
+    """Compiled kernels are kept between runs in the user's cache folder."""
+    override = os.environ.get("XDG_CACHE_HOME", "")
+    folder = Path(override) if override else Path.home() / ".cache"
+    if sys.platform == "darwin":
+        folder = Path.home() / "Library" / "Caches"
+    folder = folder / "robot-ik" / "kernels"
+    nearest = next((p for p in (folder, *folder.parents) if p.exists()), folder)
+    if os.access(nearest, os.W_OK | os.X_OK) and nearest.is_dir():
+        return [Row("kernel cache", OK, str(folder))]
+    do = "set XDG_CACHE_HOME to a folder that can be written; until then each start compiles again"
+    return [Row("kernel cache", NOTE, f"{nearest} cannot be written", do)]
+
+
+def check_terminal() -> list[Row]:
+    terminal = sys.stdout.isatty()
+    encoding = (getattr(sys.stdout, "encoding", "") or "").lower()
+    found = f"{'a terminal' if terminal else 'not a terminal'}, TERM={os.environ.get('TERM', '')}, {encoding}"
+    if terminal and "utf" not in encoding:
+        return [Row("terminal", NOTE, found, "set PYTHONIOENCODING=utf-8 for clean tables")]
+    return [Row("terminal", OK, found)]
+
+
+def run_checks(checks: list[Callable[[], list[Row]]]) -> list[Row]:
+    """Runs the checks side by side; rows come in the order of the checks, and a crash is a row."""
+
+    def guarded(check: Callable[[], list[Row]]) -> list[Row]:
+        try:
+            return check()
+        except Exception as error:  # a doctor must not fall ill
+            name = getattr(check, "__name__", "check").removeprefix("check_")
+            return [Row(name, NOTE, f"could not be checked: {type(error).__name__}: {error}")]
+
+    with ThreadPoolExecutor(max_workers=len(checks)) as pool:
+        return [row for rows in pool.map(guarded, checks) for row in rows]

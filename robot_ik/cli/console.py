@@ -1,0 +1,214 @@
+"""How the commands talk: results on stdout, everything else on stderr, errors on one screen.
+
+Exit codes: 0 done; 1 tried, not achieved; 2 wrong input or environment; 130 interrupted.
+Away from a terminal there is no colour and no progress bar, and tables are not folded at 80 columns.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import math
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from robot_ik.errors import (
+    MarkerNotFoundError,
+    MotorFaultError,
+    NotConvergedError,
+    RobotIkError,
+    TrajectoryError,
+)
+
+DONE, NOT_ACHIEVED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+
+#: Errors that mean "tried, not achieved"; every other error of this package is wrong input or environment.
+NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
+    NotConvergedError,
+    MarkerNotFoundError,
+    TrajectoryError,
+    MotorFaultError,
+)
+
+#: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
+PIPE_WIDTH = 160
+#: An error must fit one screen together with the prompt.
+ERROR_LINES = 20
+
+
+def _width(stream: Any) -> int | None:
+    if stream.isatty() or os.environ.get("COLUMNS", "").isdigit():
+        return None  # rich asks the terminal or the variable
+    return PIPE_WIDTH
+
+
+def out() -> Console:
+    """Console for results, on stdout."""
+    return Console(width=_width(sys.stdout), highlight=False, soft_wrap=False)
+
+
+def talk() -> Console:
+    """Console for everything that is not a result, on stderr."""
+    return Console(stderr=True, width=_width(sys.stderr), highlight=False)
+
+
+def say(text: str, style: str = "") -> None:
+    """One line of talk; never folded, never read as markup."""
+    talk().print(Text(text, style=style), soft_wrap=True)
+
+
+def table(*columns: str, title: str | None = None) -> Table:
+    """An empty table in the one style of all commands; the first column is never broken."""
+    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
+    made.pad_edge = False
+    for index, name in enumerate(columns):
+        made.add_column(name, no_wrap=index == 0, overflow="fold")
+    return made
+
+
+def progress() -> Progress:
+    """A progress bar on stderr that shows nothing unless stderr is a terminal."""
+    console = talk()
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON can hold it: arrays become lists, numbers that are not finite become null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    return str(value)
+
+
+def print_json(value: Mapping[str, Any]) -> None:
+    """One JSON object on stdout."""
+    sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+# ----------------------------------------------------------------------------------- errors
+
+
+def exit_code(error: BaseException) -> int:
+    """The exit code that belongs to an error."""
+    if isinstance(error, NOT_ACHIEVED_ERRORS):
+        return NOT_ACHIEVED
+    return WRONG_INPUT
+
+
+def _first_lines(text: str, count: int) -> str:
+    lines = text.rstrip().splitlines() or [""]
+    if len(lines) > count:
+        left = len(lines) - count + 1
+        lines = [*lines[: count - 1], f"… ({left} more lines; --debug shows all)"]
+    # A single endless line (a path list, a compiler's answer) would fill the screen as well.
+    return "\n".join(line if len(line) <= 800 else line[:799] + "…" for line in lines)
+
+
+def _where(error: BaseException) -> str:
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames:
+        return ""
+    last = frames[-1]
+    name = os.path.join(os.path.basename(os.path.dirname(last.filename)), os.path.basename(last.filename))
+    return f" (in {last.name}, {name}:{last.lineno})"
+
+
+def describe_error(error: BaseException) -> tuple[str, str]:
+    """What to show of an error: the message, and what to try."""
+    if isinstance(error, RobotIkError):
+        message = str(error.args[0]) if error.args else type(error).__name__
+        if isinstance(error, OSError):  # OSError keeps its arguments in its own way
+            message = str(error)
+            message = message.removesuffix("\n" + error.hint) if error.hint else message
+        return message, error.hint
+    if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("robot_ik"):
+        return (
+            f"the Python package {error.name!r} is missing",
+            "install what robot_ik needs: pip install robot_ik",
+        )
+    if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
+        return f"a part of the installation cannot be loaded: {error}", "look closer with: robot-ik doctor"
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}", ""
+    return (
+        f"robot-ik stopped on an error it did not expect: {type(error).__name__}: {error}{_where(error)}",
+        "this is a fault of robot_ik, not yours. See the whole of it with: robot-ik --debug …\n"
+        "and report it with that text, the command and the output of: robot-ik --version",
+    )
+
+
+def show_error(error: BaseException, *, debug: bool = False) -> None:
+    """Prints an error on at most one screen; with ``debug`` the traceback comes first."""
+    if debug:
+        sys.stderr.write("".join(traceback.format_exception(error)))
+    message, hint = describe_error(error)
+    hint = _first_lines(hint, 6)
+    message = _first_lines(message, ERROR_LINES - hint.count("\n") - 1)
+    text = Text("error: ", style="bold red")
+    text.append(message, style="default")
+    if hint:
+        text.append("\n" + hint, style="cyan")
+    talk().print(text, soft_wrap=True)
+
+
+# ------------------------------------------------------------------------------------- logs
+
+
+class _TalkHandler(logging.Handler):
+    """Shows log records as single lines of talk."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            style = "yellow" if record.levelno >= logging.WARNING else "dim"
+            say(record.getMessage(), style)
+        except Exception:  # a log line must never end the run
+            self.handleError(record)
+
+
+@contextlib.contextmanager
+def logs_shown(*, debug: bool = False) -> Iterator[None]:
+    """Shows the library's log while inside: warnings, the kernels' "compiled once" notice; all with ``debug``.
+
+    The library itself installs no handler; this is the only place that does, and it is taken back.
+    """
+    handler = _TalkHandler()
+    levels = {
+        "robot_ik": logging.DEBUG if debug else logging.WARNING,
+        "robot_ik.kernels": logging.DEBUG if debug else logging.INFO,
+    }
+    before = {name: logging.getLogger(name).level for name in levels}
+    root = logging.getLogger("robot_ik")
+    for name, level in levels.items():
+        logging.getLogger(name).setLevel(level)
+    root.addHandler(handler)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)

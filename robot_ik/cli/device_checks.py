@@ -1,0 +1,124 @@
+"""The doctor's view of serial ports and cameras: permission, latency, who else uses them.
+
+No serial port is opened (opening one can reset the board behind it); cameras are opened for one
+picture in a child process with a time limit.
+"""
+
+from __future__ import annotations
+
+import getpass
+import glob
+import os
+import sys
+from pathlib import Path
+
+from robot_ik import environment
+from robot_ik.cli.checks import CHILD_LIMIT, NOTE, OK, Row
+
+# Prints a line per camera as it goes, so that what was found survives the time limit.
+_CAMERA_CODE = """
+import os, sys
+os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
+import cv2
+for path in {paths!r}:
+    capture = cv2.VideoCapture(path)
+    good, image = capture.read() if capture.isOpened() else (False, None)
+    size = f"{{image.shape[1]}}x{{image.shape[0]}}" if good else "no picture"
+    print(f"{{path}}={{size}}", flush=True)
+    capture.release()
+"""
+
+
+def _group_of(path: str) -> str:
+    try:
+        import grp
+
+        return grp.getgrgid(os.stat(path).st_gid).gr_name
+    except (ImportError, KeyError, OSError):
+        return ""
+
+
+def _permission_hint(path: str) -> str:
+    group = _group_of(path)
+    if group in ("", "root", "wheel"):
+        return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"
+    return f"sudo usermod -aG {group} {getpass.getuser()}, then log out and in again"
+
+
+def users_of(path: str) -> list[str]:
+    """Programs that have ``path`` open, as ``name (pid)``; only what this user may see, Linux only."""
+    real = os.path.realpath(path)
+    found = []
+    for folder in glob.glob("/proc/[0-9]*"):
+        try:
+            descriptors = os.listdir(f"{folder}/fd")
+            if any(os.path.realpath(f"{folder}/fd/{number}") == real for number in descriptors):
+                name = Path(folder, "comm").read_text().strip()
+                found.append(f"{name} ({os.path.basename(folder)})")
+        except OSError:
+            continue  # the process ended, or belongs to somebody else
+    return found
+
+
+def latency_ms(path: str, sys_root: str = "/sys") -> int | None:
+    """Latency timer of a USB serial adapter in ms, or ``None`` where the driver has none."""
+    name = os.path.basename(os.path.realpath(path))
+    try:
+        return int(Path(sys_root, "bus/usb-serial/devices", name, "latency_timer").read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def serial_row(path: str, about: str, *, sys_root: str = "/sys") -> Row:
+    """One serial port: may it be used, is it in use, how late does it answer."""
+    what = f"serial {path}"
+    if not os.access(path, os.R_OK | os.W_OK):
+        return Row(what, NOTE, f"{about}; no permission", _permission_hint(path))
+    users = users_of(path)
+    if users:
+        return Row(what, NOTE, f"{about}; in use by {', '.join(users)}", "end that program first")
+    latency = latency_ms(path, sys_root)
+    if latency is not None and latency > 1:
+        name = os.path.basename(os.path.realpath(path))
+        timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
+        # 16 ms, the driver's default, holds six servos to about 57 cycles a second.
+        return Row(what, NOTE, f"{about}; answers {latency} ms late", f"echo 1 | sudo tee {timer}")
+    return Row(what, OK, about + ("; free" if sys.platform.startswith("linux") else ""))
+
+
+def check_serial() -> list[Row]:
+    """Serial ports with what stands in the way of using them."""
+    from serial.tools import list_ports
+
+    ports = [port for port in list_ports.comports() if os.path.exists(port.device)]
+    # On-board UARTs are listed whether or not anything is behind them.
+    rows = [serial_row(p.device, p.description or "serial port") for p in ports if "ttyS" not in p.device]
+    if not rows:
+        return [Row("serial", NOTE, "no USB serial port", "plug the adapter in; --bus pty and sim need none")]
+    return rows
+
+
+def check_cameras() -> list[Row]:
+    """Cameras that give a picture."""
+    if not sys.platform.startswith("linux"):
+        return [Row("camera", NOTE, "not looked for on this system", "try: robot-ik reach --camera 0")]
+    paths = sorted(glob.glob("/dev/video*"))
+    if not paths:
+        return [Row("camera", NOTE, "none", "plug one in; --camera synthetic, a photo or a video need none")]
+    rows = [
+        Row(f"camera {p}", NOTE, "no permission", _permission_hint(p))
+        for p in paths
+        if not os.access(p, os.R_OK | os.W_OK)
+    ]
+    usable = [p for p in paths if os.access(p, os.R_OK | os.W_OK)]
+    if not usable:
+        return rows
+    probe = environment.run_probe(_CAMERA_CODE.format(paths=usable), timeout=CHILD_LIMIT)
+    answers = dict(line.split("=", 1) for line in probe.text.splitlines() if "=" in line)
+    for path in usable:
+        answer = answers.get(path, f"no answer within {CHILD_LIMIT:.0f} s")
+        good = answer[:1].isdigit()
+        # A camera has a second device node for its metadata, which never gives a picture.
+        do = "" if good else "in use by another program, or this node carries no pictures"
+        rows.append(Row(f"camera {path}", OK if good else NOTE, answer, do))
+    return rows

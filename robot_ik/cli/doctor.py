@@ -1,0 +1,67 @@
+"""``robot-ik doctor``: one table of what this machine can do, with what to do about the rest."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from rich.text import Text
+
+from robot_ik.cli import checks, console, device_checks
+
+#: Version of the JSON object; raised when a field changes its meaning.
+SCHEMA = 1
+
+CHECKS: list[Callable[[], list[checks.Row]]] = [
+    checks.check_python,
+    checks.check_packages,
+    checks.check_mujoco,
+    checks.check_opencv,
+    checks.check_user_gl,
+    functools.partial(checks.check_gl, "egl"),
+    functools.partial(checks.check_gl, "osmesa"),
+    checks.check_display,
+    device_checks.check_serial,
+    device_checks.check_cameras,
+    checks.check_cache,
+    checks.check_terminal,
+]
+
+_STYLE = {checks.OK: "green", checks.NOTE: "yellow", checks.PROBLEM: "bold red"}
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Looks at this machine: versions, OpenGL, display, serial ports, cameras.
+
+    Takes a few seconds, moves nothing, opens no serial port. OpenGL, the display and the cameras are
+    tried in child processes. Exit code 0 when everything that robot_ik needs works, else 2; notes are
+    about things that you may never need.
+    """
+
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+def run(options: DoctorOptions) -> int:
+    """Prints the report; 0 when nothing required is broken, else 2."""
+    rows = checks.run_checks(CHECKS)
+    problems = [row for row in rows if row.status == checks.PROBLEM]
+    if options.json:
+        console.print_json({"schema": SCHEMA, "ok": not problems, "rows": [asdict(row) for row in rows]})
+    else:
+        _print_table(rows, len(problems))
+    return console.WRONG_INPUT if problems else console.DONE
+
+
+def _print_table(rows: list[checks.Row], problems: int) -> None:
+    screen = console.out()
+    shown = console.table("what", "is", "found", "what to do")
+    for row in rows:
+        shown.add_row(
+            Text(row.what), Text(row.status, style=_STYLE[row.status]), Text(row.found), Text(row.do)
+        )
+    screen.print(shown)
+    verdict = "nothing required is broken" if not problems else f"{problems} problem(s): see what to do"
+    screen.print(Text("\n" + verdict, style="green" if not problems else "bold red"))

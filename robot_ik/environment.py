@@ -1,0 +1,157 @@
+"""What this machine can do: does MuJoCo import, which OpenGL draws, is there a display.
+
+Everything that can hang, abort or print to the terminal is tried in a child process with a time
+limit; nothing here changes the process or its environment variables.  No OpenGL is needed by the
+library itself: it matters only for ``mujoco.Renderer`` and for the viewer window.
+
+Facts (MuJoCo 4.0.0): with ``MUJOCO_GL`` naming a back end whose library is missing, ``import mujoco``
+itself fails with an ``AttributeError`` about ``glGetError`` or ``eglQueryString``; without a display
+``mujoco.viewer.launch_passive`` waits for ever instead of raising.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+
+from robot_ik.errors import RobotIkError
+
+#: Debian and Ubuntu packages that bring each back end of ``MUJOCO_GL`` on a bare machine.
+GL_PACKAGES = {
+    "egl": "libegl1 libgl1",
+    "osmesa": "libosmesa6",
+    "glfw": "libgl1 libgl1-mesa-dri",
+    "glx": "libgl1 libgl1-mesa-dri",
+}
+#: Values of ``MUJOCO_GL`` that mean "no OpenGL at all".
+GL_OFF = ("disable", "disabled", "off", "false", "0")
+
+# Drawing one picture is the only proof that a context works; 16 x 16 pixels are enough.
+_RENDER_CODE = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 2'/><geom size='.1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+renderer = mujoco.Renderer(model, 16, 16)
+renderer.update_scene(data)
+assert renderer.render().max() > 0, "the picture is black"
+from OpenGL import GL
+print((GL.glGetString(GL.GL_RENDERER) or b"").decode())
+renderer.close()
+"""
+
+# A hidden window with a context: what the passive viewer will ask for.
+_WINDOW_CODE = """
+import warnings
+warnings.simplefilter("ignore")
+import glfw
+assert glfw.init(), "no display can be opened"
+glfw.window_hint(glfw.VISIBLE, False)
+window = glfw.create_window(32, 32, "probe", None, None)
+assert window, "the display gives no OpenGL window"
+print("display opened")
+"""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a child process found out.
+
+    Attributes:
+        ok: It ran to its end.
+        text: Its output when it did; else the last line of its complaint.
+    """
+
+    ok: bool
+    text: str
+
+
+def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | None = None) -> Probe:
+    """Runs Python ``code`` in a child process that is killed after ``timeout`` seconds."""
+    try:
+        done = subprocess.run(
+            # -P: the current folder must not shadow a package.
+            [sys.executable, "-P", "-c", code],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=timeout,
+            env=None if environment is None else dict(environment),
+        )
+    except subprocess.TimeoutExpired as stopped:
+        said = stopped.stdout or b""
+        text = said.decode(errors="replace") if isinstance(said, bytes) else said
+        return Probe(False, f"{text.strip()}\nno answer within {timeout:.0f} s".strip())
+    except OSError as reason:
+        return Probe(False, f"no child process: {reason}")
+    if done.returncode == 0:
+        return Probe(True, done.stdout.strip())
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    if done.returncode < 0:
+        lines.append(f"killed by signal {-done.returncode}")
+    return Probe(False, lines[-1] if lines else f"exit code {done.returncode}")
+
+
+def probe_gl(backend: str, *, timeout: float = 6.0) -> Probe:
+    """Draws one picture with ``MUJOCO_GL=backend`` in a child process; the text names the renderer."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
+    environment["MUJOCO_GL"] = backend
+    return run_probe(_RENDER_CODE, timeout=timeout, environment=environment)
+
+
+def probe_display(*, timeout: float = 6.0) -> Probe:
+    """Opens a hidden OpenGL window in a child process, as the viewer will."""
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        return Probe(False, "neither DISPLAY nor WAYLAND_DISPLAY is set")
+    return run_probe(_WINDOW_CODE, timeout=timeout)
+
+
+def graphics_error(value: str, reason: BaseException | str) -> RobotIkError:
+    """The error for ``MUJOCO_GL=value`` when MuJoCo cannot be imported with it."""
+    name = value.lower().strip()
+    if isinstance(reason, BaseException):
+        reason = f"{type(reason).__name__}: {reason}"
+    apt = (
+        f"or install its library: sudo apt-get install --no-install-recommends {GL_PACKAGES[name]}"
+        if name in GL_PACKAGES
+        else f"or choose one of: {', '.join(GL_PACKAGES)}"
+    )
+    return RobotIkError(
+        f"MUJOCO_GL={value} is set, and MuJoCo cannot be imported with it ({reason})",
+        hint=f"robot_ik needs no OpenGL: unset MUJOCO_GL\n{apt}\nlook closer with: robot-ik doctor",
+    )
+
+
+def import_mujoco() -> ModuleType:
+    """The ``mujoco`` module, or an error that says what is wrong with this machine.
+
+    Costs nothing beyond the import itself.
+
+    Raises:
+        RobotIkError: ``MUJOCO_GL`` names a back end that is not there, MuJoCo is not installed, or
+            only an empty shell of it is (an upgrade across version 4 can leave one).
+    """
+    try:
+        import mujoco
+    except Exception as reason:  # MuJoCo fails here with AttributeError, RuntimeError, ImportError, …
+        value = os.environ.get("MUJOCO_GL", "")
+        if value and not isinstance(reason, ModuleNotFoundError):
+            raise graphics_error(value, reason) from reason
+        raise RobotIkError(
+            f"MuJoCo cannot be imported ({type(reason).__name__}: {reason})",
+            hint="install it with: pip install mujoco\nlook closer with: robot-ik doctor",
+        ) from reason
+    if not hasattr(mujoco, "MjModel"):
+        raise RobotIkError(
+            "the installed mujoco package is an empty shell (it has no MjModel): two versions were mixed",
+            hint="repair: pip uninstall -y mujoco mujoco-core mujoco-studio && pip install mujoco",
+        )
+    return mujoco
