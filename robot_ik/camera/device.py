@@ -1,0 +1,181 @@
+"""Cameras and network streams: a thread keeps only the newest picture, stamped when it was grabbed."""
+
+from __future__ import annotations
+
+import glob
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from robot_ik.camera.opencv import quiet
+from robot_ik.camera.sources import ClosingSource, Frame, Image
+from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+
+DEFAULT_TIMEOUT = 2.0
+# Opening a camera switches it on and may take seconds; a dead URL must not hang the program.
+_OPEN_TIMEOUT_S = 10.0
+# A camera drops a picture now and then; this many in a row mean that it is gone.
+_FAILURES_ALLOWED = 5
+
+
+def list_cameras() -> tuple[str, ...]:
+    """Camera devices that this machine shows, by path (Linux only; empty elsewhere)."""
+    return tuple(sorted(glob.glob("/dev/video*"))) if sys.platform.startswith("linux") else ()
+
+
+class DeviceSource(ClosingSource):
+    """A camera by index or path, or a stream by URL.
+
+    ``read`` waits for a picture newer than the last one it gave, so a slow reader skips pictures and never
+    works on old ones.
+
+    Args:
+        device: Index, device path or URL.
+        size: (width, height) in pixels to ask for; what comes is verified.
+        rate_hz: Rate to ask for; cameras treat it as a wish.
+        timeout: Seconds that ``read`` waits.
+        opener: For tests: gives a ``cv2.VideoCapture`` or something with its methods.
+
+    Raises:
+        CameraNotFoundError: It cannot be opened, or gives no first picture.
+        FrameSizeError: Pictures have another size than asked for.
+    """
+
+    def __init__(
+        self,
+        device: int | str,
+        *,
+        size: tuple[int, int] | None = None,
+        rate_hz: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        opener: Callable[[], Any] | None = None,
+    ) -> None:
+        self.device = device
+        self.timeout = timeout
+        self._capture: Any = opener() if opener else _open(device)
+        if size is not None:
+            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+            self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        if rate_hz is not None:
+            self._capture.set(cv2.CAP_PROP_FPS, rate_hz)
+        # Fewer buffered pictures, less delay; drivers that cannot do it refuse without harm.
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        self._news = threading.Condition()
+        self._latest: Frame | None = None
+        self._given = -1
+        self._ended = False
+        self._stop = False
+        self._thread = threading.Thread(target=self._grab, name=f"camera {device}", daemon=True)
+        self._thread.start()
+        self._check_first(size)
+
+    def _check_first(self, size: tuple[int, int] | None) -> None:
+        with self._news:
+            self._news.wait_for(lambda: self._latest is not None or self._ended, _OPEN_TIMEOUT_S)
+            first = self._latest
+        if first is None:
+            self.close()
+            raise CameraNotFoundError(
+                f"camera {self.device} opens but delivers no picture",
+                hint="is another program using it? Unplug it and plug it in again",
+            )
+        if size is not None and first.size != size:
+            self.close()
+            raise FrameSizeError(
+                f"camera {self.device} was asked for {size[0]}x{size[1]} px and delivers "
+                f"{first.size[0]}x{first.size[1]} px",
+                hint="ask for a size that the camera has; the calibration must be made at that size",
+            )
+        self.size = first.size
+
+    def _grab(self) -> None:
+        sequence = failures = 0
+        while not self._stop and failures < _FAILURES_ALLOWED:
+            good, image = self._next_image()
+            stamp = time.monotonic()
+            if not good or image is None:
+                failures += 1
+                continue
+            failures = 0
+            with self._news:
+                self._latest = Frame(image, stamp, sequence)
+                self._news.notify_all()
+            sequence += 1
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    def _next_image(self) -> tuple[bool, Image | None]:
+        try:
+            return self._capture.read()  # type: ignore[no-any-return]
+        except cv2.error:
+            return False, None
+
+    def read(self) -> Frame:
+        with self._news:
+            self._news.wait_for(self._has_news, self.timeout)
+            frame = self._latest
+            if frame is not None and frame.sequence > self._given:
+                self._given = frame.sequence
+                return frame
+            ended = self._ended
+        if ended:
+            raise FrameTimeoutError(
+                f"camera {self.device} stopped delivering pictures after {self._given + 1}",
+                hint="was it unplugged? Open the source again",
+            )
+        raise FrameTimeoutError(
+            f"no new picture from camera {self.device} for {self.timeout:g} s",
+            hint="check cable and network, or allow more time",
+        )
+
+    def _has_news(self) -> bool:
+        return self._ended or (self._latest is not None and self._latest.sequence > self._given)
+
+    def close(self) -> None:
+        self._stop = True
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout=self.timeout)
+        if not self._thread.is_alive():
+            # A driver that hangs in read() must not be released under its feet.
+            self._capture.release()
+
+
+def _open(device: int | str) -> Any:
+    is_url = isinstance(device, str) and "://" in device
+    path = None
+    if sys.platform.startswith("linux") and not is_url:
+        path = Path(f"/dev/video{device}") if isinstance(device, int) else Path(device)
+        _check_device(device, path)
+    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT_S)]
+    limits += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT_S)]
+    with quiet():
+        capture = cv2.VideoCapture(device, cv2.CAP_FFMPEG, limits) if is_url else cv2.VideoCapture(device)
+    if not capture.isOpened():
+        capture.release()
+        hint = "check the address with a browser" if is_url else _camera_hint()
+        raise CameraNotFoundError(f"cannot open camera {device}", hint=hint)
+    return capture
+
+
+def _check_device(device: int | str, path: Path) -> None:
+    if not path.exists():
+        raise CameraNotFoundError(f"there is no camera {device} ({path})", hint=_camera_hint())
+    if not os.access(path, os.R_OK | os.W_OK):
+        raise CameraNotFoundError(
+            f"no permission to use camera {device} ({path})",
+            hint="add yourself to the group video and log in again",
+        )
+
+
+def _camera_hint() -> str:
+    cameras = list_cameras()
+    if cameras:
+        return f"cameras here: {', '.join(cameras)}"
+    return "no camera was found here; a picture, a film, a folder or a URL does as well"

@@ -1,0 +1,155 @@
+"""Lens distortion models as pure numpy: forward, Jacobian and inverse, vectorised over points.
+
+Coordinates are normalised: (x, y) = (X / Z, Y / Z) of a point in the camera frame (x right, y down,
+z forward).  ``ideal`` means without distortion, ``bent`` with it; pixels are ``(fx x + cx, fy y + cy)`` of
+bent coordinates.  Coefficients are in OpenCV's order:
+
+* ``plumb_bob`` (0, 4 or 5): k1 k2 p1 p2 k3, Brown 1966
+* ``rational_polynomial`` (8): k1 k2 p1 p2 k3 k4 k5 k6, the second three in the denominator
+* ``equidistant`` (4): k1 k2 k3 k4 over the angle to the optical axis, Kannala and Brandt 2006
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+COEFFICIENTS: dict[str, tuple[int, ...]] = {
+    "plumb_bob": (0, 4, 5),
+    "rational_polynomial": (8,),
+    "equidistant": (4,),
+}
+
+# Residual of the inverse in bent coordinates: 1e-12 of a focal length is 1e-9 px.
+_INVERSE_RESIDUAL = 1e-12
+# Newton doubles the digits each step; a damped step now and then costs a few more.
+_INVERSE_STEPS = 40
+# Beyond this (84 degrees off the axis) a pinhole picture says nothing.
+_LARGEST_RADIUS = 10.0
+
+
+def _radial(model: str, k: Array, r2: Array) -> tuple[Array, Array]:
+    """Radial factor and its derivative with respect to r^2."""
+    if model == "equidistant":
+        r = np.sqrt(np.maximum(r2, 1e-18))
+        theta = np.arctan(r)
+        t2 = theta * theta
+        bent = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+        slope = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
+        factor = bent / r
+        # d(bent / r) / d(r^2) = (bent' - bent / r) / (2 r^2); its limit at r = 0 is k1 - 1/3.
+        derivative = (slope / (1 + r2) - factor) / (2 * np.maximum(r2, 1e-18))
+        return factor, np.where(r2 < 1e-8, k[0] - 1.0 / 3.0, derivative)
+    top = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    top_slope = k[0] + r2 * (2 * k[1] + r2 * 3 * k[4])
+    if model == "plumb_bob":
+        return top, top_slope
+    low = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    low_slope = k[5] + r2 * (2 * k[6] + r2 * 3 * k[7])
+    return top / low, (top_slope * low - top * low_slope) / (low * low)
+
+
+def _padded(model: str, coefficients: Array) -> Array:
+    size = 4 if model == "equidistant" else 8
+    k = np.zeros(size)
+    k[: len(coefficients)] = coefficients
+    return k
+
+
+def bend(model: str, coefficients: Array, ideal: Array) -> Array:
+    """Ideal (n, 2) -> bent (n, 2) normalised coordinates."""
+    k = _padded(model, coefficients)
+    x, y = ideal[:, 0], ideal[:, 1]
+    r2 = x * x + y * y
+    factor, _ = _radial(model, k, r2)
+    if model == "equidistant":
+        return ideal * factor[:, None]
+    p1, p2 = k[2], k[3]
+    return np.stack(
+        [
+            x * factor + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * factor + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+
+
+def bend_jacobian(model: str, coefficients: Array, ideal: Array) -> Array:
+    """Derivative of ``bend``: (n, 2, 2), rows bent, columns ideal."""
+    k = _padded(model, coefficients)
+    x, y = ideal[:, 0], ideal[:, 1]
+    factor, slope = _radial(model, k, x * x + y * y)
+    jacobian = np.empty((len(ideal), 2, 2))
+    jacobian[:, 0, 0] = factor + 2 * slope * x * x
+    jacobian[:, 0, 1] = jacobian[:, 1, 0] = 2 * slope * x * y
+    jacobian[:, 1, 1] = factor + 2 * slope * y * y
+    if model != "equidistant":
+        p1, p2 = k[2], k[3]
+        jacobian[:, 0, 0] += 2 * p1 * y + 6 * p2 * x
+        jacobian[:, 0, 1] += 2 * p1 * x + 2 * p2 * y
+        jacobian[:, 1, 0] += 2 * p1 * x + 2 * p2 * y
+        jacobian[:, 1, 1] += 6 * p1 * y + 2 * p2 * x
+    return jacobian
+
+
+def unbend(model: str, coefficients: Array, bent: Array) -> Array:
+    """Inverse of ``bend`` by Newton's method with step halving.
+
+    Args:
+        model: One of ``COEFFICIENTS``.
+        coefficients: In OpenCV's order.
+        bent: (n, 2).
+
+    Returns:
+        (n, 2) ideal coordinates, exact to about 1e-12; NaN where the lens model has no inverse
+        (beyond the radius at which its polynomial folds back).
+    """
+    ideal = bent.copy()
+    if not np.any(coefficients) and model != "equidistant":
+        return ideal
+    error = bend(model, coefficients, ideal) - bent
+    size = np.hypot(error[:, 0], error[:, 1])
+    active = np.flatnonzero(~(size < _INVERSE_RESIDUAL))
+    scale = np.ones(len(bent))
+    for _ in range(_INVERSE_STEPS):
+        if active.size == 0:
+            break
+        step = _solve2(bend_jacobian(model, coefficients, ideal[active]), error[active])
+        trial = ideal[active] - scale[active, None] * step
+        trial_error = bend(model, coefficients, trial) - bent[active]
+        trial_size = np.hypot(trial_error[:, 0], trial_error[:, 1])
+        better = trial_size < size[active]
+        chosen = active[better]
+        ideal[chosen], error[chosen], size[chosen] = trial[better], trial_error[better], trial_size[better]
+        scale[chosen] = np.minimum(1.0, 2.0 * scale[chosen])
+        scale[active[~better]] *= 0.5
+        active = active[~(size[active] < _INVERSE_RESIDUAL)]
+    # A stall at rounding level is an answer; anything larger, or a folded sheet, is none.
+    lost = ~(size < 1e3 * _INVERSE_RESIDUAL)
+    lost |= np.hypot(ideal[:, 0], ideal[:, 1]) > radius_limit(model, coefficients)
+    ideal[lost] = np.nan
+    return ideal
+
+
+def _solve2(matrix: Array, right: Array) -> Array:
+    """Solves n systems of two equations; a singular one gives a step that the halving rejects."""
+    a, b, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 0], matrix[:, 1, 1]
+    determinant = a * d - b * c
+    determinant = np.where(np.abs(determinant) < 1e-12, 1e-12, determinant)
+    x = (d * right[:, 0] - b * right[:, 1]) / determinant
+    y = (a * right[:, 1] - c * right[:, 0]) / determinant
+    return np.stack([x, y], axis=1)
+
+
+def radius_limit(model: str, coefficients: Array) -> float:
+    """Largest ideal radius up to which a larger angle means a larger bent radius.
+
+    Beyond it the polynomial folds back, and points far outside the view would seem to be inside.
+    """
+    k = _padded(model, coefficients)
+    r = np.linspace(0.0, _LARGEST_RADIUS, 2001)
+    factor, slope = _radial(model, k, r * r)
+    folding = np.flatnonzero(~(factor + 2 * r * r * slope > 0))
+    return float(r[folding[0] - 1]) if folding.size and folding[0] > 0 else _LARGEST_RADIUS
