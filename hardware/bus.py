@@ -37,28 +37,16 @@ class Status:
 
     Attributes:
         id: Servo id.
-        data: Decoded register value; ``None`` when the servo did not answer, answered without
-            usable data, or was not asked for data (writes).
+        data: Decoded register value.  ``None`` in the answer to a read: the servo did not answer, or
+            (``error`` not 0) answered without data.  Always ``None`` in the answer to a write.
         error: ERR number 0..7 (bits 0-6); 0 is good.
         alert: The servo reports a latched hardware error.  Information, not a failure: the data are good.
-        answered: A well-formed status packet came from this servo.
     """
 
     id: int
     data: int | None
     error: int = 0
     alert: bool = False
-    answered: bool = True
-
-    @property
-    def ok(self) -> bool:
-        """Answered, and the servo did what was asked."""
-        return self.answered and self.error == 0
-
-    @classmethod
-    def silent(cls, id: int) -> Status:
-        """The servo did not answer."""
-        return cls(id=id, data=None, answered=False)
 
 
 @dataclass
@@ -90,7 +78,7 @@ class ServoBus(Protocol):
     Errors: ``BusNotOpenError`` (open, or any call before it), ``BusTimeoutError`` (a single servo did
     not answer ``read``/``write``/``ping``), ``BusCorruptError`` (it answered nonsense every time),
     ``BusDisconnectedError`` (the port went away), ``ServoRefusedError`` (error number in the answer).
-    ``sync_read`` never raises for a servo: what is missing has ``answered`` False and ``data`` None.
+    ``sync_read`` never raises for a servo: the row of one that did not answer has ``data`` None.
     """
 
     port: str
@@ -122,7 +110,7 @@ class ServoBus(Protocol):
         ...
 
     def write(self, id: int, register: Register, value: int) -> Status:
-        """One register of one servo.  To ``BROADCAST_ID`` nobody answers and ``answered`` is False."""
+        """One register of one servo.  To ``BROADCAST_ID`` nobody answers."""
         ...
 
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, Status]:
