@@ -1,0 +1,257 @@
+"""The arm file: which servo turns which joint, within which limits, on what bus."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import ConfigError, UnknownJointError
+from robot_ik.hardware.config_file import ArmFile, arm_file_text, dump_arm_file, parse_arm_file
+from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode, control_table
+from robot_ik.hardware.joint_map import MODE_TICKS, MODES, JointMap
+
+__all__ = ["MAX_SERVOS", "MODES", "ArmConfig", "JointMap"]
+
+Array = NDArray[np.float64]
+
+MAX_SERVOS = 252
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """An arm of servos on one bus.
+
+    Attributes:
+        name: For people; ``robot``: catalogue name or path of the model it is an arm of.
+        baud: Bits/s; ``rate_hz``: control cycles per second.
+        watchdog_ms: Bus Watchdog of every servo, ms, a multiple of 20; 0 = off.
+        on_exit: ``torque_off``, ``hold`` or ``park``.
+        joints: In the order of q.
+        file: Where it was read from; ``None`` when made by a program.
+    """
+
+    name: str
+    robot: str
+    baud: int
+    rate_hz: float
+    watchdog_ms: int
+    on_exit: str
+    joints: tuple[JointMap, ...]
+    file: Path | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @classmethod
+    def load(cls, path: Path | str) -> ArmConfig:
+        """Reads an arm file.
+
+        Raises:
+            ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
+        """
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"the arm file cannot be read: {error}", file=path) from error
+        return cls.parse(text, path)
+
+    @classmethod
+    def parse(cls, text: str, file: Path | str = "<text>") -> ArmConfig:
+        """The same from the text of an arm file; ``file`` appears in errors."""
+        return _from_file(parse_arm_file(text, file), Path(file))
+
+    @classmethod
+    def generic(
+        cls,
+        robot_name: str,
+        joints: Sequence[str],
+        lower: ArrayLike,
+        upper: ArrayLike,
+        velocity: ArrayLike = math.pi / 2,
+        acceleration: ArrayLike = 2.0 * math.pi,
+    ) -> ArmConfig:
+        """An arm for any robot of hinges: XM430-W350 servos, ids 1..n, direct drive, many turns.
+
+        Args:
+            robot_name: Name or path of the robot.
+            joints: Joint names in the order of q.
+            lower: (n,) rad; infinite where the joint has no limit.
+            upper: (n,) rad.
+            velocity: (n,) or one number, rad/s.
+            acceleration: (n,) or one number, rad/s^2.
+
+        Raises:
+            ConfigError: More than 252 joints, or limits that make no sense.
+        """
+        n = len(joints)
+        if not 1 <= n <= MAX_SERVOS:
+            raise ConfigError(f"{n} joints on one bus", file=robot_name, key="joints", allowed="1..252")
+        given = (lower, upper, velocity, acceleration)
+        columns = [np.broadcast_to(np.asarray(c, dtype=float), n) for c in given]
+        maps = tuple(
+            JointMap(
+                name,
+                k + 1,
+                "XM430-W350",
+                OperatingMode.EXTENDED_POSITION,
+                1,
+                TICKS_PER_TURN // 2,
+                1.0,
+                *(float(column[k]) for column in columns),
+            )
+            for k, name in enumerate(joints)
+        )
+        title = f"{robot_name} with {n} virtual servos"
+        return cls(title, robot_name, 1_000_000, 100.0, 200, "torque_off", maps)
+
+    def save(self, path: Path | str) -> None:
+        """Writes the arm file whole or not at all (beside it first, then renamed over it)."""
+        dump_arm_file(self.to_toml(), Path(path))
+
+    def to_toml(self) -> str:
+        """Text of the arm file; ``parse`` reads the same arm back (angles to 1e-12 degrees)."""
+        return arm_file_text(self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names in the order of q."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Servo ids in the order of q."""
+        return tuple(joint.id for joint in self.joints)
+
+    @property
+    def lower(self) -> Array:
+        """(n,) rad: software range and what the mode can reach."""
+        return np.array([joint.limits[0] for joint in self.joints])
+
+    @property
+    def upper(self) -> Array:
+        """(n,) rad: software range and what the mode can reach."""
+        return np.array([joint.limits[1] for joint in self.joints])
+
+    @property
+    def velocity(self) -> Array:
+        """(n,) caps, rad/s."""
+        return np.array([joint.velocity for joint in self.joints])
+
+    @property
+    def acceleration(self) -> Array:
+        """(n,) caps, rad/s^2."""
+        return np.array([joint.acceleration for joint in self.joints])
+
+    @property
+    def resolution(self) -> Array:
+        """(n,) rad per tick."""
+        return np.array([joint.resolution for joint in self.joints])
+
+    def joint(self, name: str) -> JointMap:
+        """A joint by name.
+
+        Raises:
+            UnknownJointError: No such joint; close ones are named.
+        """
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        raise UnknownJointError(name, self.names)
+
+
+def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
+    joints = tuple(
+        JointMap(
+            name=j.name,
+            id=j.id,
+            model=j.model,
+            mode=MODES[j.mode],
+            direction=j.direction,
+            zero_ticks=j.zero_ticks,
+            ratio=float(j.ratio),
+            lower=math.radians(j.lower_deg),
+            upper=math.radians(j.upper_deg),
+            velocity=math.radians(j.velocity_deg),
+            acceleration=math.radians(j.acceleration_deg),
+        )
+        for j in arm.joints
+    )
+    bus = arm.bus
+    return ArmConfig(
+        arm.name, arm.robot, bus.baud, float(bus.rate_hz), bus.watchdog_ms, bus.on_exit, joints, file
+    )
+
+
+def _check(config: ArmConfig) -> None:
+    """What no single key can tell: models, modes, rates, duplicates, empty ranges.
+
+    Raises:
+        ConfigError: With file, key and what would be right.
+    """
+    file = config.file or config.name
+    names: dict[str, int] = {}
+    ids: dict[int, int] = {}
+    for k, joint in enumerate(config.joints):
+        at = f"joints[{k}]"
+        try:
+            table = control_table(joint.model)
+        except ConfigError as error:
+            raise ConfigError(
+                f"unknown servo model {joint.model!r}",
+                file=file,
+                key=f"{at}.model",
+                allowed=error.allowed,
+                hint=error.hint,
+            ) from None
+        if joint.mode not in table.modes:
+            raise ConfigError(
+                f"{joint.model} has no mode {joint.mode.name.lower()}",
+                file=file,
+                key=f"{at}.mode",
+                allowed=", ".join(m.name.lower() for m in table.modes),
+            )
+        if config.baud not in table.baud_rates:
+            raise ConfigError(
+                f"{joint.model} ({joint.name}) cannot talk at {config.baud} bits/s",
+                file=file,
+                key="bus.baud",
+                allowed=", ".join(map(str, table.baud_rates)),
+            )
+        if joint.name in names:
+            raise ConfigError(
+                f"joint {joint.name!r} is already joints[{names[joint.name]}]", file=file, key=f"{at}.name"
+            )
+        if joint.id in ids:
+            raise ConfigError(f"id {joint.id} is already joints[{ids[joint.id]}]", file=file, key=f"{at}.id")
+        names[joint.name], ids[joint.id] = k, k
+        _check_range(joint, at, file)
+
+
+def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
+    if not joint.lower < joint.upper:
+        raise ConfigError(
+            f"the range of {joint.name!r} is empty: {math.degrees(joint.lower):g} to "
+            f"{math.degrees(joint.upper):g} deg",
+            file=file,
+            key=f"{at}.lower_deg",
+            allowed="lower_deg < upper_deg",
+        )
+    for key, value in (("velocity_deg", joint.velocity), ("acceleration_deg", joint.acceleration)):
+        if not 0.0 < value < math.inf:
+            raise ConfigError(f"{value} is no cap", file=file, key=f"{at}.{key}", allowed="a number > 0")
+    lower, upper = joint.limits
+    if not lower < upper:
+        ends = sorted(math.degrees(joint.to_radians(t)) for t in MODE_TICKS[joint.mode])
+        raise ConfigError(
+            f"nothing of the range of {joint.name!r} can be reached in mode {joint.mode.name.lower()}",
+            file=file,
+            key=f"{at}.lower_deg",
+            allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg",
+            hint='use mode = "extended_position", or another zero_ticks',
+        )
