@@ -77,6 +77,7 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
         done = subprocess.run(
             # -P: the current folder must not shadow a package.
             [sys.executable, "-P", "-c", code],
+            check=False,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -95,7 +96,9 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     if done.returncode < 0:
         lines.append(f"killed by signal {-done.returncode}")
-    return Probe(False, lines[-1] if lines else f"exit code {done.returncode}")
+    return Probe(
+        False, lines[-1].removeprefix("AssertionError: ") if lines else f"exit code {done.returncode}"
+    )
 
 
 def probe_gl(backend: str, *, timeout: float = 6.0) -> Probe:

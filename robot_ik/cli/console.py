@@ -43,6 +43,10 @@ NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
 PIPE_WIDTH = 160
 #: An error must fit one screen together with the prompt.
 ERROR_LINES = 20
+_REPORT = (
+    "this is a fault of robot_ik, not yours. See the whole of it with: robot-ik --debug …",
+    "and report it with that text, the command and the output of: robot-ik --version",
+)
 
 
 def _width(stream: Any) -> int | None:
@@ -157,8 +161,7 @@ def describe_error(error: BaseException) -> tuple[str, str]:
         return f"{where}{error.strerror or error}", ""
     return (
         f"robot-ik stopped on an error it did not expect: {type(error).__name__}: {error}{_where(error)}",
-        "this is a fault of robot_ik, not yours. See the whole of it with: robot-ik --debug …\n"
-        "and report it with that text, the command and the output of: robot-ik --version",
+        "\n".join(_REPORT),
     )
 
 
@@ -186,7 +189,7 @@ class _TalkHandler(logging.Handler):
         try:
             style = "yellow" if record.levelno >= logging.WARNING else "dim"
             say(record.getMessage(), style)
-        except Exception:  # a log line must never end the run
+        except Exception:  # noqa: BLE001 - a log line must never end the run
             self.handleError(record)
 
 
