@@ -1,0 +1,254 @@
+"""`Trajectory`: joint angles over time, and `joint_move`, the straight way between two of them."""
+
+from __future__ import annotations
+
+import csv
+import os
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import ConfigError, OutputError, TrajectoryError
+from robot_ik.motion.limits import joint_vector, motion_limits, require_inside, require_positive
+from robot_ik.motion.profiles import PROFILES
+from robot_ik.ports import Array
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+_TIME_COLUMN = "time_s"
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Joint vectors at increasing times; straight between the samples.
+
+    Straight lines keep what the samples have: they stay inside joint limits and never exceed the
+    largest velocity.  Their corners are as sharp as the sampling is coarse, so plan at the rate at
+    which you send.
+
+    Attributes:
+        times: (n,) seconds, strictly increasing, n >= 1; read-only.
+        q: (n, nq) rad, m for slides; read-only.
+        joints: nq column names.
+
+    Raises:
+        TrajectoryError: Shapes that do not fit, times that do not increase, or numbers that are not finite.
+    """
+
+    times: Array
+    q: Array
+    joints: tuple[str, ...]
+
+    def __init__(self, times: ArrayLike, q: ArrayLike, joints: Iterable[str]) -> None:
+        t = np.array(times, dtype=float)
+        samples = np.array(q, dtype=float)
+        names = tuple(joints)
+        if t.ndim != 1 or len(t) < 1 or samples.shape != (len(t), len(names)):
+            raise TrajectoryError(
+                f"a trajectory of {len(names)} joints got times {t.shape} and q {samples.shape}",
+                hint=f"times must be (n,) with n >= 1 and q (n, {len(names)})",
+            )
+        if not (np.isfinite(t).all() and np.isfinite(samples).all()):
+            raise TrajectoryError("a trajectory got a number that is not finite", hint="look for NaN in q")
+        if (np.diff(t) <= 0.0).any():
+            k = int(np.argmax(np.diff(t) <= 0.0))
+            raise TrajectoryError(
+                f"times must increase, but sample {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
+                hint="sort the samples and drop those of equal time",
+            )
+        t.flags.writeable = False
+        samples.flags.writeable = False
+        object.__setattr__(self, "times", t)
+        object.__setattr__(self, "q", samples)
+        object.__setattr__(self, "joints", names)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __repr__(self) -> str:
+        return f"Trajectory({len(self)} samples, {self.duration:.3f} s, joints {', '.join(self.joints)})"
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first sample to the last."""
+        return float(self.times[-1] - self.times[0])
+
+    def at(self, t: float) -> Array:
+        """``q`` (nq,) at ``t`` in seconds; exact at samples, held before the first and after the last."""
+        if not np.isfinite(t):
+            raise TrajectoryError(f"asked for the time {t}", hint="ask for a finite time in seconds")
+        k = int(np.searchsorted(self.times, t, side="right")) - 1
+        if k < 0:
+            return np.array(self.q[0])
+        if k >= len(self) - 1 or self.times[k] == t:
+            return np.array(self.q[k])
+        part = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
+        return np.asarray(self.q[k] * (1.0 - part) + self.q[k + 1] * part)
+
+    def resampled(self, rate: float) -> Trajectory:
+        """The same motion at ``rate`` Hz from time 0; the last sample is kept (the last gap may be short)."""
+        require_positive("rate", rate, "Hz")
+        count = int(np.ceil(self.duration * rate * (1.0 - 1e-12)))
+        times = np.minimum(np.arange(count + 1) / rate, self.duration)
+        times[-1] = self.duration
+        return Trajectory(times, [self.at(self.times[0] + t) for t in times[:-1]] + [self.q[-1]], self.joints)
+
+    @property
+    def velocity(self) -> Array:
+        """(n, nq) rad/s or m/s at the samples, by central differences; zeros for a single sample."""
+        if len(self) < 2:
+            return np.zeros_like(self.q)
+        return np.asarray(np.gradient(self.q, self.times, axis=0))
+
+    @property
+    def max_jump(self) -> float:
+        """Largest change of one joint from one sample to the next, rad or m."""
+        return float(np.abs(np.diff(self.q, axis=0)).max(initial=0.0))
+
+    @property
+    def peak_velocity(self) -> Array:
+        """(nq,) largest speed of each joint between two samples, rad/s or m/s."""
+        return np.asarray(np.abs(self._slopes()).max(axis=0, initial=0.0))
+
+    @property
+    def peak_acceleration(self) -> Array:
+        """(nq,) largest acceleration of each joint, rad/s^2 or m/s^2, from rest before and to rest after."""
+        if len(self) < 2:
+            return np.zeros(len(self.joints))
+        gaps = np.diff(self.times)
+        between = 0.5 * (np.concatenate([gaps[:1], gaps]) + np.concatenate([gaps, gaps[-1:]]))
+        rest = np.zeros((1, len(self.joints)))
+        change = np.diff(np.concatenate([rest, self._slopes(), rest]), axis=0)
+        return np.asarray(np.abs(change / between[:, None]).max(axis=0, initial=0.0))
+
+    def _slopes(self) -> Array:
+        return np.asarray(np.diff(self.q, axis=0) / np.diff(self.times)[:, None])
+
+    def save_csv(self, path: Path | str) -> None:
+        """Writes a header (time_s, joint names) and one row a sample, in full precision.
+
+        The file appears whole or not at all.
+
+        Raises:
+            OutputError: The folder is missing or not writable.
+        """
+        target = Path(path)
+        try:
+            handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        except OSError as error:
+            raise _unwritable(target, error) from error
+        try:
+            with os.fdopen(handle, "w", newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream, lineterminator="\n")
+                writer.writerow([_TIME_COLUMN, *self.joints])
+                rows = np.column_stack([self.times, self.q]).tolist()
+                writer.writerows([[repr(value) for value in row] for row in rows])
+            os.chmod(name, 0o644)  # mkstemp makes private files; a result is to be read by others
+            os.replace(name, target)
+        except OSError as error:
+            raise _unwritable(target, error) from error
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+    @classmethod
+    def load_csv(cls, path: Path | str) -> Trajectory:
+        """Reads what `save_csv` wrote.
+
+        Raises:
+            ConfigError: The file is missing or is not such a table; names the line.
+        """
+        source = Path(path)
+        try:
+            with source.open(newline="", encoding="utf-8") as stream:
+                rows = list(csv.reader(stream))
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"cannot be read: {error}", file=source) from error
+        head = rows[0] if rows else []
+        if head[:1] != [_TIME_COLUMN] or len(head) < 2:
+            raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")
+        samples = [_numbers(row, len(head), source, line) for line, row in enumerate(rows[1:], start=2)]
+        if not samples:
+            raise ConfigError("has no samples", file=source, key="line 2", allowed="a row of numbers")
+        table = np.array(samples)
+        try:
+            return cls(table[:, 0], table[:, 1:], head[1:])
+        except TrajectoryError as error:
+            raise ConfigError(str(error), file=source) from error
+
+
+def _unwritable(target: Path, error: OSError) -> OutputError:
+    return OutputError(f"cannot write {target}: {error.strerror}", hint="give a file in a writable folder")
+
+
+def _numbers(row: list[str], count: int, file: Path, line: int) -> list[float]:
+    try:
+        values = [float(cell) for cell in row]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise ConfigError(
+            f"got {','.join(row)[:60]!r}", file=file, key=f"line {line}", allowed=f"{count} numbers"
+        )
+    return values
+
+
+# ------------------------------------------------------------------------------ joint move
+
+
+def joint_move(
+    robot: Robot,
+    start: ArrayLike,
+    goal_q: ArrayLike,
+    *,
+    speed: float = 1.0,
+    rate: float = 100.0,
+    profile: str = "trapezoid",
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+) -> Trajectory:
+    """Straight line in joint space; all joints start together and stop together.
+
+    The slowest joint sets the time.  ``start`` may lie outside the limits (the arm walks in).
+
+    Args:
+        robot: Its limits count.
+        start: (nq,) rad, m for slides.
+        goal_q: (nq,) rad, m for slides.
+        speed: Part of the robot's velocity and acceleration limits to use, above 0 and up to 1.
+        rate: Samples a second, Hz; the duration is rounded up to whole periods.
+        profile: "trapezoid" (time-optimal) or "quintic" (smooth: no step of acceleration).
+        velocity: (nq,) further cap in rad/s, such as that of the arm file; the lower one counts.
+        acceleration: (nq,) likewise, rad/s^2.
+
+    Raises:
+        TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
+        UnsupportedJointError: The robot has ball or free joints.
+    """
+    first = joint_vector(robot, start, "start")
+    last = joint_vector(robot, goal_q, "goal")
+    require_inside(robot, last)
+    top, push = motion_limits(robot, speed, velocity, acceleration)
+    require_positive("rate", rate, "Hz")
+    if profile not in PROFILES:
+        raise TrajectoryError(f"unknown profile {profile!r}", hint=f"known: {', '.join(PROFILES)}")
+    way = np.abs(last - first)
+    if not way.any():
+        return Trajectory([0.0], [first], robot.joints)
+    moving = way > 0.0
+    with np.errstate(over="ignore"):  # a way of 1e-300 rad: the bounds are infinite, which is right
+        bounds = np.min(top[moving] / way[moving]), np.min(push[moving] / way[moving])
+    if np.isfinite(bounds[1]):
+        plan = PROFILES[profile](float(bounds[0]), float(bounds[1]))
+        count = max(1, int(np.ceil(plan.duration * rate * (1.0 - 1e-12))))
+        progress = plan.progress(np.arange(count + 1) / count)[:, None]
+        q = first * (1.0 - progress) + last * progress
+    else:
+        count, q = 1, np.stack([first, last])
+    q[0], q[-1] = first, last
+    return Trajectory(np.arange(count + 1) / rate, q, robot.joints)

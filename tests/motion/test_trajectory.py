@@ -1,0 +1,287 @@
+"""Laws of `Trajectory` and `joint_move`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.errors import ConfigError, OutputError, TrajectoryError, UnsupportedJointError
+from robot_ik.motion import PROFILES, Trajectory, joint_move
+
+SLACK = 1.0 + 1e-9  # rounding of differences of samples, relative
+
+angle = st.floats(-3.0, 3.0)
+limit = st.floats(0.3, 50.0)
+law = settings(deadline=None, max_examples=60)
+
+
+@st.composite
+def moves(draw, lowest=1):
+    n = draw(st.integers(lowest, 7))
+    vector = lambda element: np.array(draw(st.lists(element, min_size=n, max_size=n)))  # noqa: E731
+    return {
+        "velocity": vector(limit),
+        "acceleration": vector(limit),
+        "start": vector(angle),
+        "goal": vector(angle),
+        "speed": draw(st.floats(0.2, 1.0)),
+        "rate": draw(st.floats(5.0, 200.0)),
+        "profile": draw(st.sampled_from(sorted(PROFILES))),
+    }
+
+
+def plan(number_robot, move):
+    robot = number_robot(move["velocity"], move["acceleration"])
+    return joint_move(
+        robot, move["start"], move["goal"], speed=move["speed"], rate=move["rate"], profile=move["profile"]
+    )
+
+
+@given(move=moves())
+@law
+def test_limits_are_never_exceeded(number_robot, move):
+    path = plan(number_robot, move)
+    floor = 1e-12 * move["rate"]  # rounding of q around 3 rad, seen through one difference
+    assert (path.peak_velocity <= move["speed"] * move["velocity"] * SLACK + floor).all()
+    push = move["speed"] * move["acceleration"]
+    assert (path.peak_acceleration <= push * SLACK + floor * move["rate"]).all()
+
+
+@given(move=moves())
+@law
+def test_ends_are_exact_and_time_runs_evenly(number_robot, move):
+    path = plan(number_robot, move)
+    assert (path.q[0] == move["start"]).all() and (path.q[-1] == move["goal"]).all()
+    assert path.times[0] == 0.0
+    np.testing.assert_allclose(np.diff(path.times), 1.0 / move["rate"], rtol=1e-9)
+
+
+@given(move=moves(lowest=2))
+@law
+def test_joints_are_synchronised_on_one_straight_line(number_robot, move):
+    path = plan(number_robot, move)
+    way = move["goal"] - move["start"]
+    lead = int(np.argmax(np.abs(way)))
+    if way[lead] == 0.0:
+        return
+    progress = (path.q[:, lead] - move["start"][lead]) / way[lead]
+    np.testing.assert_allclose(path.q, move["start"] + progress[:, None] * way, atol=1e-12)
+    assert (np.diff(progress) > -1e-12).all()
+
+
+@given(move=moves())
+@law
+def test_the_trapezoid_is_as_fast_as_its_textbook_time(number_robot, move):
+    """The independent oracle: duration of the slowest joint alone, Siciliano et al. 2009, section 4.2."""
+    path = plan(number_robot, move | {"profile": "trapezoid"})
+    way = np.abs(move["goal"] - move["start"])
+    v, a = move["speed"] * move["velocity"], move["speed"] * move["acceleration"]
+    v_needed, a_needed = np.inf, np.inf
+    for distance, top, push in zip(way, v, a, strict=True):
+        if distance > 1e-9:
+            v_needed, a_needed = min(v_needed, top / distance), min(a_needed, push / distance)
+    if not np.isfinite(v_needed):
+        return
+    cruises = v_needed**2 < a_needed
+    ideal = 1.0 / v_needed + v_needed / a_needed if cruises else 2.0 / np.sqrt(a_needed)
+    assert ideal - 1e-6 <= path.duration <= ideal + 1.0 / move["rate"] + 1e-6
+
+
+@given(move=moves(), rate=st.floats(3.0, 900.0))
+@law
+def test_resampling_keeps_ends_box_and_velocity(number_robot, move, rate):
+    path = plan(number_robot, move)
+    again = path.resampled(rate)
+    assert (again.q[0] == path.q[0]).all() and (again.q[-1] == path.q[-1]).all()
+    assert again.duration == pytest.approx(path.duration)
+    assert (again.q >= path.q.min(axis=0) - 1e-12).all() and (again.q <= path.q.max(axis=0) + 1e-12).all()
+    if len(again) > 2:  # the last interval may be short, and rounding large in it
+        between = np.abs(np.diff(again.q, axis=0))[:-1] * rate
+        assert (between <= path.peak_velocity * SLACK + 1e-9).all()
+
+
+@given(move=moves(), part=st.floats(0.0, 1.0))
+@law
+def test_at_is_exact_at_samples_and_between_neighbours(number_robot, move, part):
+    path = plan(number_robot, move)
+    k = int(part * (len(path) - 1))
+    assert (path.at(path.times[k]) == path.q[k]).all()
+    assert (path.at(-1.0) == path.q[0]).all() and (path.at(path.duration + 1.0) == path.q[-1]).all()
+    if k + 1 < len(path):
+        middle = path.at(0.5 * (path.times[k] + path.times[k + 1]))
+        np.testing.assert_allclose(middle, 0.5 * (path.q[k] + path.q[k + 1]), atol=1e-9)
+
+
+def test_a_move_to_where_one_is_has_no_length(number_robot):
+    path = joint_move(number_robot([1.0, 1.0], [1.0, 1.0]), [0.3, -0.2], [0.3, -0.2])
+    assert len(path) == 1 and path.duration == 0.0 and path.max_jump == 0.0
+    assert not path.peak_velocity.any() and not path.peak_acceleration.any() and not path.velocity.any()
+
+
+@pytest.mark.parametrize("way", [5e-324, 1e-300, 1e-12])
+def test_a_move_below_all_measure_still_ends_exactly(number_robot, way):
+    path = joint_move(number_robot([1.0], [1.0]), [0.0], [way])
+    assert path.q[-1, 0] == way and np.isfinite(path.times).all()
+
+
+def test_one_joint_of_one_radian():
+    """By hand: 1 rad, 0.5 rad/s, 1 rad/s^2: ramps of 0.5 s, cruise of 1.5 s, 2.5 s in all."""
+    from dataclasses import dataclass
+
+    @dataclass
+    class One:
+        joints: tuple = ("hinge",)
+        name: str = "one"
+        nq: int = 1
+        nv: int = 1
+        lower = np.array([-2.0])
+        upper = np.array([2.0])
+        velocity = np.array([0.5])
+        acceleration = np.array([1.0])
+
+    path = joint_move(One(), [0.0], [1.0], rate=100.0)
+    assert path.duration == pytest.approx(2.5)
+    assert path.at(0.5)[0] == pytest.approx(0.125)
+    assert path.at(1.25)[0] == pytest.approx(0.5)
+    assert path.peak_velocity[0] == pytest.approx(0.5)
+    assert path.peak_acceleration[0] == pytest.approx(1.0)
+
+
+def test_quintic_starts_and_stops_softly(number_robot):
+    robot = number_robot([1.0], [2.0])
+    hard = joint_move(robot, [0.0], [2.0], profile="trapezoid")
+    soft = joint_move(robot, [0.0], [2.0], profile="quintic")
+    bend = lambda path: np.diff(path.q[:, 0], 2) * 100.0**2  # noqa: E731
+    assert abs(bend(soft)[0]) < 0.2 < abs(bend(hard)[0])
+    assert hard.duration < soft.duration < 2.0 * hard.duration
+
+
+def test_a_start_outside_the_limits_walks_in(number_robot):
+    path = joint_move(number_robot([1.0], [1.0], [-1.0], [1.0]), [1.5], [0.9])
+    assert path.q[0, 0] == 1.5 and path.q[-1, 0] == 0.9 and (np.diff(path.q[:, 0]) < 0.0).all()
+
+
+def test_further_caps_count_when_lower(number_robot):
+    robot = number_robot([1.0, 1.0], [2.0, 2.0])
+    path = joint_move(robot, [0, 0], [2, 2], velocity=[0.25, 5.0], acceleration=[0.5, 5.0])
+    assert path.peak_velocity.max() == pytest.approx(0.25, rel=0.01)
+    assert path.peak_acceleration.max() <= 0.5 * SLACK
+
+
+def test_a_goal_outside_the_limits_names_joint_asked_and_allowed(number_robot):
+    robot = number_robot([1.0] * 3, [1.0] * 3, [-1.0] * 3, [1.0] * 3)
+    with pytest.raises(TrajectoryError, match=r"1\.25 of joint 'j1'; allowed: -1 to 1"):
+        joint_move(robot, [0, 0, 0], [0, 1.25, 0])
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "said"),
+    [
+        ([0.0, np.nan], [0.0, 0.0], "start asks nan of joint 'j1'"),
+        ([0.0, 0.0], [np.inf, 0.0], "goal asks inf of joint 'j0'"),
+        ([0.0], [0.0, 0.0], "start has shape"),
+        ([0.0, 0.0], [[0.0, 0.0]], "goal has shape"),
+    ],
+)
+def test_malformed_vectors_are_refused(number_robot, start, goal, said):
+    with pytest.raises(TrajectoryError, match=said):
+        joint_move(number_robot([1.0, 1.0], [1.0, 1.0]), start, goal)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"speed": 0.0}, {"speed": 1.1}, {"speed": np.nan}, {"rate": 0.0}, {"rate": np.inf}, {"profile": "x"}],
+)
+def test_malformed_options_are_refused(number_robot, options):
+    with pytest.raises(TrajectoryError):
+        joint_move(number_robot([1.0], [1.0]), [0.0], [1.0], **options)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_a_robot_without_limits_of_motion_is_refused(number_robot, bad):
+    with pytest.raises(TrajectoryError, match="limits of 'numbers'"):
+        joint_move(number_robot([bad], [1.0]), [0.0], [1.0])
+    with pytest.raises(TrajectoryError, match="acceleration limits"):
+        joint_move(number_robot([1.0], [bad]), [0.0], [1.0])
+
+
+def test_ball_joints_are_refused_by_name(number_robot):
+    with pytest.raises(UnsupportedJointError, match="ball or free"):
+        joint_move(number_robot([1.0], [1.0], extra_q=1), [0.0, 0.0], [0.0, 0.0])
+
+
+def test_trajectory_is_checked_and_cannot_be_changed():
+    path = Trajectory([0.0, 0.5], [[0.0], [1.0]], ["a"])
+    with pytest.raises(ValueError, match="read-only"):
+        path.q[0, 0] = 9.0
+    path.at(0.0)[0] = 9.0
+    assert path.q[0, 0] == 0.0
+    nothing = np.zeros((0, 1))
+    for times, q in [([0, 0], [[0], [1]]), ([0, 1], [[0], [np.nan]]), ([], nothing), ([0, 1], [[0]])]:
+        with pytest.raises(TrajectoryError):
+            Trajectory(times, q, ["a"])
+    with pytest.raises(TrajectoryError, match="nan"):
+        path.at(float("nan"))
+
+
+def test_measures_of_a_known_path():
+    times = np.linspace(0.0, 2.0, 201)
+    path = Trajectory(times, np.column_stack([times**2, -times]), ["a", "b"])
+    np.testing.assert_allclose(path.velocity[1:-1, 0], 2.0 * times[1:-1], atol=1e-9)
+    np.testing.assert_allclose(path.peak_velocity, [4.0, 1.0], rtol=0.01)
+    assert path.max_jump == pytest.approx(2.0**2 - 1.99**2)
+    assert path.peak_acceleration[1] == pytest.approx(1.0 / 0.01)  # starts at full speed: one sample
+
+
+# ------------------------------------------------------------------------------------- CSV
+
+
+@given(move=moves())
+@settings(deadline=None, max_examples=25)
+def test_csv_gives_back_every_bit(number_robot, move, tmp_path_factory):
+    path = plan(number_robot, move)
+    file = tmp_path_factory.mktemp("csv") / "trajectory.csv"
+    path.save_csv(file)
+    again = Trajectory.load_csv(file)
+    assert again.joints == path.joints
+    assert (again.times == path.times).all() and (again.q == path.q).all()
+    assert [entry.name for entry in file.parent.iterdir()] == [file.name]
+
+
+def test_csv_has_a_header_that_a_person_reads(tmp_path):
+    Trajectory([0.0, 0.01], [[0.5, 1.0], [0.25, 2.0]], ["waist", "arm, upper"]).save_csv(tmp_path / "t.csv")
+    text = (tmp_path / "t.csv").read_text()
+    assert text == 'time_s,waist,"arm, upper"\n0.0,0.5,1.0\n0.01,0.25,2.0\n'
+    assert Trajectory.load_csv(tmp_path / "t.csv").joints == ("waist", "arm, upper")
+
+
+def test_csv_into_nowhere_is_said_and_leaves_nothing(tmp_path):
+    path = Trajectory([0.0], [[0.0]], ["a"])
+    with pytest.raises(OutputError, match="cannot write"):
+        path.save_csv(tmp_path / "missing" / "t.csv")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OutputError, match="cannot write"):
+        path.save_csv(tmp_path / "folder")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["folder"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "line 1"),
+        ("t,a\n0,1\n", "line 1"),
+        ("time_s,a\n", "no samples"),
+        ("time_s,a\n0,x\n", "line 2"),
+        ("time_s,a\n0,1\n1\n", "line 3"),
+        ("time_s,a\n1,1\n0,1\n", "must increase"),
+        ("time_s,a\n0,nan\n", "not finite"),
+    ],
+)
+def test_a_broken_csv_names_the_line(tmp_path, text, said):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        Trajectory.load_csv(tmp_path / "t.csv")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        Trajectory.load_csv(tmp_path / "none.csv")
