@@ -1,0 +1,211 @@
+"""Dynamixel Protocol 2.0, the servo's side: packets to bytes and a stream of bytes to packets.
+
+The host side of this project speaks through the official SDK; this codec is written apart from it, so that the two
+check each other.  Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+ALERT = 0x80
+MAX_PACKET = 1024
+"""Longest packet in bytes (the SDK's buffer); a longer length field is noise."""
+PACKET_GAP = 0.050
+"""A packet whose bytes stop for longer than this, s, is dropped."""
+
+_SHORTEST = 10  # header 4, id 1, length 2, instruction 1, CRC 2
+_STUFFED = b"\xff\xff\xfd"
+
+
+class Instruction(IntEnum):
+    """Instruction byte of a packet."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    STATUS = 0x55
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class ErrorCode(IntEnum):
+    """Bits 0-6 of the error byte of a status packet: a number, not a mask."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1
+        table.append(crc & 0xFFFF)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 with polynomial 0x8005, initial 0, not reflected, no final xor."""
+    crc = 0
+    for byte in data:
+        crc = ((crc << 8) & 0xFF00) ^ _CRC_TABLE[(crc >> 8) ^ byte]
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """Puts FD after each FF FF FD, so that no header can appear inside a packet."""
+    return body.replace(_STUFFED, _STUFFED + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """Takes the FD after each FF FF FD out again."""
+    return body.replace(_STUFFED + b"\xfd", _STUFFED)
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A packet as it arrived.
+
+    Attributes:
+        id: Servo id, or ``BROADCAST``.
+        instruction: An ``Instruction``, or a number that none of them has.
+        params: Unstuffed parameters; those of a status begin with its error byte.
+        valid: The checksum was right; if not, nothing else can be trusted.
+    """
+
+    id: int
+    instruction: int
+    params: bytes
+    valid: bool = True
+
+    @property
+    def is_status(self) -> bool:
+        """An answer of a servo, with at least its error byte."""
+        return self.valid and self.instruction == Instruction.STATUS and len(self.params) > 0
+
+    @property
+    def error(self) -> int:
+        """Error number of a status packet."""
+        return self.params[0] & 0x7F
+
+    @property
+    def alert(self) -> bool:
+        """The servo has a hardware error."""
+        return bool(self.params[0] & ALERT)
+
+    @property
+    def data(self) -> bytes:
+        """Data of a status packet."""
+        return self.params[1:]
+
+
+def build(id: int, instruction: int, params: bytes = b"") -> bytes:
+    """An instruction packet: stuffed, then its length, then its checksum."""
+    body = stuff(bytes([instruction]) + params)
+    packet = HEADER + bytes([id]) + (len(body) + 2).to_bytes(2, "little") + body
+    return packet + crc16(packet).to_bytes(2, "little")
+
+
+def build_status(id: int, error: int, data: bytes = b"") -> bytes:
+    """A status packet; ``error`` is the whole error byte, alert bit included."""
+    return build(id, Instruction.STATUS, bytes([error]) + data)
+
+
+def build_fast_status(answers: Sequence[tuple[int, int, bytes]], expected: int) -> bytes:
+    """The one packet in which several servos answer a fast read, each adding its part behind the last.
+
+    Args:
+        answers: (error byte, id, data) of each servo in the order asked.
+        expected: How many bytes the whole packet will have if everyone answers.  The first servo writes the
+            header with that length; a servo that keeps silent silences all behind it and leaves a torso.
+    """
+    packet = HEADER + bytes([BROADCAST]) + (expected - 7).to_bytes(2, "little") + bytes([Instruction.STATUS])
+    for error, id, data in answers:
+        packet += bytes([error, id]) + data
+        packet += crc16(packet).to_bytes(2, "little")
+    return packet
+
+
+class Parser:
+    """Cuts a stream of bytes into packets and finds the next header after garbage."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._last = 0.0
+
+    def feed(self, data: bytes, now: float) -> list[Packet]:
+        """Takes bytes that arrived at ``now`` (s); gives the packets that are complete with them."""
+        if self._buffer and now - self._last > PACKET_GAP:
+            self._buffer.clear()
+        self._last = now
+        self._buffer += data
+        packets = []
+        while (packet := self._next()) is not None:
+            packets.append(packet)
+        return packets
+
+    def clear(self) -> None:
+        """Forgets a partial packet."""
+        self._buffer.clear()
+
+    def _next(self) -> Packet | None:
+        buffer = self._buffer
+        while True:
+            self._seek(0)
+            if len(buffer) < _SHORTEST - 3:
+                return None
+            size = 7 + int.from_bytes(buffer[5:7], "little")
+            if not _SHORTEST <= size <= MAX_PACKET or buffer[4] in (0xFD, 0xFF):
+                self._seek(1)
+                continue
+            if len(buffer) >= size:
+                return self._take(size)
+            # Stuffing keeps headers out of a packet: a new one means that the rest of this one will not come.
+            if buffer.find(HEADER, 1) < 0:
+                return None
+            self._seek(1)
+
+    def _seek(self, start: int) -> None:
+        """Drops everything before the next header at or after ``start``; keeps what may be the start of one."""
+        buffer = self._buffer
+        at = buffer.find(HEADER, start)
+        if at < 0:
+            at = len(buffer)
+            for length in (3, 2, 1):
+                if len(buffer) - length >= start and buffer.endswith(HEADER[:length]):
+                    at -= length
+                    break
+        del buffer[:at]
+
+    def _take(self, size: int) -> Packet:
+        raw = bytes(self._buffer[:size])
+        valid = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+        # A wrong checksum may come from a lost byte: then the next packet begins inside this one.
+        inner = -1 if valid else self._buffer.find(HEADER, 1, size + len(HEADER) - 1)
+        del self._buffer[: size if inner < 0 else inner]
+        body = unstuff(raw[7:-2])
+        return Packet(raw[4], body[0], body[1:], valid)
