@@ -1,0 +1,38 @@
+"""Run by the python of an environment that holds nothing but an installed robot_ik: is all of it there?
+
+Usage: python -I .ci/trial.py '{"version": "0.1.0", "data": ["puma560/robot.toml", ...]}'
+"""
+
+import importlib.metadata
+import importlib.resources
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+
+def main(version: str, data: list[str]) -> None:
+    """Imports it, asks the command for its version, looks for every data file, loads every robot."""
+    import robot_ik
+
+    assert Path(robot_ik.__file__).is_relative_to(sys.prefix), f"imported from {robot_ik.__file__}"
+    assert importlib.metadata.version("robot_ik") == version
+    licences = [f for f in importlib.metadata.files("robot_ik") or [] if f.name == "LICENSE"]
+    assert licences, "no licence file"
+    for name in ("hardware", "models", "tests"):
+        assert importlib.util.find_spec(name) is None, f"`import {name}` works, but is nobody's name"
+
+    models = importlib.resources.files("robot_ik.models")
+    missing = [name for name in data if not models.joinpath(name).is_file()]
+    assert not missing, f"data files are missing: {missing}"
+    for name in sorted({Path(file).parts[0] for file in data if Path(file).name == "robot.toml"}):
+        assert robot_ik.load_robot(name).nv > 0
+
+    command = [str(Path(sys.executable).parent / "robot-ik"), "--version"]
+    said = subprocess.run(command, capture_output=True, text=True)
+    assert said.returncode == 0 and version in said.stdout, f"{command}: {said}"
+
+
+if __name__ == "__main__":
+    main(**json.loads(sys.argv[1]))

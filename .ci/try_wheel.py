@@ -1,0 +1,46 @@
+"""Installs the wheel, then the sdist, into one empty environment and tries them there.
+
+Usage: python .ci/try_wheel.py DIST
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import tomllib
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def main(dist: Path) -> None:
+    """Tries the only wheel and the only sdist in ``dist``; ends the program where one is wrong."""
+    (wheel,) = dist.glob("*.whl")
+    (sdist,) = dist.glob("*.tar.gz")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    models = ROOT / "models"
+    files = [p.relative_to(models) for p in sorted(models.rglob("[!.]*")) if p.is_file()]
+    data = [str(p) for p in files if "__pycache__" not in p.parts]
+    expected = json.dumps({"version": project["version"], "data": data})
+    with tempfile.TemporaryDirectory() as folder:
+        # Resolved, as /tmp is a link on macOS and the trial compares paths.
+        place = Path(folder).resolve()
+        venv.create(place / "env", with_pip=True)
+        python = place / "env" / "bin" / "python"
+        pip = [python, "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
+        for artefact, options in (
+            (wheel, ["--constraint", ROOT / "constraints.txt"]),
+            (sdist, ["--force-reinstall", "--no-deps"]),
+        ):
+            subprocess.run([*pip, *options, artefact.resolve()], check=True)
+            trial = subprocess.run([python, "-I", ROOT / ".ci" / "trial.py", expected], cwd=place)
+            if trial.returncode:
+                sys.exit(f"{artefact.name}: does not work in an empty environment")
+            print(
+                f"{artefact.name}: works in an empty environment ({artefact.stat().st_size / 1024:.0f} KiB)"
+            )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,99 @@
+# `make reach` and `make test` need nothing but Python 3.11 and this file: they make .venv themselves.
+# Kept to GNU make 3.81 (macOS) and POSIX sh.
+
+VENV := .venv
+PY := $(VENV)/bin/python
+STAMP := $(VENV)/.installed
+STAMP4 := .venv-opencv4/.installed
+MAKE_VENV := .ci/make_venv
+
+# A sourced ROS set-up puts its own packages and pytest plugins in front of ours.
+unexport PYTHONPATH PYTHONHOME
+
+# An editable install remembers where it was made: a moved checkout, or another PYTHON, is installed anew.
+ifneq ($(shell cat $(STAMP) 2>/dev/null),$(CURDIR))
+STALE := FORCE
+endif
+ifneq ($(shell cat $(STAMP4) 2>/dev/null),$(CURDIR))
+STALE4 := FORCE
+endif
+ifneq ($(strip $(PYTHON)),)
+export PYTHON
+ifneq ($(shell '$(PYTHON)' -V 2>&1),$(shell $(PY) -V 2>&1))
+STALE := FORCE
+endif
+endif
+
+.PHONY: help reach test soak check lint types imports format wheel test-opencv4 constraints clean FORCE
+
+help:
+	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
+	@echo 'make test          the tests (ARGS="-k puma" chooses some)'
+	@echo 'make check         ruff, mypy on the built wheel, import contracts'
+	@echo 'make format        let ruff put the layout and the imports in order'
+	@echo 'make soak          the long tests'
+	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
+	@echo 'make wheel         build wheel and sdist into dist/ and try both in an empty environment'
+	@echo 'make constraints   look for new versions of everything: rewrites constraints.txt'
+	@echo 'make clean         remove what was built, and the environments'
+	@echo
+	@echo 'PYTHON=python3.12 chooses the interpreter of .venv.'
+
+reach: $(STAMP)
+	@$(PY) -m robot_ik reach $(ARGS)
+
+test: $(STAMP)
+	@$(PY) -m pytest $(ARGS)
+
+soak: $(STAMP)
+	@$(PY) -m pytest -m soak --timeout 3600 $(ARGS)
+
+check: lint types imports
+
+lint: $(STAMP)
+	@$(PY) -m ruff check .
+	@$(PY) -m ruff format --check .
+
+types: $(STAMP)
+	@.ci/check_types $(VENV)
+
+imports: $(STAMP)
+	@$(PY) .ci/link_typed.py $(VENV)/typed
+	@cd $(VENV)/typed && ../bin/lint-imports --config ../../pyproject.toml
+
+format: $(STAMP)
+	@$(PY) -m ruff check --fix .
+	@$(PY) -m ruff format .
+
+wheel: $(STAMP)
+	@rm -rf build dist
+	@$(PY) -m build --no-isolation . > $(VENV)/build.log 2>&1 || { cat $(VENV)/build.log; exit 1; }
+	@$(PY) .ci/try_wheel.py dist
+
+test-opencv4: $(STAMP4)
+	@ROBOT_IK_REQUIRE="$${ROBOT_IK_REQUIRE:+$$ROBOT_IK_REQUIRE,}opencv4" .venv-opencv4/bin/python -m pytest tests/camera $(ARGS)
+
+# --universal: one file for every system and Python; nothing of this machine (index, folder, local version) gets in.
+constraints: $(STAMP)
+	@$(PY) -m venv $(VENV)/uv
+	@$(VENV)/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
+	@sed -n '/^#/p' constraints.txt > $(VENV)/constraints.new
+	@$(VENV)/uv/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --all-extras --strip-extras \
+		--no-config --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
+		pyproject.toml > $(VENV)/constraints.txt
+	@cat $(VENV)/constraints.txt >> $(VENV)/constraints.new && mv $(VENV)/constraints.new constraints.txt
+	@git --no-pager diff --stat constraints.txt
+
+clean:
+	rm -rf $(VENV) .venv-opencv4 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+$(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE)
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,dev]'
+	@printf '%s\n' '$(CURDIR)' > $@
+
+# The same versions but for OpenCV; without the extras that no camera test opens.
+$(STAMP4): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE4)
+	@mkdir -p build
+	@sed 's/^\(opencv-contrib-python-headless\)==.*/\1<5/' constraints.txt > build/constraints-opencv4.txt
+	@$(MAKE_VENV) .venv-opencv4 build/constraints-opencv4.txt '.[video,dev]'
+	@printf '%s\n' '$(CURDIR)' > $@

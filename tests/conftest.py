@@ -1,0 +1,102 @@
+"""Shared by all tests: what this machine must have, and how hypothesis runs."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import cache
+from typing import Protocol
+
+import pytest
+from hypothesis import settings
+
+# No deadline: the first example of a law compiles its kernel, and the machine may be busy.
+settings.register_profile("robot_ik", deadline=None, print_blob=True)
+settings.load_profile("robot_ik")
+
+DEMANDED = "ROBOT_IK_REQUIRE"
+
+RENDER = """
+import mujoco
+renderer = mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8)
+renderer.render()
+"""
+
+
+class Require(Protocol):
+    """Skips the test, or fails it where ROBOT_IK_REQUIRE names what is missing."""
+
+    def __call__(self, name: str, reason: str = "", *, present: bool | None = None) -> str: ...
+
+
+def _find_browser() -> str | None:
+    names = ("chromium", "chromium-browser", "google-chrome", "firefox")
+    return next((path for name in names if (path := shutil.which(name))), None)
+
+
+def _find_gl() -> str | None:
+    """The first MUJOCO_GL that renders off-screen, tried in children: a failing one may abort its process."""
+    asked = os.environ.get("MUJOCO_GL")
+    for backend in [asked] if asked else ["egl", "osmesa"]:
+        child = subprocess.run(
+            [sys.executable, "-c", RENDER], env=os.environ | {"MUJOCO_GL": backend}, capture_output=True
+        )
+        if child.returncode == 0:
+            return backend
+    return None
+
+
+def _find_opencv4() -> str | None:
+    import cv2
+
+    return cv2.__version__ if cv2.__version__.startswith("4.") else None
+
+
+def _find_xvfb() -> str | None:
+    return shutil.which("Xvfb")
+
+
+PROBES: dict[str, tuple[Callable[[], str | None], str]] = {
+    "browser": (_find_browser, "no Chromium, Chrome or Firefox"),
+    "gl": (_find_gl, "MuJoCo cannot render off-screen: neither EGL nor OSMesa works"),
+    "opencv4": (_find_opencv4, "this is not OpenCV 4 (make test-opencv4)"),
+    "xvfb": (_find_xvfb, "no Xvfb"),
+}
+
+
+@cache
+def _find(name: str) -> str | None:
+    return PROBES[name][0]()
+
+
+def _demanded() -> set[str]:
+    return {name.strip() for name in os.environ.get(DEMANDED, "").split(",") if name.strip()}
+
+
+def pytest_configure() -> None:
+    """Refuses a misspelt demand, which would otherwise demand nothing."""
+    if unknown := _demanded() - PROBES.keys():
+        raise pytest.UsageError(f"{DEMANDED} names {sorted(unknown)}; known are {sorted(PROBES)}")
+
+
+@pytest.fixture(scope="session")
+def require() -> Require:
+    """``require("xvfb")`` for a test that cannot do without; gives what was found.
+
+    That is the path of Xvfb or of the browser, the MUJOCO_GL that works off-screen, the version of OpenCV.
+    ``reason`` says what it is needed for; ``present`` replaces the look at the machine by the test's own.
+    """
+
+    def require(name: str, reason: str = "", *, present: bool | None = None) -> str:
+        if name not in PROBES:
+            raise LookupError(f"require({name!r}): known are {sorted(PROBES)}")
+        found = _find(name) if present is None else "yes" if present else None
+        if found is not None:
+            return found
+        message = f"needs {name}: {PROBES[name][1]}" + (f" ({reason})" if reason else "")
+        if name in _demanded():
+            pytest.fail(f"{message}; {DEMANDED} demands it", pytrace=False)
+        pytest.skip(message)
+
+    return require
