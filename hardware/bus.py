@@ -122,5 +122,5 @@ class ServoBus(Protocol):
         ...
 
     def reboot(self, id: int) -> None:
-        """Restarts one servo: clears latched errors; torque is off and RAM registers are at their defaults after."""
+        """Restarts one servo: latched errors are gone, torque is off, RAM registers are at their defaults."""
         ...
