@@ -86,9 +86,10 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
             env=None if environment is None else dict(environment),
         )
     except subprocess.TimeoutExpired as stopped:
-        said = stopped.stdout or b""
-        text = said.decode(errors="replace") if isinstance(said, bytes) else said
-        return Probe(False, f"{text.strip()}\nno answer within {timeout:.0f} s".strip())
+        # On POSIX the output of a killed child arrives as bytes even in text mode.
+        raw: object = stopped.stdout
+        said = raw.decode(errors="replace") if isinstance(raw, bytes) else str(raw or "")
+        return Probe(False, f"{said.strip()}\nno answer within {timeout:.0f} s".strip())
     except OSError as reason:
         return Probe(False, f"no child process: {reason}")
     if done.returncode == 0:

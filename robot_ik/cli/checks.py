@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -56,12 +57,14 @@ def installed_versions() -> dict[str, str]:
 
 
 def check_python() -> list[Row]:
+    """Which Python this is."""
     return [Row("python", OK, f"{sys.version.split()[0]}, {sys.executable}")]
 
 
 def check_packages() -> list[Row]:
     """Every package that robot_ik's own metadata requires is installed."""
-    missing, present = [], []
+    missing: list[str] = []
+    present: list[str] = []
     for requirement in metadata.requires("robot_ik") or []:
         if "extra ==" in requirement:
             continue
@@ -144,21 +147,20 @@ def check_display() -> list[Row]:
     return [Row("display", NOTE, probe.text, "only --view needs one; pictures are written without it")]
 
 
-def check_cache() -> list[Row]:
-    """Compiled kernels are kept between runs in the user's cache folder."""
-    override = os.environ.get("XDG_CACHE_HOME", "")
-    folder = Path(override) if override else Path.home() / ".cache"
-    if sys.platform == "darwin":
-        folder = Path.home() / "Library" / "Caches"
-    folder = folder / "robot-ik" / "kernels"
-    nearest = next((p for p in (folder, *folder.parents) if p.exists()), folder)
-    if os.access(nearest, os.W_OK | os.X_OK) and nearest.is_dir():
-        return [Row("kernel cache", OK, str(folder))]
-    do = "set XDG_CACHE_HOME to a folder that can be written; until then each start compiles again"
-    return [Row("kernel cache", NOTE, f"{nearest} cannot be written", do)]
+def check_kernels() -> list[Row]:
+    """Whether numba imports, and whether compiled kernels can be kept between runs."""
+    code = "from robot_ik.kernels.jit import cache_folder; print(cache_folder())"
+    probe = environment.run_probe(code, timeout=CHILD_LIMIT)
+    if not probe.ok:
+        return [Row("kernels", PROBLEM, probe.text, "pip install --force-reinstall numba")]
+    if Path(probe.text).is_relative_to(tempfile.gettempdir()):
+        do = "make the cache folder of your user writable, or set XDG_CACHE_HOME"
+        return [Row("kernels", NOTE, f"kept only in {probe.text}: they compile again after a restart", do)]
+    return [Row("kernels", OK, f"kept in {probe.text}")]
 
 
 def check_terminal() -> list[Row]:
+    """Whether colours, progress bars and signs other than ASCII can be shown."""
     terminal = sys.stdout.isatty()
     encoding = (getattr(sys.stdout, "encoding", "") or "").lower()
     found = f"{'a terminal' if terminal else 'not a terminal'}, TERM={os.environ.get('TERM', '')}, {encoding}"
@@ -173,7 +175,7 @@ def run_checks(checks: list[Callable[[], list[Row]]]) -> list[Row]:
     def guarded(check: Callable[[], list[Row]]) -> list[Row]:
         try:
             return check()
-        except Exception as error:  # noqa: BLE001 - a doctor must not fall ill
+        except Exception as error:  # a doctor must not fall ill
             name = getattr(check, "__name__", "check").removeprefix("check_")
             return [Row(name, NOTE, f"could not be checked: {type(error).__name__}: {error}")]
 

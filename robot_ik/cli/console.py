@@ -189,13 +189,13 @@ class _TalkHandler(logging.Handler):
         try:
             style = "yellow" if record.levelno >= logging.WARNING else "dim"
             say(record.getMessage(), style)
-        except Exception:  # noqa: BLE001 - a log line must never end the run
+        except Exception:  # a log line must never end the run
             self.handleError(record)
 
 
 @contextlib.contextmanager
 def logs_shown(*, debug: bool = False) -> Iterator[None]:
-    """Shows the library's log while inside: warnings, the kernels' "compiled once" notice; all with ``debug``.
+    """Shows the library's log while inside: warnings and what the kernels say; everything with ``debug``.
 
     The library itself installs no handler; this is the only place that does, and it is taken back.
     """

@@ -24,7 +24,7 @@ CHECKS: list[Callable[[], list[checks.Row]]] = [
     checks.check_display,
     device_checks.check_serial,
     device_checks.check_cameras,
-    checks.check_cache,
+    checks.check_kernels,
     checks.check_terminal,
 ]
 

@@ -102,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         interrupted = isinstance(stop, KeyboardInterrupt)
         console.say("interrupted" if interrupted else "terminated", "yellow")
         return console.INTERRUPTED if interrupted else console.TERMINATED
-    except Exception as error:  # noqa: BLE001 - the last place where an error can become an exit code
+    except Exception as error:  # the last place where an error can become an exit code
         from robot_ik.cli import console
 
         console.show_error(error, debug=debug)

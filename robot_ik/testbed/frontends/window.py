@@ -53,7 +53,7 @@ def _call_with_limit(call: Callable[[], Any], limit: float) -> Any:
     def body() -> None:
         try:
             box.append(call())
-        except BaseException as error:  # noqa: BLE001 - handed to the caller below
+        except BaseException as error:  # handed to the caller below
             failure.append(error)
 
     thread = threading.Thread(target=body, daemon=True, name="viewer-opening")
@@ -131,7 +131,7 @@ class WindowSink:
         self._viewer.sync()
 
     def show_goal(self, pose: Pose, *, length: float = 0.12) -> None:
-        """Draws the axes of a goal (red x, green y, blue z) at ``pose`` in the world, ``length`` in metres."""
+        """Draws the axes of a goal at ``pose`` in the world: red x, green y, blue z, ``length`` metres."""
         mujoco = self._mujoco
         with self._lock():
             scene = self._viewer.user_scn
