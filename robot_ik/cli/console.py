@@ -55,14 +55,21 @@ def _width(stream: Any) -> int | None:
     return PIPE_WIDTH
 
 
+class _Console(Console):
+    """A console that leaves a closed pipe to ``main`` instead of ending the process with exit code 1."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def out() -> Console:
     """Console for results, on stdout."""
-    return Console(width=_width(sys.stdout), highlight=False, soft_wrap=False)
+    return _Console(width=_width(sys.stdout), highlight=False, soft_wrap=False)
 
 
 def talk() -> Console:
     """Console for everything that is not a result, on stderr."""
-    return Console(stderr=True, width=_width(sys.stderr), highlight=False)
+    return _Console(stderr=True, width=_width(sys.stderr), highlight=False)
 
 
 def say(text: str, style: str = "") -> None:

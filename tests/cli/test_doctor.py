@@ -1,0 +1,195 @@
+"""The doctor: what it finds, what it advises, and that it cannot hang or fall ill."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_ik import environment
+from robot_ik.cli import checks, device_checks, doctor
+from robot_ik.environment import Probe
+
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc and /sys")
+
+
+def test_report_on_this_machine(robot_ik: Any) -> None:
+    started = time.monotonic()
+    run = robot_ik("doctor", "--json")
+    assert time.monotonic() - started < 60  # a safety limit for a busy machine; alone it takes 3 s
+    report = json.loads(run.out)
+    assert run.code == 0 and report["ok"] is True and report["schema"] == 1, run.out
+    names = [row["what"] for row in report["rows"]]
+    for name in ("python", "packages", "mujoco", "opencv", "MUJOCO_GL", "display", "kernels", "terminal"):
+        assert name in names
+    assert {row["status"] for row in report["rows"]} <= {checks.OK, checks.NOTE}
+    for row in report["rows"]:
+        assert row["found"]
+        assert row["status"] == checks.OK or row["do"], row
+
+
+def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: checks.Row) -> None:
+    monkeypatch.setattr(doctor, "CHECKS", [lambda: list(rows)])
+
+
+def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_checks(
+        monkeypatch,
+        checks.Row("mujoco", checks.PROBLEM, "gone", "pip install [mujoco]"),
+        checks.Row("x", "ok", "y"),
+    )
+    run = robot_ik("doctor")
+    assert run.code == 2 and "pip install [mujoco]" in run.out and "1 problem" in run.out
+    run = robot_ik("doctor", "--json")
+    assert run.code == 2 and json.loads(run.out)["ok"] is False
+
+
+def test_notes_are_no_failure(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_checks(monkeypatch, checks.Row("display", checks.NOTE, "none", "only for --view"))
+    assert robot_ik("doctor").code == 0
+
+
+def test_a_check_that_crashes_becomes_a_row() -> None:
+    def check_ill() -> list[checks.Row]:
+        raise RuntimeError("oops")
+
+    rows = checks.run_checks([check_ill, checks.check_python])
+    assert rows[0].status == checks.NOTE and "oops" in rows[0].found and rows[0].what == "ill"
+    assert rows[1].status == checks.OK
+
+
+def test_children_run_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every check that starts a child is bounded by the same limit, and they overlap."""
+
+    def slow() -> list[checks.Row]:
+        return [
+            checks.Row(
+                "slow", checks.NOTE, environment.run_probe("import time; time.sleep(60)", timeout=3).text
+            )
+        ]
+
+    started = time.monotonic()
+    rows = checks.run_checks([slow] * 6)
+    assert len(rows) == 6 and time.monotonic() - started < 15  # one after the other: 18 s and more
+
+
+def probes(monkeypatch: pytest.MonkeyPatch, probe: Probe) -> None:
+    monkeypatch.setattr(environment, "run_probe", lambda *a, **k: probe)
+
+
+def versions(monkeypatch: pytest.MonkeyPatch, **known: str) -> None:
+    monkeypatch.setattr(checks, "version_of", lambda name: known.get(name.replace("-", "_"), ""))
+
+
+def test_an_empty_mujoco_shell(monkeypatch: pytest.MonkeyPatch) -> None:
+    probes(monkeypatch, Probe(False, "AttributeError: module 'mujoco' has no attribute 'MjModel'"))
+    (row,) = checks.check_mujoco()
+    assert row.status == checks.PROBLEM and "uninstall" in row.do
+
+
+def test_mixed_mujoco_versions(monkeypatch: pytest.MonkeyPatch) -> None:
+    probes(monkeypatch, Probe(True, "4.0.0"))
+    versions(monkeypatch, mujoco="4.0.0", mujoco_core="4.0.1")
+    (row,) = checks.check_mujoco()
+    assert row.status == checks.NOTE and "4.0.1" in row.found and "uninstall" in row.do
+
+
+def test_two_opencv_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
+    probes(monkeypatch, Probe(True, "5.0.0"))
+    versions(monkeypatch, opencv_python="5.0", opencv_contrib_python_headless="5.0")
+    (row,) = checks.check_opencv()
+    assert row.status == checks.NOTE
+    assert "pip uninstall -y opencv-contrib-python-headless opencv-python &&" in row.do
+
+
+def test_opencv_that_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
+    probes(monkeypatch, Probe(False, "ImportError: libGL.so.1"))
+    versions(monkeypatch, opencv_python="5.0")
+    (row,) = checks.check_opencv()
+    assert row.status == checks.PROBLEM and "libGL.so.1" in row.found and "headless" in row.do
+
+
+def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = checks.version_of
+    monkeypatch.setattr(checks, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name))
+    rows = checks.check_packages()
+    assert rows[-1].status == checks.PROBLEM and "dynamixel-sdk" in rows[-1].found
+
+
+def test_broken_mujoco_gl_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "bogus")
+    (row,) = checks.check_user_gl()
+    assert row.status == checks.PROBLEM and "unset MUJOCO_GL" in row.do and "bogus" in row.found
+
+
+def test_gl_switched_off_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    assert [row.status for row in checks.check_user_gl()] == [checks.OK]
+
+
+# ----------------------------------------------------------------------------------- devices
+
+
+@linux
+def test_free_port_then_used_port() -> None:
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    try:
+        used = device_checks.serial_row(path, "a pty")
+        assert used.status == checks.NOTE and f"({os.getpid()})" in used.found
+    finally:
+        os.close(slave)
+    try:
+        assert device_checks.users_of(path) == []
+        assert device_checks.serial_row(path, "a pty").status == checks.OK
+    finally:
+        os.close(master)
+
+
+@linux
+@pytest.mark.parametrize(("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)])
+def test_latency_timer(text: str, status: str, tmp_path: Path) -> None:
+    port = tmp_path / "ttyUSB7"
+    port.write_text("")
+    timer = tmp_path / "bus/usb-serial/devices/ttyUSB7/latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text(text)
+    row = device_checks.serial_row(str(port), "FTDI", sys_root=str(tmp_path))
+    assert row.status == status
+    assert ("ttyUSB7/latency_timer" in row.do) == (status == checks.NOTE)
+
+
+def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda *a, **k: False)
+    monkeypatch.setattr(device_checks, "_group_of", lambda path: "dialout")
+    row = device_checks.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
+    assert row.status == checks.NOTE and "usermod -aG dialout" in row.do
+    monkeypatch.setattr(device_checks, "_group_of", lambda path: "root")
+    assert "usermod" not in device_checks.serial_row("x", "y").do  # nobody should join the group root
+
+
+@linux
+def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    nodes = [str(tmp_path / f"video{k}") for k in range(2)]
+    for node in nodes:
+        Path(node).write_text("")
+    monkeypatch.setattr(device_checks.glob, "glob", lambda pattern: nodes)
+    probes(monkeypatch, Probe(False, f"{nodes[0]}=640x480\nno answer within 7 s"))
+    first, second = device_checks.check_cameras()
+    assert first.status == checks.OK and "640x480" in first.found
+    assert second.status == checks.NOTE and "no answer" in second.found
+
+
+@linux
+def test_camera_probe_with_real_opencv(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    node = tmp_path / "video0"
+    node.write_text("not a camera")
+    monkeypatch.setattr(device_checks.glob, "glob", lambda pattern: [str(node)])
+    (row,) = device_checks.check_cameras()
+    assert row.status == checks.NOTE and "no picture" in row.found

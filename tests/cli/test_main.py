@@ -1,0 +1,249 @@
+"""The table of commands: help, versions, slips of the keyboard, exit codes."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import signal
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_ik import errors
+from robot_ik.cli import main as main_module
+from robot_ik.cli.main import COMMANDS, Command
+
+# A command made of one function, so that any ending of a command can be tried.
+_ENDING: dict[str, Any] = {}
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialOptions:
+    """Ends as the test wants."""
+
+
+def run_trial(options: TrialOptions) -> int:
+    return _ENDING["call"]()
+
+
+@pytest.fixture
+def trial(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> Any:
+    """``trial(function) -> Run`` of a command that calls ``function``."""
+    monkeypatch.setitem(sys.modules, "trial_command", sys.modules[__name__])
+    row = Command("trial_command", "TrialOptions", "for tests", "run_trial", mujoco=False)
+    monkeypatch.setitem(main_module.COMMANDS, "trial", row)
+
+    def run(call: Any, *arguments: str) -> Any:
+        _ENDING["call"] = call
+        return robot_ik("trial", *arguments)
+
+    return run
+
+
+def raising(error: BaseException) -> Any:
+    def call() -> int:
+        raise error
+
+    return call
+
+
+def test_help_names_every_command_on_one_screen(robot_ik: Any) -> None:
+    for arguments in (["--help"], ["-h"], ["help"]):
+        run = robot_ik(*arguments)
+        assert run.code == 0 and run.err == ""
+        assert len(run.out.splitlines()) < 25
+        for name, command in COMMANDS.items():
+            assert f"{name} " in run.out and command.about in run.out
+
+
+def test_nothing_asked_shows_the_help_and_fails(robot_ik: Any) -> None:
+    run = robot_ik()
+    assert run.code == 2 and "usage: robot-ik" in run.out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_each_command(name: str, robot_ik: Any) -> None:
+    module = importlib.import_module(COMMANDS[name].module)
+    options = getattr(module, COMMANDS[name].options)
+    run = robot_ik(name, "--help")
+    assert run.code == 0 and run.err == ""
+    assert f"usage: robot-ik {name}" in run.out
+    text = " ".join(run.out.replace("│", " ").split())
+    first_line = (options.__doc__ or "").strip().splitlines()[0]
+    assert first_line[:60] in text
+    for field in dataclasses.fields(options):
+        flag = "--" + field.name.replace("_", "-")
+        assert flag in text or field.name.upper() in text or field.name in text, field.name
+    assert robot_ik("help", name).out == run.out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_are_frozen_and_explained(name: str) -> None:
+    module = importlib.import_module(COMMANDS[name].module)
+    options = getattr(module, COMMANDS[name].options)
+    assert dataclasses.is_dataclass(options)
+    assert options.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    assert callable(getattr(module, COMMANDS[name].run))
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ["mujoco", "numba", "cv2", "serial", "dynamixel_sdk", "tyro", "matplotlib"]
+    code = (
+        "import sys; from robot_ik.cli.main import main; main(['--help']); main(['--version']);"
+        f"bad = [m for m in {heavy} if m in sys.modules]; sys.exit(str(bad) if bad else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_version_shows_what_it_stands_on(robot_ik: Any) -> None:
+    run = robot_ik("--version")
+    assert run.code == 0 and len(run.out.splitlines()) < 15
+    for package in ("robot_ik", "mujoco", "numba"):
+        line = next(line for line in run.out.splitlines() if line.startswith(package + " "))
+        assert metadata.version(package) in line
+    assert "opencv" in run.out
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("slove", "solve"), ("robot", "robots"), ("SOLVE", "solve"), ("simbus", "sim-bus")]
+)
+def test_unknown_command_names_the_close_one(typed: str, meant: str, robot_ik: Any) -> None:
+    run = robot_ik(typed)
+    run.assert_one_screen_error()
+    assert f"did you mean '{meant}'" in run.err or f"'{meant}'" in run.err
+
+
+def test_unknown_option_before_the_command(robot_ik: Any) -> None:
+    run = robot_ik("--verison")
+    run.assert_one_screen_error()
+    assert "--version" in run.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["doctor", "--jsn"], "--json"),
+        (["solve", "--gaol", "1", "2", "3"], "--goal"),
+        (["solve", "--seed", "many"], "--seed"),
+        (["solve", "--robot"], "--robot"),
+        (["solve", "--goal", "a", "b", "c"], "--goal"),
+        (["robots", "a", "b", "c"], "b"),
+    ],
+)
+def test_wrong_options_name_the_option(arguments: list[str], named: str, robot_ik: Any) -> None:
+    run = robot_ik(*arguments)
+    run.assert_one_screen_error()
+    assert named in run.err
+
+
+@pytest.mark.parametrize("code", [0, 1, 2])
+def test_exit_code_of_a_command_is_kept(code: int, trial: Any) -> None:
+    assert trial(lambda: code).code == code
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (errors.NotConvergedError("1 mm away", None), 1),  # type: ignore[arg-type]
+        (errors.MarkerNotFoundError("marker 7 is not in the picture"), 1),
+        (errors.TrajectoryError("no straight line"), 1),
+        (errors.MotorFaultError("joint3", ["overload"]), 1),
+        (errors.UnknownRobotError("pumaa", ["puma560"]), 2),
+        (errors.UnknownSolverError("lmm", ["lm"]), 2),
+        (errors.ConfigError("unknown key", file="arm.toml", key="bus.buad"), 2),
+        (errors.ServoMismatchError({1: "joint1: XM430"}, {}, port="pty"), 2),
+        (errors.BusTimeoutError(id=3, register="ping", port="/dev/x", joint="joint3"), 2),
+        (errors.OutputError("runs/ cannot be written", hint="choose another --out"), 2),
+        (errors.MissingExtraError("av", "video", "recording"), 2),
+    ],
+)
+def test_errors_of_the_package_become_exit_codes(error: Exception, code: int, trial: Any) -> None:
+    run = trial(raising(error))
+    run.assert_one_screen_error(code)
+    flat = " ".join(run.err.split())
+    assert flat.startswith("error: ")
+    for line in str(error).splitlines():  # message and hint, each once and whole
+        assert flat.count(" ".join(line.split())) == 1, (line, run.err)
+
+
+def test_markup_in_a_message_is_shown_as_it_is(trial: Any) -> None:
+    run = trial(raising(errors.ModelError("joint [bold]1[/bold] of [/nothing] [red]")))
+    assert "joint [bold]1[/bold] of [/nothing] [red]" in run.err
+
+
+def test_an_endless_message_stays_on_one_screen(trial: Any) -> None:
+    text = "\n".join(f"line {k}" for k in range(500))
+    run = trial(raising(errors.ModelError(text, hint="\n".join("abcdefghij"))))
+    run.assert_one_screen_error()
+    assert "more lines" in run.err
+    run = trial(raising(errors.ModelError("x" * 100_000)))
+    assert len(run.err) < 2000
+
+
+def test_unexpected_error_says_how_to_report_it(trial: Any) -> None:
+    run = trial(raising(ZeroDivisionError("division by zero")))
+    run.assert_one_screen_error()
+    assert "ZeroDivisionError" in run.err and "--debug" in run.err and "report" in run.err
+    assert "test_main.py" in run.err  # where it happened
+
+
+def test_missing_file_is_not_called_a_fault_of_the_program(trial: Any) -> None:
+    run = trial(lambda: len(Path("/nowhere/at-all.toml").read_text()))
+    run.assert_one_screen_error()
+    assert "/nowhere/at-all.toml" in run.err and "fault of robot_ik" not in run.err
+
+
+@pytest.mark.parametrize("how", ["flag before", "flag after", "variable"])
+def test_debug_shows_the_traceback(
+    how: str, trial: Any, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    call = raising(errors.ModelError("broken"))
+    if how == "variable":
+        monkeypatch.setenv("ROBOT_IK_DEBUG", "1")
+        run = trial(call)
+    elif how == "flag after":
+        run = trial(call, "--debug")
+    else:
+        _ENDING["call"] = call
+        run = robot_ik("--debug", "trial")
+    assert run.code == 2 and "Traceback" in run.err and run.err.rstrip().endswith("error: broken")
+
+
+def test_interrupt_is_one_line(trial: Any) -> None:
+    run = trial(raising(KeyboardInterrupt()))
+    assert (run.code, run.out, run.err) == (130, "", "interrupted\n")
+
+
+def test_sigterm_unwinds_the_stack(trial: Any) -> None:
+    closed = []
+    before = signal.getsignal(signal.SIGTERM)
+
+    def call() -> int:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            for _ in range(10_000_000):
+                pass
+            return 0
+        finally:
+            closed.append(True)
+
+    run = trial(call)
+    assert (run.code, run.err) == (143, "terminated\n") and closed
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_closed_pipe_is_quiet() -> None:
+    child = subprocess.Popen(
+        [sys.executable, "-m", "robot_ik", "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert child.stdout is not None and child.stderr is not None
+    child.stdout.close()  # before the child has written anything
+    said = child.stderr.read()
+    assert child.wait(60) == 128 + signal.SIGPIPE
+    assert said == b""
