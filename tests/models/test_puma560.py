@@ -1,0 +1,237 @@
+"""The PUMA 560 against its sources: DH product, limits, masses, frames, robot and servo files."""
+
+import math
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FOLDER = Path(__file__).parents[2] / "models" / "puma560"
+JOINTS = tuple(f"joint{i}" for i in range(1, 7))
+LIMIT_DEG = np.array([160.0, 110.0, 135.0, 266.0, 100.0, 266.0])  # Robotics Toolbox, as in the benchmark
+# a, alpha / 90 deg, d of the Toolbox's standard DH table; typed again here, the XML is not read.
+DH = (
+    (0.0, 1, 26.45 * 0.0254),
+    (0.4318, 0, 0.0),
+    (0.0203, -1, 0.15005),
+    (0.0, 1, 0.4318),
+    (0.0, -1, 0.0),
+    (0.0, 0, 0.0),
+)
+
+
+def dh_flange(q: Array) -> Array:
+    """DH frame 6 seen from the floor, (4, 4), as Rz(q) Tz(d) Tx(a) Rx(alpha) products."""
+    pose = np.eye(4)
+    for angle, (a, quarter, d) in zip(q, DH, strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        ca, sa = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter % 4]
+        pose = pose @ np.array(
+            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1.0]]
+        )
+    return pose
+
+
+@cache
+def load(name: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(FOLDER / name))
+
+
+@cache
+def settings(name: str) -> dict[str, Any]:
+    return tomllib.loads((FOLDER / name).read_text())
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return load("puma560.xml")
+
+
+def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
+    found = data.site(name)
+    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
+
+
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
+    pairs = data.contact.geom[: data.ncon]
+    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
+
+
+angles = st.tuples(*(st.floats(-v, v) for v in np.radians(LIMIT_DEG))).map(np.array)
+
+
+@given(q=angles)
+def test_flange_is_dh_frame_6(q: Array) -> None:
+    position, rotation = site(posed(load("puma560.xml"), q), "flange")
+    expected = dh_flange(q)
+    assert np.abs(position - expected[:3, 3]).max() < 1e-12
+    assert np.abs(rotation - expected[:3, :3]).max() < 1e-12
+
+
+def test_known_pose_of_the_zero_configuration(model: mujoco.MjModel) -> None:
+    position, rotation = site(posed(model, np.zeros(6)), "flange")
+    assert position == pytest.approx([0.4318 + 0.0203, -0.15005, 0.67183 + 0.4318], abs=1e-15)
+    assert rotation == pytest.approx(np.eye(3), abs=1e-15)
+
+
+def test_joints_and_limits_equal_the_source(model: mujoco.MjModel) -> None:
+    assert tuple(model.joint(i).name for i in range(model.njnt)) == JOINTS
+    assert np.all(model.jnt_limited == 1)
+    assert np.abs(model.jnt_range - np.radians(LIMIT_DEG)[:, None] * [-1.0, 1.0]).max() < 1e-15
+
+
+def test_masses_and_inertias_are_those_of_a_rigid_body(model: mujoco.MjModel) -> None:
+    mass = {model.body(i).name: model.body_mass[i] for i in range(model.nbody)}
+    literature = {"link2": 17.4, "link3": 4.8, "link4": 0.82, "link5": 0.34, "link6": 0.09}
+    assert {name: mass[name] for name in literature} == pytest.approx(literature)
+    assert sum(mass.values()) == pytest.approx(17.4 + 4.8 + 0.82 + 0.34 + 0.09 + 13.0 + 0.6)
+    moving = [i for i in range(model.nbody) if model.body(i).name not in ("world", "base")]
+    inertia = model.body_inertia[moving]
+    assert np.all(inertia > 0)
+    assert np.all(inertia.sum(axis=1) >= 2 * inertia.max(axis=1))
+    dense = np.zeros((6, 6))
+    data = posed(model, np.zeros(6))
+    mujoco.mj_fullM(model, data, dense)
+    assert np.linalg.eigvalsh(dense).min() > 0.1
+
+
+def test_link_3_inertia_is_within_5_percent_of_the_measured_one(model: mujoco.MjModel) -> None:
+    data = posed(model, np.zeros(6))
+    axes = data.body("link3").ximat.reshape(3, 3)
+    inertia = np.diag(axes @ np.diag(model.body("link3").inertia) @ axes.T)
+    assert inertia == pytest.approx([0.066, 0.086, 0.0125], rel=0.05)
+
+
+def test_gripper_frames_are_rigid_to_the_flange(model: mujoco.MjModel) -> None:
+    data = posed(model, np.array([0.3, 1.2, -0.4, 2.0, 0.7, -1.1]))
+    origin, rotation = site(data, "flange")
+    for name, offset in {"gripper": 0.185, "mounting_face": 0.05625, "marker_cube": 0.104}.items():
+        position, axes = site(data, name)
+        assert rotation.T @ (position - origin) == pytest.approx([0, 0, offset], abs=1e-14), name
+        assert axes == pytest.approx(rotation, abs=1e-14), name
+
+
+def test_markers_lie_on_the_cube_with_z_outwards(model: mujoco.MjModel) -> None:
+    reach = settings("robot.toml")["reach"]["tool_marker"]
+    data = posed(model, np.zeros(6))
+    cube = model.geom("marker_cube")
+    assert cube.size == pytest.approx([reach["cube"] / 2] * 3)
+    centre, axes = site(data, reach["site"])
+    assert centre == pytest.approx(data.geom("marker_cube").xpos)
+    outwards = [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)]
+    for number, out in zip(reach["ids"], outwards, strict=True):
+        position, rotation = site(data, f"marker_{number}")
+        assert rotation[:, 2] == pytest.approx(axes @ out, abs=1e-15), number
+        assert rotation[:, 1] == pytest.approx(-axes[:, 2], abs=1e-15), number
+        assert np.linalg.det(rotation) == pytest.approx(1.0)
+        assert position == pytest.approx(centre + reach["cube"] / 2 * rotation[:, 2], abs=1e-15), number
+    assert reach["size"] < reach["cube"]
+
+
+@pytest.mark.parametrize("xml", ["puma560.xml", "scene.xml"])
+@pytest.mark.parametrize("key", ["home", "ready"])
+def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
+    model = load(xml)
+    q = model.key(key).qpos
+    lower, upper = model.jnt_range.T
+    assert np.minimum(q - lower, upper - q).min() > math.radians(15)
+    assert np.array_equal(model.key(key).ctrl, q)
+    data = posed(model, q)
+    assert touching(model, data) == []
+    jacobian = np.zeros((6, 6))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
+    assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.1
+    down = -site(data, "gripper")[1][2, 2]
+    assert math.sin(math.radians(40)) < down <= 1
+
+
+def test_folding_the_arm_into_its_base_is_a_contact(model: mujoco.MjModel) -> None:
+    """The geoms must collide where metal would: forearm folded onto the shoulder drum."""
+    assert touching(model, posed(model, np.radians([0.0, 45.0, 85.0, 0, 0, 0])))
+
+
+def test_position_actuators_hold_the_ready_pose() -> None:
+    model = load("scene.xml")
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("ready").id)
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qpos - model.key("ready").qpos).max() < math.radians(1)
+    torque = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])  # Armstrong, Khatib & Burdick 1986
+    assert model.actuator_forcerange[:, 1] == pytest.approx(torque)
+
+
+def test_robot_toml_names_what_the_model_has(model: mujoco.MjModel) -> None:
+    robot = settings("robot.toml")
+    assert robot["schema"] == 1 and robot["model"] == "puma560.xml"
+    for tool in robot["tools"].values():
+        assert model.site(tool["site"]).id >= 0
+    assert robot["tool"] in robot["tools"]
+    assert tuple(robot["groups"]["arm"]) == JOINTS
+    assert all(name in JOINTS for group in robot["groups"].values() for name in group)
+    assert model.key(robot["home"]).id >= 0
+    assert len(robot["motion"]["velocity_deg"]) == len(robot["motion"]["acceleration_deg"]) == 6
+
+
+def test_arm_toml_names_every_joint_and_covers_the_model(model: mujoco.MjModel) -> None:
+    arm = settings("arm.toml")
+    assert arm["robot"] == "puma560"
+    rows = arm["joints"]
+    assert tuple(row["name"] for row in rows) == JOINTS
+    assert sorted(row["id"] for row in rows) == [1, 2, 3, 4, 5, 6]
+    motion = settings("robot.toml")["motion"]
+    for i, row in enumerate(rows):
+        lower, upper = np.degrees(model.joint(row["name"]).range)
+        assert lower - 1e-9 <= row["lower_deg"] < row["upper_deg"] <= upper + 1e-9
+        assert row["velocity_deg"] >= motion["velocity_deg"][i]
+        assert row["acceleration_deg"] >= motion["acceleration_deg"][i]
+        ticks = [servo_ticks(row, row[k]) for k in ("lower_deg", "upper_deg")]
+        if row["mode"] == "position":
+            assert row["ratio"] == 1.0 and min(ticks) >= 0 and max(ticks) <= 4095
+        for key in ("home", "ready"):  # whole turns are forgotten at power-off: start inside the first
+            assert 256 < servo_ticks(row, math.degrees(model.key(key).qpos[i])) < 4095 - 256, (row, key)
+
+
+def servo_ticks(row: dict[str, Any], degrees: float) -> float:
+    return float(row["zero_ticks"] + row["direction"] * row["ratio"] * degrees / 360 * 4096)
+
+
+def test_scene_table_is_that_of_robot_toml() -> None:
+    model = load("scene.xml")
+    table = settings("robot.toml")["reach"]["table"]
+    top = model.geom("table_top")
+    centre = posed(model, np.zeros(6)).geom("table_top").xpos
+    low, high = centre - top.size, centre + top.size
+    assert [low[0], high[0]] == pytest.approx(table["x"])
+    assert [low[1], high[1]] == pytest.approx(table["y"])
+    assert high[2] == pytest.approx(table["height"])
+
+
+def test_readme_names_its_sources() -> None:
+    text = (FOLDER / "README.md").read_text()
+    for source in (
+        "Corke",
+        "Robotics Toolbox",
+        "Armstrong, O. Khatib, J. Burdick",
+        "Lee",
+        "desk copy",
+        "0.672",
+    ):
+        assert source in text
+    assert settings("robot.toml")["provenance"]["sources"]
