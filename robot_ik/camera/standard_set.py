@@ -141,10 +141,11 @@ def _paint_paper(
     to_paper = np.linalg.inv(plane)
     levels = np.where(bits > 0, look.white, look.black)
     wall = canvas[y0:y1, x0:x1].copy()
-    one_ray = _paper_value(centres, wall, to_paper, levels, look.white)
+    one_ray = _paper_value(centres, np.full(wall.shape, -1.0), to_paper, levels, look.white)
     # Many rays only where two of them can differ; everywhere else the first one has said it all.
     kernel = np.ones((5, 5), np.uint8)
     mixed = cv2.dilate(one_ray, kernel) - cv2.erode(one_ray, kernel) > 0
+    one_ray = np.where(one_ray < 0, wall, one_ray)
     total = np.zeros(int(mixed.sum()))
     for offset in _LATTICE:
         # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
