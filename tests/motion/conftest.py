@@ -39,3 +39,11 @@ def make_number_robot(velocity, acceleration, lower=None, upper=None, extra_q=0)
 def number_robot():
     """Factory of `NumberRobot`."""
     return make_number_robot
+
+
+@pytest.fixture(scope="session")
+def puma():
+    """The shipped PUMA 560."""
+    from robot_ik.robot import load_robot
+
+    return load_robot("puma560")

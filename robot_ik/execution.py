@@ -1,0 +1,287 @@
+"""The only run-time loops: `execute` plays a trajectory, `follow` chases a goal.
+
+Both run on absolute deadlines, so lateness below one period is caught up and never adds up.
+Neither hurries: after a longer stall the rest of the schedule moves, because two samples sent at
+once are a jump to a servo.  An exception (KeyboardInterrupt too) leaves the loop at once and nothing
+more is sent; what the arm does then is its own exit policy.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import TrajectoryError
+from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
+from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
+from robot_ik.motion.trajectory import Trajectory
+from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem, Tolerance
+    from robot_ik.robot import Robot
+    from robot_ik.solution import Solution
+    from robot_ik.solvers.base import Solver
+
+START_TOLERANCE = 0.02
+"""rad or m: how far the arm may be from a trajectory's first sample; a servo holding a load sags by less."""
+
+
+class _Schedule:
+    """Deadlines a period apart that yield to a stall instead of bunching up.
+
+    Attributes:
+        overruns: Ticks that came a whole period late or more.
+        slipped: Seconds by which the schedule was moved because of them.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.origin = clock.now()
+        self.overruns = 0
+        self.slipped = 0.0
+
+    def wait(self, due: float, period: float) -> float:
+        """Sleeps until ``due`` seconds after the origin; the time on the clock then."""
+        self.clock.sleep_until(self.origin + due)
+        now = self.clock.now()
+        late = now - (self.origin + due)
+        if period > 0.0 and late >= period:
+            self.overruns += 1
+            self.slipped += late
+            self.origin += late
+        return now
+
+
+def execute(
+    trajectory: Trajectory,
+    sinks: Sequence[JointSink],
+    *,
+    source: JointSource | None = None,
+    clock: Clock | None = None,
+    on_tick: Callable[[Tick], None] | None = None,
+    start_tolerance: float = START_TOLERANCE,
+    settle: float = 0.0,
+) -> Execution:
+    """Sends every sample of ``trajectory`` at its time to every sink.
+
+    Args:
+        trajectory: Its own sampling is the tick.
+        sinks: Each gets each sample, in order; `q` is read-only.
+        source: Usually the arm: read once before the start, and after every tick.
+        clock: None is the machine's; an arm on a simulated bus brings its own.
+        on_tick: Called after each tick; must be quick.
+        start_tolerance: How far the measured arm may be from the first sample, rad or m.
+        settle: Seconds for which the last sample is repeated, so that servos can arrive.
+
+    Raises:
+        TrajectoryError: The arm is not where the trajectory begins; nothing was sent.
+    """
+    clock = RealClock() if clock is None else clock
+    if source is not None:
+        _require_start(trajectory, source.read().q, start_tolerance)
+    due, commanded = _with_settling(trajectory, settle)
+    schedule = _Schedule(clock)
+    times, measured, measured_times = np.zeros(len(due)), np.zeros(commanded.shape), np.zeros(len(due))
+    begin = schedule.origin
+    for k, q in enumerate(commanded):
+        now = schedule.wait(due[k], due[k] - due[k - 1] if k else 0.0)
+        begin = now if k == 0 else begin
+        times[k] = now - begin
+        for sink in sinks:
+            sink.send(q, now)
+        if source is not None:
+            reading = source.read()
+            measured[k], measured_times[k] = reading.q, reading.time - begin
+        if on_tick is not None:
+            on_tick(Tick(k, len(due), times[k], q, measured[k].copy() if source is not None else None))
+    return Execution(
+        joints=trajectory.joints,
+        times=times,
+        commanded=commanded,
+        measured=None if source is None else measured,
+        measured_times=None if source is None else measured_times,
+        overruns=schedule.overruns,
+        slipped=schedule.slipped,
+        samples=len(trajectory),
+    )
+
+
+def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]:
+    """Due times (n,) from 0 and read-only samples (n, nq), the last one repeated for ``settle`` seconds."""
+    if not (np.isfinite(settle) and settle >= 0.0):
+        raise TrajectoryError(f"asked to settle for {settle} s", hint="give 0 or a finite time in seconds")
+    due, commanded = trajectory.times - trajectory.times[0], trajectory.q
+    period = float(due[-1] - due[-2]) if len(due) > 1 else 0.01  # a trajectory of one sample has no rate
+    extra = int(np.ceil(settle / period - 1e-9))
+    if extra:
+        due = np.concatenate([due, due[-1] + period * np.arange(1, extra + 1)])
+        commanded = np.concatenate([commanded, np.repeat(commanded[-1:], extra, axis=0)])
+    commanded.flags.writeable = False
+    return due, commanded
+
+
+def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
+    """Raises `TrajectoryError` unless the measured ``q`` (nq,) is where ``trajectory`` begins."""
+    first = trajectory.q[0]
+    if np.shape(q) != first.shape or not np.isfinite(q).all():
+        raise TrajectoryError(
+            f"the arm measures {np.asarray(q).tolist()}; the trajectory has {len(first)} joints",
+            hint="play a trajectory made for this arm",
+        )
+    away = np.abs(q - first)
+    k = int(np.argmax(away))
+    if away[k] > tolerance:
+        raise TrajectoryError(
+            f"the trajectory begins with {first[k]:.4f} of joint {trajectory.joints[k]!r}, but the arm "
+            f"measures {q[k]:.4f}; at most {tolerance:g} apart is allowed; nothing was sent",
+            hint="plan from where the arm is: joint_move(robot, arm.read().q, …)",
+        )
+
+
+def follow(
+    goal_source: GoalSource[Any],
+    robot: Robot,
+    solver: str | Solver,
+    sinks: Sequence[JointSink],
+    *,
+    rate: float = 100.0,
+    clock: Clock | None = None,
+    duration: float | None = None,
+    start: ArrayLike | None = None,
+    tolerance: Tolerance | None = None,
+    speed: float = 1.0,
+    until: Callable[[FollowTick], bool] | None = None,
+    source: JointSource | None = None,
+    on_tick: Callable[[FollowTick], None] | None = None,
+) -> FollowReport:
+    """Asks for a goal, solves from the last command, sends; ``rate`` times a second.
+
+    Each joint moves at most ``speed`` times its velocity limit; when one would be too fast all are
+    slowed alike, so the way stays straight.  A solution that did not converge is followed too: it is
+    the nearest that was found.  Runs until ``duration`` is over or ``until`` says so, else for ever.
+
+    Args:
+        goal_source: None from it means: hold, which repeats the last command.
+        robot: Whose joints.
+        solver: A name of `SOLVERS` or a solver.
+        sinks: Each gets each command, in order; `q` is read-only.
+        rate: Ticks a second, Hz.
+        clock: None is the machine's; an arm on a simulated bus brings its own.
+        duration: Seconds, or None.
+        start: (nq,) where the arm is; None reads it from ``source`` once, unclipped.
+        tolerance: When a solution counts as converged.
+        speed: Part of the velocity limits to use, above 0 and up to 1.
+        until: Asked after each tick; True ends the loop.
+        source: Usually the arm: read after every tick.
+        on_tick: Called after each tick; must be quick.
+
+    Raises:
+        TrajectoryError: Neither ``start`` nor ``source``, or malformed options; nothing was sent.
+    """
+    clock = RealClock() if clock is None else clock
+    require_positive("rate", rate, "Hz")
+    if start is None and source is None:
+        raise TrajectoryError("follow does not know where the arm is", hint="give start=q or source=arm")
+    first = joint_vector(robot, cast(JointSource, source).read().q if start is None else start, "start")
+    count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
+    chase = _Chase(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
+    schedule = _Schedule(clock)
+    begin = schedule.origin
+    while True:
+        now = schedule.wait(chase.ticks / rate, 1.0 / rate if chase.ticks else 0.0)
+        begin = now if chase.ticks == 0 else begin
+        goal = goal_source.poll(now)
+        capped = chase.step(goal)
+        for sink in sinks:
+            sink.send(chase.q, now)
+        measured = None if source is None else chase.compare(source.read().q)
+        tick = FollowTick(chase.ticks - 1, now - begin, goal, chase.solution, chase.q, capped, measured)
+        if on_tick is not None:
+            on_tick(tick)
+        if chase.ticks == count or (until is not None and until(tick)):
+            return chase.report(now - begin, schedule)
+
+
+class _Chase:
+    """State of `follow`: the command, the problem, and the counters of the report."""
+
+    def __init__(
+        self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
+    ) -> None:
+        self.robot, self.tolerance = robot, tolerance
+        from robot_ik.solvers import find_solver
+
+        self.solver = find_solver(solver)
+        self.q = _frozen(start)
+        self.solution: Solution | None = None
+        self.ticks = self.held = self.capped = 0
+        self._largest_allowed = step
+        self._problem: Problem | None = None
+        self._goal: Any = None
+        self._last: Solution | None = None
+        self._statuses: Counter[str] = Counter()
+        self._largest_step = np.zeros_like(start)
+        self._tracking: Array | None = None
+
+    def step(self, goal: Any) -> bool:
+        """Moves the command towards ``goal``; True when the way was cut short."""
+        self.ticks += 1
+        self.solution = None
+        if goal is None:
+            self.held += 1
+            return False
+        solution = self.solver.solve(self._aim(goal), self.q)
+        self.solution = self._last = solution
+        self._statuses[solution.status.name] += 1
+        way = np.asarray(solution.q) - self.q
+        if not np.isfinite(way).all():  # NUMERICAL: nothing to go to
+            return False
+        excess = float(np.max(np.abs(way) / self._largest_allowed))
+        q = self.q + way / excess if excess > 1.0 else np.array(solution.q, dtype=float)
+        self._largest_step = np.maximum(self._largest_step, np.abs(q - self.q))
+        self.q = _frozen(q)
+        self.capped += excess > 1.0
+        return excess > 1.0
+
+    def compare(self, measured: Array) -> Array:
+        """Notes the distance of ``measured`` (nq,) from the command; a copy of it."""
+        away = np.abs(measured - self.q)
+        self._tracking = away if self._tracking is None else np.maximum(self._tracking, away)
+        return np.array(measured, dtype=float)
+
+    def _aim(self, goal: Any) -> Problem:
+        """The problem for ``goal``: the one at hand with a new target where only the target changed."""
+        from robot_ik.problem import Problem
+
+        if self._problem is None or goal is not self._goal:
+            self._problem = Problem(self.robot, goal, self.tolerance)
+            self._goal = goal
+        return self._problem
+
+    def report(self, duration: float, schedule: _Schedule) -> FollowReport:
+        return FollowReport(
+            joints=self.robot.joints,
+            ticks=self.ticks,
+            held=self.held,
+            capped=self.capped,
+            statuses=dict(self._statuses),
+            duration=duration,
+            overruns=schedule.overruns,
+            slipped=schedule.slipped,
+            q=self.q,
+            last=self._last,
+            largest_step=self._largest_step,
+            tracking_error=self._tracking,
+        )
+
+
+def _frozen(q: ArrayLike) -> Array:
+    """A read-only copy: a sink that wrote into it would move the arm."""
+    copy = np.array(q, dtype=float)
+    copy.flags.writeable = False
+    return copy

@@ -1,0 +1,273 @@
+"""`line_move`: the tool runs straight, the joints follow without a jump.
+
+Three passes.  Trace: walk along the line in small steps, each solved from the last, halving the step
+where the joints move much, until it is plain whether that is a fast stretch or a jump.  Time: run
+along the traced path as fast as the joints and the tool may.  Sample: solve once more at every tick,
+then measure what was made; where a bound is broken by the sampling, slow down and sample again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import TrajectoryError
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
+from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
+from robot_ik.motion.profiles import Timing, fastest_timing
+from robot_ik.motion.trajectory import Trajectory
+from robot_ik.ports import Array
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Tolerance
+    from robot_ik.robot import Robot
+    from robot_ik.solvers.base import Solver
+
+# Longest step of the trace: short against any arm, so that the nearest solution is the same branch.
+_STEP_LENGTH = 0.005  # m
+_STEP_ANGLE = 0.03  # rad
+_FEWEST = 8  # steps: the timing needs derivatives on the shortest line too
+# The trace halves a step at most this often; what still moves a joint too far in 1/1024 of it is a jump.
+_HALVINGS = 10
+# A joint this near to a limit is named as the reason when no further place is found: rad or m.
+_AT_LIMIT = 0.02
+# Each round of slowing aims this much below the bound, so that few rounds are needed.
+_MARGIN = 1.002
+_ROUNDS = 12
+# m and rad, of each sample: at 100 Hz an error of 1e-7 rad is seen as 2e-3 rad/s^2.
+_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Poses from ``begin`` (s = 0) to the goal (s = 1): straight in position, one axis in rotation."""
+
+    begin: Pose
+    shift: Array
+    turn: Array
+
+    @classmethod
+    def between(cls, begin: Pose, end: Pose) -> _Line:
+        turn = rotation_log(quat_multiply(begin.inverse().wxyz, end.wxyz))
+        return cls(begin, end.position - begin.position, turn)
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.shift))
+
+    @property
+    def angle(self) -> float:
+        return float(np.linalg.norm(self.turn))
+
+    def pose(self, s: float) -> Pose:
+        wxyz = quat_multiply(self.begin.wxyz, rotation_exp(s * self.turn))
+        return Pose(self.begin.position + s * self.shift, wxyz)
+
+    def off(self, position: Array) -> float:
+        """Distance in m of ``position`` (3,) from the line's segment."""
+        rest = position - self.begin.position
+        along = 0.0 if self.length == 0.0 else float(np.clip(rest @ self.shift / self.length**2, 0.0, 1.0))
+        return float(np.linalg.norm(rest - along * self.shift))
+
+
+def line_move(
+    robot: Robot,
+    start: ArrayLike,
+    goal_pose: Pose,
+    *,
+    frame: str | None = None,
+    solver: str | Solver = "auto",
+    speed: float = 1.0,
+    linear_speed: float = 0.25,
+    angular_speed: float = 1.5,
+    rate: float = 100.0,
+    tolerance: Tolerance | None = None,
+    deviation: float = 1e-4,
+    max_jump: float = 0.1,
+    velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+) -> Trajectory:
+    """Moves ``frame`` on a straight line to ``goal_pose``, turning evenly about one axis (slerp).
+
+    As fast as the joint limits and the two tool speeds allow at each place; slow where the arm
+    is near a singularity.  Between samples, too, the tool stays within ``deviation`` of the line.
+
+    Args:
+        robot: Its limits count.
+        start: (nq,) rad, m for slides; the line begins where the frame then is.
+        goal_pose: In the world.
+        frame: The frame that runs straight; None means the robot's default tool.
+        solver: A name of `SOLVERS` or a solver.
+        speed: Part of the robot's velocity and acceleration limits to use, above 0 and up to 1.
+        linear_speed: Most of the tool, m/s.
+        angular_speed: Most of the tool, rad/s.
+        rate: Samples a second, Hz; the duration is rounded up to whole periods.
+        tolerance: Of each sample; None means 1e-7 m and 1e-7 rad, below what a velocity would show.
+        deviation: Largest distance of the tool from the line, m.
+        max_jump: Largest change of one joint, rad or m, from one traced place to the next; where it
+            is more even over a few micrometres, the joint jumps.
+        velocity: (nq,) further cap in rad/s, such as that of the arm file; the lower one counts.
+        acceleration: (nq,) likewise, rad/s^2.
+
+    Raises:
+        TrajectoryError: A place on the line cannot be reached, or only by a jump of a joint; tells
+            how far the line is possible and which joint is in the way.
+        UnsupportedJointError: The robot has ball or free joints.
+    """
+    first = joint_vector(robot, start, "start")
+    top, push = motion_limits(robot, speed, velocity, acceleration)
+    for what, value, unit in (
+        ("rate", rate, "Hz"),
+        ("linear_speed", linear_speed, "m/s"),
+        ("angular_speed", angular_speed, "rad/s"),
+        ("deviation", deviation, "m"),
+        ("max_jump", max_jump, "rad"),
+    ):
+        require_positive(what, value, unit)
+    name = robot.tool if frame is None else frame
+    line = _Line.between(robot.forward(first, name), goal_pose)
+    from robot_ik.problem import Tolerance
+
+    tolerance = Tolerance(position=_TOLERANCE, angle=_TOLERANCE) if tolerance is None else tolerance
+    if line.length <= tolerance.position and line.angle <= tolerance.angle:
+        return Trajectory([0.0], [first], robot.joints)
+    tracer = _Tracer(robot, name, line, _nearest(robot, name, solver, tolerance), max_jump)
+    knots, path = tracer.trace(first)
+    with np.errstate(divide="ignore"):
+        fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
+    timing = fastest_timing(knots, path, top, push, fastest)
+    return _sampled(tracer, timing, path, top, push, rate, deviation)
+
+
+def _nearest(
+    robot: Robot, frame: str, solver: str | Solver, tolerance: Tolerance
+) -> Callable[[Pose, Array], Array | None]:
+    """The function that solves one pose of ``frame`` from a start, None where it did not converge."""
+    from robot_ik.goals import PoseGoal
+    from robot_ik.problem import Problem
+    from robot_ik.solvers import find_solver
+
+    method = find_solver(solver)
+    problem = Problem(robot, PoseGoal(frame, position=np.zeros(3), wxyz=(1.0, 0.0, 0.0, 0.0)), tolerance)
+
+    def near(pose: Pose, start: Array) -> Array | None:
+        problem.retarget(pose)
+        solution = method.solve(problem, start)
+        return solution.q if solution.converged else None
+
+    return near
+
+
+class _Tracer:
+    """Solves places on one line, each from its neighbour.
+
+    Args:
+        robot: Its joint names and limits are told in errors.
+        frame: The frame that runs straight.
+        line: Where it runs.
+        near: The joint vector (nq,) of a pose nearest to a start, None where there is none.
+        max_jump: Largest change of one joint from place to place.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        line: _Line,
+        near: Callable[[Pose, Array], Array | None],
+        max_jump: float,
+    ) -> None:
+        self.robot, self.frame, self.line, self.near, self.max_jump = robot, frame, line, near, max_jump
+
+    def solve(self, s: float, start: Array) -> Array | None:
+        """Joint vector (nq,) of the place ``s`` nearest to ``start``, None where there is none."""
+        return self.near(self.line.pose(s), start)
+
+    def trace(self, first: Array) -> tuple[Array, Array]:
+        """Knots (n,) from 0 to 1 and joint vectors (n, nq), the first one ``first``."""
+        line = self.line
+        steps = max(_FEWEST, int(np.ceil(max(line.length / _STEP_LENGTH, line.angle / _STEP_ANGLE))))
+        longest = 1.0 / steps
+        knots, path, step = [0.0], [first], longest
+        while knots[-1] < 1.0:
+            s = min(1.0, knots[-1] + step)
+            s = 1.0 if 1.0 - s < 1e-3 * longest else s  # no crumb of a step at the end
+            q = self.solve(s, path[-1])
+            if q is not None and np.abs(q - path[-1]).max() <= self.max_jump:
+                knots.append(s)
+                path.append(q)
+                step = min(longest, 2.0 * step)
+            elif step > longest / 2**_HALVINGS:
+                step *= 0.5
+            else:
+                raise self.broken(knots[-1], path[-1], q)
+        return np.array(knots), np.stack(path)
+
+    def broken(self, s: float, q: Array, beyond: Array | None) -> TrajectoryError:
+        """The error for a path that is good up to ``s`` and ``q`` (nq,), and then leads to ``beyond``."""
+        line = self.line
+        reached = f"{100.0 * s:.1f} % of the line ({1e3 * s * line.length:.1f} of {1e3 * line.length:.1f} mm"
+        reached += f", {np.degrees(s * line.angle):.1f} of {np.degrees(line.angle):.1f} deg)"
+        if beyond is None:
+            room = np.minimum(q - self.robot.lower, self.robot.upper - q)
+            k = int(np.argmin(room))
+            why = "no joint is at a limit, so the arm is too short or the place is singular"
+            if room[k] < _AT_LIMIT:
+                why = f"joint {self.robot.joints[k]!r} is at its limit there"
+            return TrajectoryError(
+                f"{self.frame!r} can follow only {reached}: beyond, the solver found no joint angles; {why}",
+                hint="shorten the line, start from another configuration, or use joint_move",
+            )
+        k = int(np.argmax(np.abs(beyond - q)))
+        return TrajectoryError(
+            f"{self.frame!r} can follow only {reached}: there joint {self.robot.joints[k]!r} would jump by "
+            f"{abs(beyond[k] - q[k]):.3f}; at most {self.max_jump:g} is allowed",
+            hint="a limit or a singularity is in the way: start from another configuration or use joint_move",
+        )
+
+
+def _sampled(
+    tracer: _Tracer, timing: Timing, path: Array, top: Array, push: Array, rate: float, deviation: float
+) -> Trajectory:
+    """The trajectory at ``rate`` Hz; slowed as a whole until every bound holds as measured."""
+    duration = timing.duration
+    for _ in range(_ROUNDS):
+        count = max(1, int(np.ceil(duration * rate * (1.0 - 1e-12))))
+        s = timing.progress(np.arange(count + 1) * (timing.duration / count))
+        q = _solved(tracer, timing.s, path, s)
+        trajectory = Trajectory(np.arange(count + 1) / rate, q, tracer.robot.joints)
+        excess = max(
+            float(np.max(trajectory.peak_velocity / top)),
+            float(np.sqrt(np.max(trajectory.peak_acceleration / push))),
+            float(np.sqrt(_deviation(tracer, q) / deviation)),
+        )
+        if excess <= 1.0:
+            return trajectory
+        duration = max(count + 1, np.ceil(count * min(excess * _MARGIN, 4.0))) / rate
+    raise TrajectoryError(
+        f"no timing of this line was found that keeps the limits ({excess:.2f} times exceeded)",
+        hint="lower speed or linear_speed, or allow a larger deviation",
+    )
+
+
+def _solved(tracer: _Tracer, knots: Array, path: Array, s: Array) -> Array:
+    """(n, nq) joint vectors at the places ``s`` (n,), each on the traced branch."""
+    near = np.column_stack([np.interp(s, knots, path[:, j]) for j in range(path.shape[1])])
+    q = near.copy()
+    for k in range(1, len(s) - 1):
+        found = tracer.solve(float(s[k]), near[k])
+        if found is None or np.abs(found - near[k]).max() > tracer.max_jump:
+            raise tracer.broken(float(s[k]), near[k], found)
+        q[k] = found
+    q[0], q[-1] = path[0], path[-1]
+    return q
+
+
+def _deviation(tracer: _Tracer, q: Array) -> float:
+    """Largest distance of the tool from the line half-way between samples, m; joints run straight there."""
+    middles = 0.5 * (q[1:] + q[:-1])
+    return max(tracer.line.off(tracer.robot.forward(m, tracer.frame).position) for m in middles)
