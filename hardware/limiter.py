@@ -179,8 +179,11 @@ class SafetyLimiter:
         if len(state.q) != self.size:
             raise UnsafeCommandError(f"a state of {len(state.q)} joints", f"{self.size} joints")
         mean_dt = 0.5 * (dt + (state.dt or dt))
-        past = (state.q, state.velocity, state.command, state.command_velocity)
-        rows = [_step_joint(*row, dt, mean_dt) for row in zip(wanted, *past, self._caps, strict=True)]
+        past = zip(state.q, state.velocity, state.command, state.command_velocity, self._caps, strict=True)
+        rows = [
+            _step_joint(goal, q, v, command, lead, caps, dt, mean_dt)
+            for goal, (q, v, command, lead, caps) in zip(wanted, past, strict=True)
+        ]
         out, velocity, target, target_velocity, clipped, capped = zip(*rows, strict=True)
         report = _UNTOUCHED
         if any(clipped) or any(capped):

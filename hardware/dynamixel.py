@@ -1,0 +1,250 @@
+"""Servo bus over a serial port or pty, on the official Dynamixel SDK.
+
+The SDK builds, stuffs and checks packets.  What it leaves open is closed here and in ``wire``: a lock, a
+length check before any byte is decoded, a sync read that keeps the answers which did arrive and their alert
+bits, and retries with a bound.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoRefusedError
+from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, Counters, Status
+from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.quiet_port import ANSWER_TIME, QuietPortHandler
+from robot_ik.hardware.wire import QUIET, SHORTEST_STATUS, Answer, Wire
+
+CYCLE_TIME = 0.100
+"""s after which a sync read is not tried again, whoever is still missing."""
+
+_PING, _REBOOT = 0x01, 0x08
+_PING_DATA = 3  # bytes: model number 2, firmware 1
+
+
+class DynamixelBus:
+    """Protocol 2.0 servos on one port.  Thread-safe; implements ``ServoBus``.
+
+    Args:
+        port: Path or name of the serial port.
+        baud: bit/s, one the servos know.
+        retries: How often an unanswered or corrupt request is repeated.
+        answer_time: s a servo is given to answer, beyond the time of the bytes.
+    """
+
+    def __init__(
+        self, port: str, baud: int = 1_000_000, *, retries: int = 2, answer_time: float = ANSWER_TIME
+    ) -> None:
+        self.port = port
+        self.baud = baud
+        self.counters = Counters()
+        self._wire = Wire(port, baud, self.counters, answer_time)
+        self._packet = self._wire.packet
+        self._retries = retries
+        self._silent: frozenset[int] = frozenset()
+        self._last_good: dict[int, float] = {}
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._wire.is_open
+
+    def open(self) -> None:
+        """Opens the port for this process alone.
+
+        Raises:
+            BusNotOpenError: Missing, not a serial port, not permitted, in use, or an impossible rate.
+        """
+        self._wire.open()
+        self._silent = frozenset()
+
+    def close(self) -> None:
+        """Closes the port; may be called any number of times and never raises."""
+        self._wire.close()
+
+    # ---------------------------------------------------------------------------- single servos
+
+    def ping(self, id: int) -> int:
+        """Model number of one servo.
+
+        Raises:
+            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError.
+        """
+        answer = self._ask(id, "ping", _PING_DATA, lambda port: self._bare(port, id, _PING))
+        return answer.data[0] | answer.data[1] << 8
+
+    def broadcast_ping(self) -> dict[int, int]:
+        """Servo id -> model number of everyone who answers; takes about a second, whoever answers.
+
+        Raises:
+            BusDisconnectedError, BusNotOpenError.
+        """
+        with self._wire.transaction("broadcast ping") as port:
+            found, _ = self._packet.broadcastPing(port)
+        return {id: int(model) for id, (model, _) in sorted(found.items())}
+
+    def read(self, id: int, register: Register) -> Status:
+        """One register of one servo.
+
+        Raises:
+            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
+        """
+        answer = self._ask(
+            id,
+            register.name,
+            register.size,
+            lambda port: self._packet.readTx(port, id, register.address, register.size),
+        )
+        return Status(id, register.decode(answer.data), 0, answer.alert)
+
+    def write(self, id: int, register: Register, value: int) -> Status:
+        """One register of one servo; to ``BROADCAST_ID`` nobody answers.
+
+        Raises:
+            ValueError: The value does not fit the register; nothing is sent.
+            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
+        """
+        data = list(register.encode(value))
+
+        def send(port: QuietPortHandler) -> object:
+            return self._packet.writeTxOnly(port, id, register.address, register.size, data)
+
+        if id == BROADCAST_ID:
+            with self._wire.transaction(None) as port:
+                send(port)
+            return Status(id, None)
+        answer = self._ask(id, register.name, 0, send)
+        return Status(id, None, 0, answer.alert)
+
+    def reboot(self, id: int) -> None:
+        """Restarts one servo; it is deaf for some tenths of a second after.
+
+        Raises:
+            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
+        """
+        self._ask(id, "reboot", 0, lambda port: self._bare(port, id, _REBOOT))
+
+    # ------------------------------------------------------------------------- many servos at once
+
+    def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
+        """The same register of many servos in one packet; nobody answers.
+
+        Raises:
+            ValueError: A value does not fit the register; nothing is sent.
+            BusDisconnectedError, BusNotOpenError.
+        """
+        body: list[int] = []
+        for id, value in values.items():
+            body += [id, *register.encode(value)]
+        # Nobody answers, so an answer still outstanding keeps belonging to the question before.
+        with self._wire.transaction(None) as port:
+            if body:
+                self._packet.syncWriteTxOnly(port, register.address, register.size, body, len(body))
+
+    def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, Status]:
+        """The same register of many servos in one cycle.
+
+        Servos that do not answer are asked again, but only within ``CYCLE_TIME`` and not if they were silent
+        in the cycle before as well: one dead servo must not slow down the others.
+
+        Returns:
+            A row for every id; ``data`` is None where nothing usable came.
+
+        Raises:
+            BusDisconnectedError, BusNotOpenError.
+        """
+        # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
+        missing = sorted(ids, key=lambda id: id in self._silent)
+        found: dict[int, Status] = {}
+        end = time.monotonic() + CYCLE_TIME
+        with self._wire.transaction(f"sync read {register.name}") as port:
+            self.counters.cycles += 1
+            for attempt in range(1 + self._retries):
+                self.counters.retries += attempt > 0
+                self._sync_read_once(port, register, missing, found)
+                missing = [id for id in missing if id not in found]
+                if not missing or self._silent.issuperset(missing) or time.monotonic() > end:
+                    break
+            if missing:
+                self._wire.missed()
+        self.counters.timeouts += len(missing)
+        self._silent = self._silent.difference(ids).union(missing)
+        return {id: found.get(id) or Status(id, None) for id in ids}
+
+    def _sync_read_once(
+        self, port: QuietPortHandler, register: Register, ids: Sequence[int], found: dict[int, Status]
+    ) -> None:
+        """One request and the answers to it; puts the usable ones into ``found``."""
+        self._packet.syncReadTx(port, register.address, register.size, list(ids), len(ids), False)
+        port.setPacketTimeout((SHORTEST_STATUS + register.size) * len(ids))
+        waiting = set(ids)
+        damaged = 0
+        # As many damaged packets as servos are missing: nothing more will come, ask again at once.
+        while len(waiting) > damaged:
+            answer = self._wire.receive(port)
+            if answer is None:
+                damaged += 1
+                if port.isPacketTimeout():
+                    self._wire.missed()
+                    return
+            elif answer.id in waiting:
+                usable = len(answer.data) == register.size and not answer.code
+                if not usable and not answer.code:
+                    self.counters.corrupt += 1  # a late answer to something else, or short
+                    damaged += 1
+                    continue
+                data = register.decode(answer.data) if usable else None
+                found[answer.id] = Status(answer.id, data, answer.code, answer.alert)
+                self._last_good[answer.id] = time.monotonic()
+                waiting.discard(answer.id)
+
+    # ---------------------------------------------------------------------------------- packets
+
+    def _bare(self, port: QuietPortHandler, id: int, instruction: int) -> object:
+        """An instruction without parameters."""
+        return self._packet.txPacket(port, [0, 0, 0, 0, id, 3, 0, instruction, 0, 0])
+
+    def _ask(self, id: int, what: str, size: int, send: Callable[[QuietPortHandler], object]) -> Answer:
+        """Sends until servo ``id`` answers with ``size`` bytes of data or an error number."""
+        corrupt = self.counters.corrupt
+        with self._wire.transaction(f"{what} of {id}") as port:
+            for attempt in range(1 + self._retries):
+                if attempt:
+                    self.counters.retries += 1
+                    port.drain(QUIET)
+                send(port)
+                port.setPacketTimeout(SHORTEST_STATUS + size)
+                answer = self._answer(port, id, size)
+                if answer is not None:
+                    break
+                self._wire.missed()
+        if answer is not None:
+            self._last_good[id] = time.monotonic()
+            if answer.code:
+                reason = ERROR_REASONS.get(answer.code, "unknown error")
+                raise ServoRefusedError(id=id, register=what, code=answer.code, reason=reason)
+            return answer
+        if self.counters.corrupt > corrupt:
+            raise BusCorruptError(
+                f"answers of servo id {id} on {self.port} ({what}) are damaged: checksum or length wrong",
+                hint="check the cable, the baud rate and whether two servos have this id",
+            )
+        self.counters.timeouts += 1
+        since = self._last_good.get(id)
+        age = None if since is None else time.monotonic() - since
+        raise BusTimeoutError(id=id, register=what, port=self.port, last_good=age)
+
+    def _answer(self, port: QuietPortHandler, id: int, size: int) -> Answer | None:
+        """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""
+        while True:
+            answer = self._wire.receive(port)
+            if answer is None:
+                return None
+            if answer.id == id:
+                if answer.code or len(answer.data) == size:
+                    return answer
+                self.counters.corrupt += 1
+                return None
+            if port.isPacketTimeout():
+                return None
