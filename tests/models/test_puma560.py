@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -142,6 +143,17 @@ def test_markers_lie_on_the_cube_with_z_outwards(model: mujoco.MjModel) -> None:
         assert np.linalg.det(rotation) == pytest.approx(1.0)
         assert position == pytest.approx(centre + reach["cube"] / 2 * rotation[:, 2], abs=1e-15), number
     assert reach["size"] < reach["cube"]
+
+
+@pytest.mark.parametrize("number", [20, 21, 22, 23])
+def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int) -> None:
+    """The pictures are turned for MuJoCo's cube map (checked once against its renderer); here: content and turn."""
+    turns = {20: 3, 21: 0, 22: 1, 23: 2}
+    image = cv2.imread(str(FOLDER / "assets" / f"marker_{number}.png"), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    printed = np.pad(cv2.aruco.generateImageMarker(dictionary, number, 70), 7, constant_values=255)
+    assert np.array_equal(image, np.rot90(printed, turns[number]))
 
 
 @pytest.mark.parametrize("xml", ["puma560.xml", "scene.xml"])
