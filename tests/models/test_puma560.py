@@ -147,7 +147,7 @@ def test_markers_lie_on_the_cube_with_z_outwards(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("number", [20, 21, 22, 23])
 def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int) -> None:
-    """The pictures are turned for MuJoCo's cube map (checked once against its renderer); here: content and turn."""
+    """Content and turn of the pictures; that MuJoCo lays them on the sites was checked with its renderer."""
     turns = {20: 3, 21: 0, 22: 1, 23: 2}
     image = cv2.imread(str(FOLDER / "assets" / f"marker_{number}.png"), cv2.IMREAD_GRAYSCALE)
     assert image is not None
