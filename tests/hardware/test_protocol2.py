@@ -27,7 +27,8 @@ def _hex(text: str) -> bytes:
     return bytes.fromhex(text.replace(" ", ""))
 
 
-# Example packets of the e-manual's Protocol 2.0 page: built from (id, instruction, parameters) or (id, error, data).
+# Example packets of the e-manual's Protocol 2.0 page, and the (id, instruction, parameters) or (id, error, data)
+# they are made of.
 INSTRUCTIONS = {
     "ping": ((1, I.PING, ""), "FFFFFD00 01 0300 01 194E"),
     "broadcast ping": ((254, I.PING, ""), "FFFFFD00 FE 0300 01 3142"),
@@ -82,7 +83,8 @@ def test_checksum_is_the_official_sdk_s(data: bytes) -> None:
 
 
 # Bytes in which the pattern that needs stuffing is frequent.
-BODIES = st.lists(st.sampled_from([b"\xff", b"\xff\xff", b"\xfd", b"\xff\xff\xfd", b"\x00", b"\x55"])).map(b"".join)
+PIECES = (b"\xff", b"\xff\xff", b"\xfd", b"\xff\xff\xfd", b"\x00", b"\x55")
+BODIES = st.lists(st.sampled_from(PIECES)).map(b"".join)
 
 
 @given(BODIES | st.binary(max_size=60))
@@ -100,7 +102,9 @@ def test_what_is_built_is_parsed_back(id: int, data: bytes) -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 252), BODIES), max_size=5), st.data())
-def test_pieces_of_any_size_give_the_same_packets(packets: list[tuple[int, bytes]], data: st.DataObject) -> None:
+def test_pieces_of_any_size_give_the_same_packets(
+    packets: list[tuple[int, bytes]], data: st.DataObject
+) -> None:
     stream = b"".join(build(id, I.WRITE, body) for id, body in packets)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
     parser, found = Parser(), []

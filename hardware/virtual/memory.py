@@ -1,0 +1,121 @@
+"""The memory of a virtual servo: bytes behind a control table, and the checks before a write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from robot_ik.hardware.control_table import ControlTable, Register
+from robot_ik.hardware.virtual.protocol2 import ErrorCode
+
+Checker = Callable[[Register, int], ErrorCode]
+
+
+class Memory:
+    """Bytes of one servo.
+
+    Args:
+        table: Which registers there are.
+    """
+
+    def __init__(self, table: ControlTable) -> None:
+        self.table = table
+        self._bytes = bytearray(table.size)
+        # The same once more, decoded: a servo asks itself far more often than it is asked.
+        self._values: dict[str, int] = {}
+        self._at = {register.address: register for register in table}
+        self._defined = bytearray(table.size)
+        for register in table:
+            self._defined[register.address : register.end] = b"\x01" * register.size
+        self._pointers = {
+            table[name.replace("address", "data")].address: table[name]
+            for name in table.registers
+            if name.startswith("indirect_address_")
+        }
+        self._first_indirect = min(self._pointers, default=table.size)
+        self.reset(eeprom=True)
+
+    def reset(self, *, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
+        """Factory values: of RAM as after a power cycle, and of EEPROM too if asked."""
+        for register in self.table:
+            if (eeprom or not register.eeprom) and register.name not in keep:
+                self.set(register.name, register.initial or 0)
+
+    def get(self, name: str) -> int:
+        """Value of a register."""
+        return self._values[name]
+
+    def set(self, name: str, value: int) -> None:
+        """Sets a register as the servo itself does: without any check but its size."""
+        register = self.table[name]
+        self._bytes[register.address : register.end] = register.encode(value)
+        self._values[name] = value
+
+    def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
+        """Bytes of any stretch; gaps between registers read 0.
+
+        Nothing is readable behind the table or where no register is at all (access error).
+        """
+        end = address + length
+        if length == 0 or end > len(self._bytes) or not any(self._defined[address:end]):
+            return b"", ErrorCode.ACCESS if length else ErrorCode.DATA_LENGTH
+        if end <= self._first_indirect:
+            return bytes(self._bytes[address:end]), ErrorCode.NONE
+        return bytes(self._bytes[self._resolve(a)] for a in range(address, end)), ErrorCode.NONE
+
+    def spans(self, address: int, length: int) -> list[tuple[int, int]]:
+        """Stretches (first, end) of real memory that a stretch stands for; indirect data point elsewhere."""
+        if address + length <= self._first_indirect:
+            return [(address, address + length)]
+        found: list[tuple[int, int]] = []
+        for a in range(address, address + length):
+            real = self._resolve(a)
+            if found and found[-1][1] == real:
+                found[-1] = (found[-1][0], real + 1)
+            else:
+                found.append((real, real + 1))
+        return found
+
+    def parse_write(
+        self, address: int, data: bytes, *, locked: bool, check: Checker
+    ) -> tuple[list[tuple[Register, int]], ErrorCode]:
+        """What a write would set, after every check; all of it is good or none is done.
+
+        Args:
+            address: First byte.
+            data: Bytes to write.
+            locked: EEPROM is locked (torque is on).
+            check: The servo's own rule for a register and a value.
+        """
+        values: list[tuple[Register, int]] = []
+        if not data:
+            return [], ErrorCode.DATA_LENGTH
+        if address + len(data) > len(self._bytes):
+            return [], ErrorCode.ACCESS
+        done = 0
+        for first, end in self.spans(address, len(data)):
+            at = first
+            while at < end:
+                register = self._at.get(at)
+                if register is None:
+                    return [], ErrorCode.DATA_LENGTH if self._defined[at] else ErrorCode.ACCESS
+                if register.end > end:
+                    return [], ErrorCode.DATA_LENGTH
+                if not register.writable or (register.eeprom and locked):
+                    return [], ErrorCode.ACCESS
+                value = register.decode(data[done : done + register.size])
+                if not register.minimum <= value <= register.maximum:
+                    return [], ErrorCode.DATA_RANGE
+                error = check(register, value)
+                if error:
+                    return [], error
+                values.append((register, value))
+                at, done = register.end, done + register.size
+        return values, ErrorCode.NONE
+
+    def _resolve(self, address: int) -> int:
+        """Where the byte at an address really lives; a pointer out of the table is as good as none."""
+        pointer = self._pointers.get(address)
+        if pointer is None:
+            return address
+        target = self._values[pointer.name]
+        return target if target < len(self._bytes) else address
