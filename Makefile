@@ -19,7 +19,7 @@ STALE4 := FORCE
 endif
 ifneq ($(strip $(PYTHON)),)
 export PYTHON
-ifneq ($(shell '$(PYTHON)' -V 2>&1),$(shell $(PY) -V 2>&1))
+ifneq ($(shell '$(PYTHON)' -V 2>&1 || :),$(shell $(PY) -V 2>&1 || :))
 STALE := FORCE
 endif
 endif
@@ -59,7 +59,7 @@ types: $(STAMP)
 
 imports: $(STAMP)
 	@$(PY) .ci/link_typed.py $(VENV)/typed
-	@cd $(VENV)/typed && ../bin/lint-imports --config ../../pyproject.toml
+	@cd $(VENV)/typed && ../bin/lint-imports --no-logo --config ../../pyproject.toml
 
 format: $(STAMP)
 	@$(PY) -m ruff check --fix .
