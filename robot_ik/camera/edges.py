@@ -22,8 +22,6 @@ Mask = NDArray[np.bool_]
 # Blur in px: the pixel's own width alone gives 0.29; beyond 4 px no cell of a marker could be read.
 BLUR_START = 0.8
 _BLUR_RANGE = (0.25, 4.0)
-# How far ln(blur) is believed to be from its start when the picture does not say: a factor 1.8.
-_BLUR_SPREAD = 0.6
 # Residuals beyond this many standard deviations lose weight (Cauchy's function): dirt, glare, occlusion.
 _CAUCHY = 2.4
 # Keeps weights meaningful in pictures without noise: quantisation to whole grey levels.
@@ -67,92 +65,88 @@ class EdgeFit:
     noise: Array
 
 
-def erf(x: Array) -> Array:
-    """Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26); numpy has none."""
-    size = np.abs(x)
-    t = 1.0 / (1.0 + 0.3275911 * size)
+def _erf(x: Array) -> tuple[Array, Array]:
+    """Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26; numpy has none), and exp(-x^2)."""
+    t = 1.0 / (1.0 + 0.3275911 * np.abs(x))
+    bell = np.exp(-x * x)
     series = t * (
         0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))
     )
-    return np.asarray(np.copysign(1.0 - series * np.exp(-size * size), x))
+    return np.copysign(1.0 - series * bell, x), bell
 
 
-def fit_edges(pixels: EdgePixels, start: Array, blur: Array, steps: int) -> EdgeFit:
+def fit_edges(
+    pixels: EdgePixels, start: Array, blur: Array, blur_spread: float, steps: int
+) -> EdgeFit:
     """Fits all edges by Gauss-Newton with Cauchy weights.
 
     Args:
         pixels: The data.
         start: (s, 2) offsets to start from, px.
-        blur: (s,) blur to start from, px.
+        blur: (s,) blur to start from and to believe in where the pixels do not say, px.
+        blur_spread: How far ln(blur) is believed to be from that.
         steps: Number of Gauss-Newton steps.
     """
     s = len(start)
-    t = pixels.along
-    x = np.zeros((s, _PARAMETERS))  # offset at both ends, ln blur, middle at both ends, contrast at both ends
+    # Parameters: offset at both ends, ln blur, middle at both ends, contrast at both ends.
+    x = np.zeros((s, _PARAMETERS))
     x[:, :2] = start
     x[:, 2] = np.log(blur)
-    prior = np.zeros((s, _PARAMETERS, _PARAMETERS))
     x[:, 3:] = _levels(pixels, x)
-    noise = np.full(s, np.inf)
-    normal = np.zeros((s, _PARAMETERS, _PARAMETERS))
     for step in range(steps + 1):
         residual, jacobian = _linearise(pixels, x)
         noise = _spread(residual, pixels.weight)
         weight = pixels.weight / (1.0 + (residual / (_CAUCHY * noise[:, None])) ** 2)
-        weighted = jacobian * weight[:, :, None]
-        normal = np.einsum("snp,snq->spq", weighted, jacobian)
+        weighted = jacobian * weight[:, None, :]
+        system = weighted @ jacobian.transpose(0, 2, 1)
+        prior = (noise / blur_spread) ** 2
+        system[:, 2, 2] += prior
+        # A trace of damping: an edge without contrast must not make the system singular.
+        diagonal = np.einsum("spp->sp", system)
+        diagonal += 1e-9 * diagonal.sum(axis=1, keepdims=True) + 1e-9
         if step == steps:
             break
-        prior[:, 2, 2] = (noise / _BLUR_SPREAD) ** 2
-        right = np.einsum("snp,sn->sp", weighted, residual)
-        right[:, 2] += prior[:, 2, 2] * (np.log(BLUR_START) - x[:, 2])
-        # A trace of damping: an edge without contrast must not make the system singular.
-        damping = 1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-9
-        system = normal + prior + damping[:, None, None] * np.eye(_PARAMETERS)
+        right = (weighted @ residual[:, :, None])[:, :, 0]
+        right[:, 2] += prior * (np.log(blur) - x[:, 2])
         move = np.linalg.solve(system, right[:, :, None])[:, :, 0]
+        # Far from the edge the model is flat and a step can be anything: keep it in sight.
         move[:, :2] = np.clip(move[:, :2], -1.5, 1.5)
         move[:, 2] = np.clip(move[:, 2], -0.5, 0.5)
         x += move
         x[:, 2] = np.clip(x[:, 2], *np.log(_BLUR_RANGE))
-    damping = 1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-9
-    covariance = np.linalg.inv(normal + prior + damping[:, None, None] * np.eye(_PARAMETERS))
-    del t
-    return EdgeFit(
-        offset=x[:, :2],
-        covariance=covariance[:, :2, :2] * noise[:, None, None] ** 2,
-        contrast=0.5 * (x[:, 5] + x[:, 6]),
-        blur=np.exp(x[:, 2]),
-        noise=noise,
-    )
+    covariance = np.linalg.inv(system)[:, :2, :2] * noise[:, None, None] ** 2
+    contrast = 0.5 * (x[:, 5] + x[:, 6])
+    return EdgeFit(x[:, :2], covariance, contrast, np.exp(x[:, 2]), noise)
 
 
 def _levels(pixels: EdgePixels, x: Array) -> Array:
     """(s, 4) middle and contrast at both ends, by linear least squares with offset and blur held."""
-    _, jacobian = _linearise(pixels, np.concatenate([x[:, :3], np.zeros((len(x), 4))], axis=1))
-    linear = jacobian[:, :, 3:]
-    weighted = linear * pixels.weight[:, :, None]
-    normal = np.einsum("snp,snq->spq", weighted, linear) + 1e-6 * np.eye(4)
-    right = np.einsum("snp,sn->sp", weighted, pixels.value)
-    return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, :, 0])
+    _, jacobian = _linearise(pixels, x)
+    linear = jacobian[:, 3:]
+    weighted = linear * pixels.weight[:, None, :]
+    normal = weighted @ linear.transpose(0, 2, 1) + 1e-6 * np.eye(4)
+    right = weighted @ pixels.value[:, :, None]
+    return np.asarray(np.linalg.solve(normal, right)[:, :, 0])
 
 
 def _linearise(pixels: EdgePixels, x: Array) -> tuple[Array, Array]:
-    """Residual (s, n) = value - model, and the derivative (s, n, 7) of the model."""
+    """Residual (s, n) = value - model, and the derivative (s, 7, n) of the model."""
     t = pixels.along
     u = 1.0 - t
     root = 1.0 / (np.sqrt(2.0) * np.exp(x[:, 2:3]))
     z = (pixels.distance - (x[:, 0:1] * u + x[:, 1:2] * t)) * root
-    step = erf(z)
+    step, bell = _erf(z)
     contrast = x[:, 5:6] * u + x[:, 6:7] * t
-    slope = contrast * (2.0 / np.sqrt(np.pi)) * np.exp(-z * z)
-    jacobian = np.empty((*t.shape, _PARAMETERS))
-    jacobian[:, :, 0] = -slope * root * u
-    jacobian[:, :, 1] = -slope * root * t
-    jacobian[:, :, 2] = -slope * z
-    jacobian[:, :, 3] = u
-    jacobian[:, :, 4] = t
-    jacobian[:, :, 5] = step * u
-    jacobian[:, :, 6] = step * t
+    slope = contrast * bell * (-2.0 / np.sqrt(np.pi))
+    moved = slope * root
+    jacobian = np.empty((len(t), _PARAMETERS, t.shape[1]))
+    np.multiply(moved, u, out=jacobian[:, 0])
+    np.multiply(moved, t, out=jacobian[:, 1])
+    np.multiply(slope, z, out=jacobian[:, 2])
+    jacobian[:, 3] = u
+    jacobian[:, 4] = t
+    np.multiply(step, u, out=jacobian[:, 5])
+    np.multiply(step, t, out=jacobian[:, 6])
     model = x[:, 3:4] * u + x[:, 4:5] * t + contrast * step
     return pixels.value - model, jacobian
 

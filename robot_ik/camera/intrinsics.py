@@ -128,7 +128,7 @@ class CameraIntrinsics:
         """
         p = np.asarray(pixels, dtype=float).reshape(-1, 2)
         bent = (p - (self.cx, self.cy)) / (self.fx, self.fy)
-        return lens.unbend(self.model, self.coefficients, bent)
+        return lens.unbend(self.model, self.coefficients, bent, self.radius_limit)
 
     def unproject(self, pixels: ArrayLike) -> Array:
         """Rays (n, 3) or (3,) with z = 1 in the camera frame, of pixels (n, 2) or (2,)."""

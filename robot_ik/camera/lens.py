@@ -94,13 +94,14 @@ def bend_jacobian(model: str, coefficients: Array, ideal: Array) -> Array:
     return jacobian
 
 
-def unbend(model: str, coefficients: Array, bent: Array) -> Array:
+def unbend(model: str, coefficients: Array, bent: Array, limit: float) -> Array:
     """Inverse of ``bend`` by Newton's method with step halving.
 
     Args:
         model: One of ``COEFFICIENTS``.
         coefficients: In OpenCV's order.
         bent: (n, 2).
+        limit: ``radius_limit`` of the model.
 
     Returns:
         (n, 2) ideal coordinates, exact to about 1e-12; NaN where the lens model has no inverse
@@ -128,7 +129,7 @@ def unbend(model: str, coefficients: Array, bent: Array) -> Array:
         active = active[~(size[active] < _INVERSE_RESIDUAL)]
     # A stall at rounding level is an answer; anything larger, or a folded sheet, is none.
     lost = ~(size < 1e3 * _INVERSE_RESIDUAL)
-    lost |= np.hypot(ideal[:, 0], ideal[:, 1]) > radius_limit(model, coefficients)
+    lost |= np.hypot(ideal[:, 0], ideal[:, 1]) > limit
     ideal[lost] = np.nan
     return ideal
 

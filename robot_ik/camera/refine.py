@@ -25,9 +25,9 @@ DETECTOR_SIGMA = 0.85
 # What a perfect fit still leaves: print, paper, pixel response.
 _LEAST_SIGMA = 0.015
 # Pixels per edge are limited by taking at most this many columns (or rows) across it.
-_COLUMNS = 80
+_COLUMNS = 64
 # Places along an edge at which its bent curve is computed; in between it is straight enough.
-_STATIONS = 33
+_STATIONS = 17
 # Half widths of the band of pixels, px: first to find the edge, then to measure it.
 _FIND_BAND, _FIT_BAND = 5.0, 4.0
 # The band is also kept inside the outer cell: fraction of the cell used.
@@ -35,7 +35,13 @@ _CELL_PART = 0.75
 _LEAST_BAND = 1.6
 # Pixels within this distance of a corner see two edges at once.
 _CORNER_GAP = 2.5
-_PASSES = 3
+# One pass to find, one to measure; more only while some corner still moves by _STILL px.
+_LEAST_PASSES, _MOST_PASSES = 2, 6
+_STILL = 0.03
+# A fit that after all passes still moves by this much has not found an edge.
+_RESTLESS = 0.15
+# ln(blur) differs between the sides of a marker by about this (motion blur), and from BLUR_START by that.
+_BLUR_ALIKE, _BLUR_UNKNOWN = 0.3, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,24 +101,30 @@ def refine_markers(
     good = _sides_ok(corners, gray)
     blur = np.full(4 * len(rough), BLUR_START)
     covariance = np.zeros((len(rough), 8, 8))
-    for step in range(_PASSES):
+    moved = np.full(len(rough), np.inf)
+    for step in range(_MOST_PASSES):
         search = step == 0
         sides = _Sides(corners, intrinsics, cells, _FIND_BAND if search else _FIT_BAND)
         pixels = sides.pixels(gray)
         start = _find(pixels, sides) if search else np.zeros((len(blur), 2))
-        fit = fit_edges(pixels, start, blur, steps=6 if search else 3)
-        blur = fit.blur
+        spread = _BLUR_UNKNOWN if search else _BLUR_ALIKE
+        fit = fit_edges(pixels, start, blur, spread, steps=5 if search else 3)
+        blur = _common_blur(fit, sides)
         good &= _edges_ok(fit, pixels, sides)
         shift, covariance = sides.move_corners(fit)
-        good &= np.isfinite(shift).all(axis=(1, 2))
+        moved = np.abs(np.nan_to_num(shift, nan=np.inf)).max(axis=(1, 2))
+        good &= np.isfinite(moved)
         corners[good] += shift[good]
-        # The last pass only polishes: a fit that still wanders has not found an edge.
-        if step == _PASSES - 1:
-            good &= np.abs(np.nan_to_num(shift, nan=9.0)).max(axis=(1, 2)) < 0.15
         good &= np.abs(corners - rough).max(axis=(1, 2)) < np.maximum(3.0, 0.1 * sides.shortest)
         good &= _sides_ok(corners, gray)
         corners[~good] = rough[~good]
-    return [_result(corners[i], covariance[i], bool(good[i]), intrinsics) for i in range(len(rough))]
+        if step + 1 >= _LEAST_PASSES and (moved[good] < _STILL).all():
+            break
+    good &= moved < _RESTLESS
+    return [
+        _result(corners[i] if good[i] else rough[i], covariance[i], bool(good[i]), intrinsics)
+        for i in range(len(rough))
+    ]
 
 
 def _result(corners: Array, covariance: Array, good: bool, intrinsics: CameraIntrinsics) -> RefinedCorners:
@@ -142,6 +154,13 @@ def _edges_ok(fit: EdgeFit, pixels: EdgePixels, sides: _Sides) -> NDArray[np.boo
     ok &= fit.blur < 3.9
     ok &= pixels.weight.sum(axis=1) >= 24
     return np.asarray(ok.reshape(-1, 4).all(axis=1))
+
+
+def _common_blur(fit: EdgeFit, sides: _Sides) -> Array:
+    """(4m,) blur of each marker: the sides with a wide band know it, those with a narrow one need it."""
+    weight = (sides.band**4).reshape(-1, 4)
+    mean = (weight * np.log(fit.blur).reshape(-1, 4)).sum(axis=1) / weight.sum(axis=1)
+    return np.repeat(np.exp(mean), 4)
 
 
 def _find(pixels: EdgePixels, sides: _Sides) -> Array:
@@ -189,7 +208,8 @@ class _Sides:
         reach = curve[:, 0] - np.where(self.steep[:, None], centre[:, ::-1], centre)
         along = curve[:, -1] - curve[:, 0]
         height = 2 * np.abs(reach[:, 0] * along[:, 1] - reach[:, 1] * along[:, 0]) / np.maximum(length, 1e-9)
-        self.band = np.clip(_CELL_PART * height / cells, _LEAST_BAND, band)
+        self.cell = height / cells
+        self.band = np.clip(_CELL_PART * self.cell, _LEAST_BAND, band)
         self._cross_columns(curve, t, np.where(self.steep, centre[:, 0], centre[:, 1]), length)
         self._corner_normals(curve, m)
 
@@ -227,7 +247,7 @@ class _Sides:
 
     def pixels(self, gray: Image) -> EdgePixels:
         """The pixels of the band, as they are in the picture."""
-        reach = int(np.ceil(np.sqrt(2) * self.band.max())) + 1
+        reach = int((self.band[:, None] / self.cosine).max() + 0.5)
         rows = np.rint(self.cross)[:, :, None] + np.arange(-reach, reach + 1)
         columns = np.broadcast_to(self.columns[:, :, None], rows.shape)
         distance = (rows - self.cross[:, :, None]) * (self.cosine * self.sign[:, None])[:, :, None]
@@ -268,7 +288,10 @@ class _Sides:
             to_corner[:, 2 * k : 2 * k + 2, 2 * k] = inverse[:, k, :, 0]
             to_corner[:, 2 * k : 2 * k + 2, (2 * k - 1) % 8] = inverse[:, k, :, 1]
         ends = np.zeros((m, 8, 8))
-        per_side = fit.covariance.reshape(m, 4, 2, 2)
+        # Light of the next cell leaks over the border when that is hardly wider than the blur; the leak at
+        # one border width is the tail of a Gaussian.
+        leak = fit.blur * np.exp(-0.5 * (self.cell / fit.blur) ** 2)
+        per_side = (fit.covariance + np.eye(2) * (leak**2)[:, None, None]).reshape(m, 4, 2, 2)
         for k in range(4):
             ends[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = per_side[:, k]
         return shift, to_corner @ ends @ to_corner.transpose(0, 2, 1)
