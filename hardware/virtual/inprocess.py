@@ -15,8 +15,8 @@ from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, Parser, bui
 class SimBus:
     """Implements ``ServoBus`` on a ``VirtualBus``, usually on a ``VirtualClock``.
 
-    Every request still becomes a packet and every answer is parsed from bytes, so that faults of the wire and of
-    the servos show here as they do behind a port.  Requests take no time on the clock.
+    Every request still becomes a packet and every answer is parsed from bytes, so that faults of the
+    wire and of the servos show here as they do behind a port.  Requests take no time on the clock.
 
     Args:
         virtual_bus: The servos.

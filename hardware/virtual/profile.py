@@ -1,7 +1,7 @@
 """How a shaft gets to its goal: pieces of constant acceleration, known in closed form at any time.
 
-Positions are encoder ticks, velocities ticks/s, accelerations ticks/s^2.  Because a motion is a formula and not
-an integration, asking for the position often or rarely gives the same answer.
+Positions are encoder ticks, velocities ticks/s, accelerations ticks/s^2.  Because a motion is a formula
+and not an integration, asking for the position often or rarely gives the same answer.
 Source: ROBOTIS e-manual, "Profile Acceleration", "Profile Velocity" and "Moving Status" of the X series.
 """
 

@@ -1,9 +1,10 @@
 """One servo without a motor: its memory, its rules and where its shaft is at any time.
 
-What a register does follows the ROBOTIS e-manual (X series).  Where the manual is silent the choice is the less
-comfortable one for the host: Goal Position keeps its value while torque is off, so that switching torque on moves
-the shaft to a stale goal; a reboot forgets turns; a servo that has shut down takes Torque Enable = 1 without an
-error and does not obey.  There is no load: a shaft without torque stays where it is.
+What a register does follows the ROBOTIS e-manual (X series).  Where the manual is silent the choice is
+the less comfortable one for the host: Goal Position keeps its value while torque is off, so that
+switching torque on moves the shaft to a stale goal; a reboot forgets turns; a servo that has shut down
+takes Torque Enable = 1 without an error and does not obey.  There is no load: a shaft without torque
+stays where it is.
 """
 
 from __future__ import annotations
@@ -219,7 +220,7 @@ class VirtualServo:
         return ErrorCode.NONE
 
     def inject_error(self, name: str) -> None:
-        """Makes a hardware error happen, e.g. ``"overload"``; the Shutdown register says if torque goes off."""
+        """Makes a hardware error happen, e.g. ``"overload"``; Shutdown says whether torque goes off."""
         bit = 1 << {text: bit for bit, text in HARDWARE_ERRORS.items()}[name]
         self._update()
         self.memory.set("hardware_error_status", self.memory.get("hardware_error_status") | bit)

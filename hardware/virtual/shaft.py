@@ -30,7 +30,8 @@ _FOLLOWING_ERROR_TICKS = 50.0
 class Shaft:
     """The moving part of a servo.
 
-    ``reading = sign * encoder + homing offset + whole turns``; the encoder counts from where the servo was built.
+    ``reading = sign * encoder + homing offset + whole turns``; the encoder counts from where the servo
+    was built.
 
     Args:
         memory: Registers that say how to move and how to count.

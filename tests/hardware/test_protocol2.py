@@ -27,8 +27,8 @@ def _hex(text: str) -> bytes:
     return bytes.fromhex(text.replace(" ", ""))
 
 
-# Example packets of the e-manual's Protocol 2.0 page, and the (id, instruction, parameters) or (id, error, data)
-# they are made of.
+# Example packets of the e-manual's Protocol 2.0 page, and the (id, instruction, parameters) or (id,
+# error, data) they are made of.
 INSTRUCTIONS = {
     "ping": ((1, I.PING, ""), "FFFFFD00 01 0300 01 194E"),
     "broadcast ping": ((254, I.PING, ""), "FFFFFD00 FE 0300 01 3142"),

@@ -1,0 +1,198 @@
+"""The virtual bus behind a serial port that any program on this machine can open: a pseudo terminal.
+
+Where there is none (Windows) the bus is still there in process (``SimBus``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import logging
+import os
+import select
+import struct
+import sys
+import termios
+import threading
+import time
+import tty
+from pathlib import Path
+from types import TracebackType
+
+from robot_ik.errors import OutputError
+from robot_ik.hardware.virtual.bus import VirtualBus
+
+log = logging.getLogger(__name__)
+
+_CHUNK = 4096
+_BITS_PER_BYTE = 10  # 8N1: a start bit, eight of data, a stop bit
+_TCGETS2 = 0x802C542A  # Linux: struct termios2, which also knows rates without a B constant
+_TERMIOS2 = struct.Struct("4I20x2I")  # four flag words, line and control characters, two rates
+_RATES = {
+    getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
+}
+
+
+class PtyPort:
+    """Serves a virtual bus on a pty; a context manager.
+
+    The thread sleeps in ``select`` until bytes come, so an idle port costs nothing.  A client may close
+    and another open the port at any time; while this object lives the port stays.
+
+    Args:
+        bus: The servos.
+        link: Also make this symbolic link to the port: a name that stays the same from run to run.
+        match_baud: Servos hear only a client whose rate is theirs; without, any rate does.
+        wire_baud: Take as long as the bytes of request and answer take at this rate; 0: no time at all.
+        latency_ms: Answers come so much later, as from a USB adapter.
+
+    Attributes:
+        path: Of the port, e.g. ``/dev/pts/7``.
+        link: As given, or ``None``.
+
+    Raises:
+        OutputError: ``link`` exists and is not a symbolic link, or cannot be made.
+    """
+
+    def __init__(
+        self,
+        bus: VirtualBus,
+        link: Path | str | None = None,
+        *,
+        match_baud: bool = False,
+        wire_baud: int = 0,
+        latency_ms: float = 0.0,
+    ) -> None:
+        self.bus = bus
+        self.link = Path(link) if link is not None else None
+        self._match_baud = match_baud
+        self._wire_baud = wire_baud
+        self._latency = latency_ms / 1000.0
+        self._closed = threading.Event()
+        self._master, self._slave = os.openpty()
+        self._wake_reader, self._wake_writer = os.pipe()
+        try:
+            # Raw before anyone opens it: else the line discipline echoes and swallows bytes.
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            self.path = os.ttyname(self._slave)
+            if self.link is not None:
+                _make_link(self.link, self.path)
+        except BaseException:
+            self._close_files()
+            raise
+        self._thread = threading.Thread(target=self._serve, name=f"virtual bus {self.path}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Takes the port away, as pulling the cable does; may be called any number of times."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        os.write(self._wake_writer, b"x")
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+        if self.link is not None:
+            _remove_link(self.link, self.path)
+        self._close_files()
+
+    def __enter__(self) -> PtyPort:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def client_baud(self) -> int:
+        """Bits/s the client has set the port to; 0 if it cannot be told."""
+        return _baud_of(self._master)
+
+    def _close_files(self) -> None:
+        for handle in (self._master, self._slave, self._wake_reader, self._wake_writer):
+            with contextlib.suppress(OSError):
+                os.close(handle)
+
+    def _serve(self) -> None:
+        """The thread: bytes to the bus, answers back, until closed."""
+        while not self._closed.is_set():
+            ready, _, _ = select.select([self._master, self._wake_reader], [], [])
+            if self._master not in ready:
+                continue
+            arrived = time.monotonic()
+            try:
+                data = os.read(self._master, _CHUNK)
+            except OSError as error:
+                if error.errno in (errno.EAGAIN, errno.EINTR):
+                    continue
+                log.warning("virtual bus on %s: the port went away: %s", self.path, error)
+                return
+            try:
+                reply = self.bus.handle(data, self.client_baud() if self._match_baud else None)
+            except Exception:
+                # A mistake in a servo must not look like a dead cable.
+                log.exception("virtual bus on %s failed on %s", self.path, data.hex(" "))
+                continue
+            self._pace(arrived, len(data), len(reply))
+            self._send(reply)
+
+    def _pace(self, arrived: float, received: int, sent: int) -> None:
+        """Waits until the last byte of the answer would have come over the wire."""
+        seconds = self._latency if sent else 0.0
+        if self._wire_baud:
+            seconds += (received + sent) * _BITS_PER_BYTE / self._wire_baud
+        if seconds > 0.0:
+            # Not a sleep: closing must not wait for it.
+            self._closed.wait(max(0.0, arrived + seconds - time.monotonic()))
+
+    def _send(self, reply: bytes) -> None:
+        """Bytes that nobody reads are lost, as on a wire; a full buffer must not stop the bus."""
+        try:
+            while reply and not self._closed.is_set():
+                reply = reply[os.write(self._master, reply) :]
+        except BlockingIOError:
+            log.debug("virtual bus on %s: nobody reads, %d bytes lost", self.path, len(reply))
+        except OSError as error:
+            log.debug("virtual bus on %s: %s", self.path, error)
+
+
+def _baud_of(handle: int) -> int:
+    """Rate a terminal is set to, bits/s; 0 if it cannot be told."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            raw = fcntl.ioctl(handle, _TCGETS2, bytes(_TERMIOS2.size))
+            return int(_TERMIOS2.unpack(raw)[-1])
+    try:
+        speed: int = termios.tcgetattr(handle)[5]
+    except termios.error:
+        return 0
+    return int(_RATES.get(speed, speed))
+
+
+def _make_link(link: Path, path: str) -> None:
+    """Makes or replaces a symbolic link in one step, so that a client finds the old one or the new one.
+
+    Raises:
+        OutputError: Something else has this name, or the folder is not writable.
+    """
+    if os.path.lexists(link) and not link.is_symlink():
+        raise OutputError(
+            f"{link} exists and is not a symbolic link; it stays as it is", hint="choose another --link"
+        )
+    fresh = link.with_name(f".{link.name}.{os.getpid()}.{threading.get_ident()}")
+    try:
+        os.symlink(path, fresh)
+        os.replace(fresh, link)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise OutputError(
+            f"the link {link} cannot be made: {error}", hint="is its folder writable?"
+        ) from error
+
+
+def _remove_link(link: Path, path: str) -> None:
+    """Removes a link unless another port has taken it over."""
+    with contextlib.suppress(OSError):
+        if os.readlink(link) == path:
+            link.unlink()
