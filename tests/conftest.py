@@ -85,7 +85,7 @@ def require() -> Require:
     """``require("xvfb")`` for a test that cannot do without; gives what was found.
 
     That is the path of Xvfb or of the browser, the MUJOCO_GL that works off-screen, the version of OpenCV.
-    ``reason`` says what it is needed for; ``present`` replaces the look at the machine by the test's own.
+    A test that has looked for itself says so with ``present`` and says what is missing with ``reason``.
     """
 
     def require(name: str, reason: str = "", *, present: bool | None = None) -> str:
@@ -94,7 +94,7 @@ def require() -> Require:
         found = _find(name) if present is None else "yes" if present else None
         if found is not None:
             return found
-        message = f"needs {name}: {PROBES[name][1]}" + (f" ({reason})" if reason else "")
+        message = f"needs {name}: {reason or PROBES[name][1]}"
         if name in _demanded():
             pytest.fail(f"{message}; {DEMANDED} demands it", pytrace=False)
         pytest.skip(message)
