@@ -205,7 +205,7 @@ def paint_marker(
         return None
     x, y = np.arange(box[0], box[2], dtype=float), np.arange(box[1], box[3], dtype=float)
     plane = _Plane(pose_camera_marker, size, sheet.cells)
-    centre = field.grid(x, y)
+    centre = field.box(*box)
     u, v, depth = plane.map(centre)
     half_u, half_v = (0.5 * np.hypot(*np.gradient(c)) for c in (u, v))
     usable = np.isfinite(u + v + half_u + half_v)

@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 # Colours as BGR reflectance.
-_WOOD_LIGHT, _WOOD_DARK = np.array([0.34, 0.50, 0.68]), np.array([0.21, 0.34, 0.50])
+_WOOD_LIGHT, _WOOD_DARK = np.array([0.46, 0.62, 0.77]), np.array([0.29, 0.43, 0.58])
 _LEG = np.array([0.20, 0.19, 0.18])
-_FLOOR = np.array([0.52, 0.50, 0.48])
-_BACKDROP_LOW, _BACKDROP_HIGH = np.array([0.58, 0.555, 0.53]), np.array([0.80, 0.765, 0.72])
+_FLOOR = np.array([0.66, 0.645, 0.625])
+_BACKDROP_LOW, _BACKDROP_HIGH = np.array([0.70, 0.685, 0.665]), np.array([0.90, 0.875, 0.845])
 # The floor fades into the backdrop between these distances from the subject, metres.
 _FADE = (1.6, 4.2)
 _TABLE_THICKNESS = 0.03
@@ -71,7 +71,7 @@ class Lights:
     lamp_radius: float
     ceiling: Array
     ceiling_radius: float
-    strength: tuple[float, float, float, float] = (0.48, 0.24, 0.34, 0.20)
+    strength: tuple[float, float, float, float] = (0.45, 0.22, 0.36, 0.31)
 
     @classmethod
     def beside(cls, pose_world_camera: Pose, distance: float) -> Lights:
@@ -234,6 +234,8 @@ class Stage:
     def _coarse(self, stride: int) -> tuple[Array, tuple[int, int]]:
         """Rays (n, 2) at the centres of blocks of ``stride`` pixels, and the (rows, columns) of blocks."""
         w, h = self._field.intrinsics.size
+        if stride == 1:
+            return self._field.box(0, 0, w, h).reshape(-1, 2), (h, w)
         columns, rows = -(-w // stride), -(-h // stride)
         x, y = ((np.arange(n) + 0.5) * stride - 0.5 for n in (columns, rows))
         return self._field.grid(x, y).reshape(-1, 2), (rows, columns)
