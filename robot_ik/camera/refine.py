@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 # Corners straight from the detector scatter by 0.8 px (measured on the standard set, all distances).
 DETECTOR_SIGMA = 0.85
 # What a perfect fit still leaves: print, paper, pixel response.
-_LEAST_SIGMA = 0.015
+_LEAST_SIGMA = 0.01
 # Pixels per edge are limited by taking at most this many columns (or rows) across it.
 _COLUMNS = 64
 # Places along an edge at which its bent curve is computed; in between it is straight enough.
@@ -64,7 +64,9 @@ class RefinedCorners:
     refined: bool
 
 
-def unrefined(corners: ArrayLike, intrinsics: CameraIntrinsics, sigma: float = DETECTOR_SIGMA) -> RefinedCorners:
+def unrefined(
+    corners: ArrayLike, intrinsics: CameraIntrinsics, sigma: float = DETECTOR_SIGMA
+) -> RefinedCorners:
     """Corners (4, 2) in distorted pixels taken as they are, with the standard deviation ``sigma`` in px."""
     pixels = np.array(corners, dtype=float).reshape(4, 2)
     return RefinedCorners(pixels, intrinsics.undistort(pixels), np.eye(8) * sigma**2, sigma, False)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.opencv import marker_bits
+from robot_ik.camera.pose import marker_points
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
@@ -71,12 +72,6 @@ class MarkerView:
     tilt: float
 
 
-def square_points(size: float) -> Array:
-    """Corners (4, 3) of a marker in its own frame, metres: (-,+) (+,+) (+,-) (-,-), as detectors give them."""
-    h = 0.5 * size
-    return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-
-
 @lru_cache(maxsize=2)
 def _undistorted_grid(camera: CameraIntrinsics) -> tuple[Array, Array]:
     """Undistorted coordinates (h, w, 2) of all pixel centres and their derivative (h, w, 2, 2) by pixels."""
@@ -120,7 +115,7 @@ def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: Look) -> Arr
 
 
 def _paper_box(camera: CameraIntrinsics, pose: Pose, size: float) -> tuple[int, int, int, int]:
-    outline = camera.project(pose.apply(square_points(size * (1 + 2 * _PAPER_MARGIN) * 1.02)))
+    outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN) * 1.02)))
     low = np.floor(outline.min(axis=0)).astype(int) - 2
     high = np.ceil(outline.max(axis=0)).astype(int) + 3
     return max(low[0], 0), max(low[1], 0), min(high[0], camera.width), min(high[1], camera.height)
@@ -177,7 +172,7 @@ def random_pose(
     size: float = STANDARD_SIZE,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
 ) -> tuple[Pose, float]:
-    """Random ``pose_camera_marker`` at depth ``distance`` with all of its paper in view, and its tilt in rad."""
+    """Random ``pose_camera_marker`` at depth ``distance``, all of its paper in view; and its tilt in rad."""
     margin = 4.0
     while True:
         tilt = np.deg2rad(rng.uniform(*tilt_deg))
@@ -192,7 +187,7 @@ def random_pose(
         lean = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
         turn = facing.compose(lean).compose(Pose(wxyz=rotation_exp([0.0, 0.0, roll])))
         pose = Pose(position, turn.wxyz)
-        outline = camera.project(pose.apply(square_points(size * (1 + 2 * _PAPER_MARGIN))))
+        outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN))))
         if (outline > margin).all() and (outline < np.array(camera.size) - 1 - margin).all():
             return pose, float(tilt)
 
@@ -215,7 +210,9 @@ def standard_set(
         distance: Depth of the marker's centre in metres; the set has 0.3, 0.6 and 1.0.
         count: Number of pictures.
         seed: Of the random generator.
-        dictionary, marker_id, size: The marker; size in metres.
+        dictionary: Of the marker.
+        marker_id: Of the marker.
+        size: Side of the black square, metres.
         camera: The optics.
         look: Blur, noise, light.
         tilt_deg: Range of tilts in degrees.
@@ -226,4 +223,4 @@ def standard_set(
         image = render_marker(
             camera, pose, rng, size=size, dictionary=dictionary, marker_id=marker_id, look=look
         )
-        yield MarkerView(image, camera.project(pose.apply(square_points(size))), pose, tilt)
+        yield MarkerView(image, camera.project(pose.apply(marker_points(size))), pose, tilt)
