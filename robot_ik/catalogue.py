@@ -1,0 +1,220 @@
+"""The robots that ship, and ``robot.toml``: what a model file cannot say."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from robot_ik.errors import ConfigError, UnknownRobotError, close_matches
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Tool(_Table):
+    """A named end-effector frame: a site or a body of the model."""
+
+    site: str | None = None
+    body: str | None = None
+    about: str = ""
+
+
+class Marker(_Table):
+    """A printed marker lying in the world, z up out of the paper."""
+
+    id: int
+    dictionary: str = "DICT_5X5_50"
+    size: float
+    position: tuple[float, float, float]
+    yaw_deg: float = 0.0
+
+
+class Table(_Table):
+    """A table top: its height and extent in the world, metres."""
+
+    height: float
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
+class CameraPlace(_Table):
+    """A camera: where it stands, what it looks at, and its optics (pixels)."""
+
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+    width: int = 1280
+    height: int = 720
+    focal: float = 1100.0
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class ToolMarker(_Table):
+    """Four markers on the sides of a cube that the gripper carries."""
+
+    ids: tuple[int, ...]
+    size: float
+    cube: float
+    site: str
+
+
+class ReachScene(_Table):
+    """The scene of ``robot-ik reach`` for this robot."""
+
+    marker: Marker
+    hover: float
+    table: Table | None = None
+    camera: CameraPlace
+    tool_marker: ToolMarker
+
+
+class _Motion(_Table):
+    velocity_deg: tuple[float, ...] | None = None
+    acceleration_deg: tuple[float, ...] | None = None
+
+
+class _Provenance(_Table):
+    sources: tuple[str, ...] = ()
+
+
+class _File(_Table):
+    schema_: Literal[1]
+    title: str
+    model: str
+    tool: str | None = None
+    solver: str | None = None
+    home: str | tuple[float, ...] | None = None
+    tools: dict[str, Tool] = {}
+    groups: dict[str, tuple[str, ...]] = {}
+    motion: _Motion = _Motion()
+    stiffness: dict[str, float] = {}
+    reach: ReachScene | None = None
+    provenance: _Provenance = _Provenance()
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """What ``robot.toml`` says; for a bare model file everything but the name is empty.
+
+    Attributes:
+        velocity, acceleration: Per joint, rad/s and rad/s² (m for slides).
+    """
+
+    name: str
+    path: Path | None = None
+    title: str = ""
+    tool: str | None = None
+    solver: str | None = None
+    home: str | tuple[float, ...] | None = None
+    tools: Mapping[str, Tool] = field(default_factory=dict)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    velocity: Mapping[str, float] = field(default_factory=dict)
+    acceleration: Mapping[str, float] = field(default_factory=dict)
+    stiffness: Mapping[str, float] = field(default_factory=dict)
+    reach: ReachScene | None = None
+    sources: tuple[str, ...] = ()
+
+
+def catalogue() -> dict[str, Path]:
+    """Folder of every robot that ships, by name."""
+    root = Path(str(resources.files("robot_ik.models")))
+    return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "robot.toml").is_file()}
+
+
+def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
+    """Model file and contents of a ``robot.toml``.
+
+    Raises:
+        ConfigError: With file, key and what is allowed.
+    """
+    try:
+        raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot be read: {error}", file=path) from error
+    if "schema" in raw:
+        raw["schema_"] = raw.pop("schema")
+    try:
+        parsed = _File.model_validate(raw)
+    except ValidationError as error:
+        raise _config_error(path, error) from error
+    order = parsed.groups.get("arm", ())
+    return path.parent / parsed.model, RobotFile(
+        name=path.parent.name,
+        path=path,
+        title=parsed.title,
+        tool=parsed.tool,
+        solver=parsed.solver,
+        home=parsed.home,
+        tools=parsed.tools,
+        groups=parsed.groups,
+        velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
+        acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
+        stiffness=parsed.stiffness,
+        reach=parsed.reach,
+        sources=parsed.provenance.sources,
+    )
+
+
+def _per_joint(
+    path: Path, key: str, values: tuple[float, ...] | None, joints: tuple[str, ...]
+) -> dict[str, float]:
+    if values is None:
+        return {}
+    if len(values) != len(joints) or not all(v > 0 for v in values):
+        raise ConfigError(
+            f"{len(values)} numbers for {len(joints)} joints",
+            file=path, key=key, allowed="one positive number, deg/s or deg/s², for each joint of groups.arm",
+        )  # fmt: skip
+    return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
+
+
+def _config_error(path: Path, error: ValidationError) -> ConfigError:
+    first = error.errors()[0]
+    key = ".".join("schema" if part == "schema_" else str(part) for part in first["loc"])
+    problem, allowed = str(first["msg"]), ""
+    if first["type"] == "extra_forbidden":
+        table: Any = _File
+        for part in first["loc"][:-1]:
+            annotation = table.model_fields[str(part)].annotation if hasattr(table, "model_fields") else None
+            table = next((a for a in getattr(annotation, "__args__", [annotation]) if hasattr(a, "model_fields")), None)
+        known = ["schema" if n == "schema_" else n for n in table.model_fields] if table else []
+        close = close_matches(str(first["loc"][-1]), known)
+        problem = "unknown key" + (f" (did you mean {close[0]!r}?)" if close else "")
+        allowed = ", ".join(known)
+    return ConfigError(problem, file=path, key=key, allowed=allowed)
+
+
+def find_robot(name: str | Path) -> tuple[Path, RobotFile]:
+    """Model file and ``robot.toml`` contents for a catalogue name or a path.
+
+    A ``robot.toml`` beside a model file counts when it names that file.
+
+    Raises:
+        UnknownRobotError: Neither a name of the catalogue nor an existing file.
+        ConfigError: Its ``robot.toml`` is wrong.
+    """
+    known = catalogue()
+    if str(name) in known:
+        return read_robot_file(known[str(name)] / "robot.toml")
+    path = Path(name).expanduser()
+    if path.is_dir() and (path / "robot.toml").is_file():
+        return read_robot_file(path / "robot.toml")
+    if not path.is_file():
+        raise UnknownRobotError(
+            str(name), known, hint="a robot is a name of the catalogue or the path of an MJCF or URDF file"
+        )
+    if path.name == "robot.toml":
+        return read_robot_file(path)
+    path = path.resolve()
+    if (path.parent / "robot.toml").is_file():
+        model, file = read_robot_file(path.parent / "robot.toml")
+        if model.resolve() == path:
+            return path, file
+    return path, RobotFile(name=path.stem)

@@ -1,0 +1,218 @@
+"""Forward kinematics, geometric Jacobian and integration on a ``Tree``; equal to MuJoCo's to 1e-12.
+
+``mj_kinematics`` and ``mj_jac`` are the judges in the tests.  Poses are rows of twelve numbers
+(position, rotation row by row); see ``tree.py`` for the arrays.
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
+
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+
+
+@pure
+def quat_rotation(q, a, out, o):
+    """Rotation matrix of the quaternion q[a:a+4] (normalised here) into out[o, 3:12]."""
+    w, x, y, z = q[a], q[a + 1], q[a + 2], q[a + 3]
+    s = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * s, x * s, y * s, z * s
+    out[o, 3] = 1 - 2 * (y * y + z * z)
+    out[o, 4] = 2 * (x * y - w * z)
+    out[o, 5] = 2 * (x * z + w * y)
+    out[o, 6] = 2 * (x * y + w * z)
+    out[o, 7] = 1 - 2 * (x * x + z * z)
+    out[o, 8] = 2 * (y * z - w * x)
+    out[o, 9] = 2 * (x * z - w * y)
+    out[o, 10] = 2 * (y * z + w * x)
+    out[o, 11] = 1 - 2 * (x * x + y * y)
+
+
+@pure
+def compose(a, i, b, j, out, o):
+    """out[o] = a[i] · b[j] for tables of pose rows (n, 12); out[o] must be neither of them.
+
+    Tables and row numbers instead of rows: a row would be an array object, counted at each use.
+    """
+    b0, b1, b2 = b[j, 0], b[j, 1], b[j, 2]
+    b3, b4, b5 = b[j, 3], b[j, 4], b[j, 5]
+    b6, b7, b8 = b[j, 6], b[j, 7], b[j, 8]
+    b9, b10, b11 = b[j, 9], b[j, 10], b[j, 11]
+    for k in range(3):
+        r0, r1, r2 = a[i, 3 + 3 * k], a[i, 4 + 3 * k], a[i, 5 + 3 * k]
+        out[o, k] = a[i, k] + r0 * b0 + r1 * b1 + r2 * b2
+        out[o, 3 + 3 * k] = r0 * b3 + r1 * b6 + r2 * b9
+        out[o, 4 + 3 * k] = r0 * b4 + r1 * b7 + r2 * b10
+        out[o, 5 + 3 * k] = r0 * b5 + r1 * b8 + r2 * b11
+
+
+@outlined
+def forward(kind, parent, qadr, constant, nodes, q, world, scratch):
+    """Poses in the world of the listed ``nodes`` (parents before children) into ``world`` (n, 12)."""
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        a = qadr[k]
+        joint = kind[k]
+        if joint == FREE:
+            world[k, 0], world[k, 1], world[k, 2] = q[a], q[a + 1], q[a + 2]
+            quat_rotation(q, a + 3, world, k)
+            continue
+        p = parent[k]
+        if p >= 0:
+            compose(world, p, constant, k, world, k)
+        else:
+            for i in range(12):
+                world[k, i] = constant[k, i]
+        if joint == HINGE:
+            c, s = math.cos(q[a]), math.sin(q[a])
+            for i in range(3, 12, 3):
+                x, y = world[k, i], world[k, i + 1]
+                world[k, i] = c * x + s * y
+                world[k, i + 1] = c * y - s * x
+        elif joint == SLIDE:
+            for i in range(3):
+                world[k, i] += world[k, 5 + 3 * i] * q[a]
+        elif joint == BALL:
+            for i in range(12):
+                scratch[0, i] = world[k, i]
+            scratch[1, 0] = scratch[1, 1] = scratch[1, 2] = 0.0
+            quat_rotation(q, a, scratch, 1)
+            compose(scratch, 0, scratch, 1, world, k)
+
+
+@pure
+def frame_pose(world, node, local, index, out):
+    """Pose of a frame fixed to ``node`` (-1: the world) at local[index] into out[index]."""
+    if node >= 0:
+        compose(world, node, local, index, out, index)
+    else:
+        for i in range(12):
+            out[index, i] = local[index, i]
+
+
+@pure
+def dof_axis(kind, world, node, index):
+    """World axis x, y, z of the ``index``-th degree of freedom of ``node``, and whether it is a turn."""
+    joint = kind[node]
+    if joint == FREE and index < 3:
+        return (
+            1.0 if index == 0 else 0.0,
+            1.0 if index == 1 else 0.0,
+            1.0 if index == 2 else 0.0,
+            False,
+        )
+    column = 2 if joint == HINGE or joint == SLIDE else index % 3
+    return world[node, 3 + column], world[node, 6 + column], world[node, 9 + column], joint != SLIDE
+
+
+@pure
+def point_velocity(world, node, ax, ay, az, turn, px, py, pz):
+    """Velocity of a point per unit of a degree of freedom with that axis."""
+    if not turn:
+        return ax, ay, az
+    dx, dy, dz = px - world[node, 0], py - world[node, 1], pz - world[node, 2]
+    return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+
+
+@outlined
+def turn_quat(q, a, x, y, z):
+    """q[a:a+4] = q · exp((x, y, z)), normalised: a rotation vector in the body's own axes."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    s = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
+    bw, bx, by, bz = math.cos(0.5 * angle), s * x, s * y, s * z
+    aw, ax, ay, az = q[a], q[a + 1], q[a + 2], q[a + 3]
+    w = aw * bw - ax * bx - ay * by - az * bz
+    i = aw * bx + ax * bw + ay * bz - az * by
+    j = aw * by - ax * bz + ay * bw + az * bx
+    k = aw * bz + ax * by - ay * bx + az * bw
+    n = 1.0 / math.sqrt(w * w + i * i + j * j + k * k)
+    q[a], q[a + 1], q[a + 2], q[a + 3] = w * n, i * n, j * n, k * n
+
+
+@outlined
+def integrate(kind, qadr, vadr, nodes, q, dq):
+    """q = q ⊕ dq for the listed nodes, in place; the conventions of ``mj_integratePos``."""
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        a, v = qadr[k], vadr[k]
+        joint = kind[k]
+        if joint == HINGE or joint == SLIDE:
+            q[a] += dq[v]
+        elif joint == BALL:
+            turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+        else:
+            for i in range(3):
+                q[a + i] += dq[v + i]
+            turn_quat(q, a + 3, dq[v + 3], dq[v + 4], dq[v + 5])
+
+
+@outlined
+def clip(kind, qadr, vadr, lower, upper, nodes, q):
+    """Puts q of the listed nodes inside the limits, in place; returns how many joints were outside."""
+    moved = 0
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        a, v = qadr[k], vadr[k]
+        joint = kind[k]
+        if joint == HINGE or joint == SLIDE:
+            if q[a] < lower[v]:
+                q[a] = lower[v]
+                moved += 1
+            elif q[a] > upper[v]:
+                q[a] = upper[v]
+                moved += 1
+        elif joint == BALL and upper[v] < math.pi:
+            n = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
+            angle = 2.0 * math.atan2(n, abs(q[a]))
+            if angle > upper[v]:
+                sign = 1.0 if q[a] >= 0.0 else -1.0
+                s = sign * math.sin(0.5 * upper[v]) / n
+                q[a] = math.cos(0.5 * upper[v])
+                for i in range(1, 4):
+                    q[a + i] *= s
+                moved += 1
+    return moved
+
+
+@kernel
+def tree_integrate(tree, nodes, q, dq):
+    """``integrate`` for a compiled tree."""
+    integrate(tree.kind, tree.qadr, tree.vadr, nodes, q, dq)
+
+
+@kernel
+def tree_clip(tree, nodes, q):
+    """``clip`` for a compiled tree."""
+    return clip(tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper, nodes, q)
+
+
+@kernel
+def tree_forward(tree, nodes, q, world, scratch):
+    """``forward`` for a compiled tree: fills ``world`` (n, 12)."""
+    forward(tree.kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
+
+
+@kernel
+def tree_frame(tree, nodes, node, local, q, world, scratch, out):
+    """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
+    forward(tree.kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
+    frame_pose(world, node, local, 0, out)
+
+
+@kernel
+def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
+    """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
+    kind, vadr, dof_node = tree.kind, tree.vadr, tree.dof_node
+    forward(kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
+    frame_pose(world, node, local, 0, out)
+    jacobian[:, :] = 0.0
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        v = vadr[k]
+        while v < dof_node.shape[0] and dof_node[v] == k:
+            x, y, z, turn = dof_axis(kind, world, k, v - vadr[k])
+            vx, vy, vz = point_velocity(world, k, x, y, z, turn, out[0, 0], out[0, 1], out[0, 2])
+            jacobian[0, v], jacobian[1, v], jacobian[2, v] = vx, vy, vz
+            if turn:
+                jacobian[3, v], jacobian[4, v], jacobian[5, v] = x, y, z
+            v += 1

@@ -1,0 +1,407 @@
+"""``Robot``: an immutable description of what moves, read from MJCF, URDF or the catalogue.
+
+``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
+shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
+frame's origin.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.catalogue import RobotFile, find_robot
+from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError, UnsupportedJointError
+from robot_ik.geometry import Pose
+from robot_ik.kernels import kinematics
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, Tree, build_tree, pose_row, row_pose
+
+Array = NDArray[np.float64]
+
+# Motion limits of a joint whose robot.toml names none: slow enough to watch.
+_DEFAULT_SPEED = {HINGE: 1.5, SLIDE: 0.25, BALL: 1.5, FREE: 0.5}  # rad/s or m/s
+_SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
+# Site and body names that people give to the end of an arm, tried in this order.
+_TOOL_NAMES = (
+    "gripper", "tool", "tcp", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange", "tip",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A named frame: rigidly fixed to a body of the model at ``local``."""
+
+    name: str
+    body: int
+    local: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """What a robot is.  Made by ``load_robot``; never changes.
+
+    Attributes:
+        name: Catalogue name, or the file's stem.
+        path: The model file.
+        model: MuJoCo's model; treat as read-only.
+        joints: Names of the active joints, in declared order.
+        lower, upper: (nv,) limits, rad or m; ±inf where unlimited; a ball joint has its cone angle.
+        velocity, acceleration: (nv,) limits of motion, rad/s and rad/s² (m for slides).
+        home: (nq,) where the robot rests.
+        tool: Name of the default frame.
+        tree: The same kinematics compiled.
+        file: What ``robot.toml`` says beyond the model.
+    """
+
+    name: str
+    path: Path
+    model: mujoco.MjModel
+    tree: Tree
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    home: Array
+    tool: str
+    frozen_qpos: Array
+    file: RobotFile
+    _frames: dict[str, Frame] = field(repr=False)
+
+    @property
+    def nq(self) -> int:
+        """Numbers in ``q``."""
+        return self.tree.nq
+
+    @property
+    def nv(self) -> int:
+        """Degrees of freedom: numbers in ``dq``."""
+        return self.tree.nv
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the model file."""
+        return self.path.parent
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames: tools first, then sites and bodies."""
+        return tuple(self._frames)
+
+    @property
+    def arm_file(self) -> Path | None:
+        """``arm.toml`` beside the model (servo ids, signs, zeros), if there is one."""
+        file = self.folder / "arm.toml"
+        return file if file.is_file() else None
+
+    def frame(self, name: str | None = None) -> Frame:
+        """The frame of that name (default: the tool).
+
+        Raises:
+            UnknownFrameError: With the close names.
+        """
+        try:
+            return self._frames[self.tool if name is None else name]
+        except KeyError:
+            raise UnknownFrameError(str(name), self._frames) from None
+
+    def check_q(self, q: ArrayLike, what: str = "q") -> Array:
+        """``q`` as a float array (nq,).
+
+        Raises:
+            ModelError: Wrong length, or a number that is not finite.
+        """
+        array = np.asarray(q, dtype=float)
+        if array.shape != (self.nq,):
+            raise ModelError(
+                f"{what} must have shape ({self.nq},), not {array.shape}",
+                hint=f"{self.name} has these active joints: {', '.join(self.joints)}",
+            )
+        if not np.isfinite(array).all():
+            raise ModelError(f"{what} must be finite, not {array.tolist()}")
+        return array
+
+    def attachment(self, frame: str | None = None) -> tuple[int, Array]:
+        """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,)."""
+        at = self.frame(frame)
+        body = self.tree.bodies[at.body]
+        return body.node, pose_row(body.local.compose(at.local))
+
+    def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
+        """Pose of a frame (default: the tool) in the world at ``q`` (nq,).
+
+        Raises:
+            UnknownFrameError, ModelError: Unknown frame; q of the wrong shape or not finite.
+        """
+        node, local = self.attachment(frame)
+        nodes, world, scratch = self._work(node)
+        out = np.empty((1, 12))
+        kinematics.tree_frame(
+            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out
+        )
+        return row_pose(out[0])
+
+    def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
+        node, local = self.attachment(frame)
+        nodes, world, scratch = self._work(node)
+        out, jacobian = np.empty((1, 12)), np.empty((6, self.nv))
+        kinematics.tree_jacobian(
+            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out, jacobian
+        )
+        return jacobian
+
+    def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
+        """Pose of a frame by MuJoCo's own forward pass: the independent judge of every solution."""
+        at = self.frame(frame)
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.qpos(q)
+        mujoco.mj_kinematics(self.model, data)
+        return Pose(data.xpos[at.body], data.xquat[at.body]).compose(at.local)
+
+    def qpos(self, q: ArrayLike) -> Array:
+        """(model.nq,): ``q`` at its places, the frozen joints where they stand."""
+        qpos = self.frozen_qpos.copy()
+        qpos[self._addresses] = self.check_q(q)
+        return qpos
+
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``)."""
+        moved = self.check_q(q).copy()
+        step = np.asarray(dq, dtype=float).reshape(self.nv)
+        kinematics.tree_integrate(self.tree.handle, np.arange(self.tree.size), moved, step)
+        return moved
+
+    def clip(self, q: ArrayLike) -> Array:
+        """The nearest q (nq,) inside the limits, joint by joint."""
+        inside = self.check_q(q).copy()
+        kinematics.tree_clip(self.tree.handle, np.arange(self.tree.size), inside)
+        return inside
+
+    def outside(self, q: ArrayLike, slack: float = 1e-9) -> list[str]:
+        """Names of joints beyond their limits by more than ``slack`` (rad or m)."""
+        q = self.check_q(q)
+        gone = np.abs(self.clip(q) - q)
+        tree, names = self.tree, []
+        for k, joint in enumerate(self.joints):
+            width = {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}[int(tree.kind[k])]
+            if gone[tree.qadr[k] : tree.qadr[k] + width].max() > slack:
+                names.append(joint)
+        return names
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
+        tree, q = self.tree, self.home.copy()
+        for k in range(tree.size):
+            a, v = int(tree.qadr[k]), int(tree.vadr[k])
+            if tree.kind[k] in (HINGE, SLIDE):
+                q[a] = rng.uniform(tree.low[v], tree.high[v])
+                continue
+            if tree.kind[k] == FREE:
+                q[a : a + 3] = self.home[a : a + 3] + rng.uniform(-1.0, 1.0, 3)
+                a, v = a + 3, v + 3
+            axis = rng.normal(size=3)
+            half = 0.5 * rng.uniform(0.0, min(float(tree.high[v]), np.pi))
+            q[a] = np.cos(half)
+            q[a + 1 : a + 4] = axis / np.linalg.norm(axis) * np.sin(half)
+        return q
+
+    def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
+        """The same robot inside the intersection of its limits and these (nv,).
+
+        Raises:
+            ModelError: No room is left for some joint.
+        """
+        low = np.maximum(self.lower, np.asarray(lower, dtype=float))
+        high = np.minimum(self.upper, np.asarray(upper, dtype=float))
+        for v in range(self.nv):
+            if low[v] > high[v]:
+                joint = self.joints[int(np.searchsorted(self.tree.vadr, v, side="right")) - 1]
+                raise ModelError(
+                    f"no room is left for joint {joint!r}: "
+                    f"the model allows {self.lower[v]:.4f} … {self.upper[v]:.4f}, "
+                    f"the other side {np.asarray(lower)[v]:.4f} … {np.asarray(upper)[v]:.4f}",
+                    hint="check sign, zero and range of the joint in the arm file",
+                )
+        tree = self.tree.with_limits(low, high)
+        return dataclasses.replace(self, tree=tree, lower=low, upper=high)
+
+    def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
+        """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
+
+        The centre is the anchor of the first joint; the radius adds up all offsets after it, slides at
+        their longest.  None where the base floats or a slide is unlimited.
+        """
+        node, local = self.attachment(frame)
+        chain = self.tree.ancestors(node)
+        if not chain or self.tree.kind[chain[0]] in (FREE, SLIDE):
+            return None
+        radius = float(np.linalg.norm(local[:3]))
+        for k in chain[1:]:
+            radius += float(np.linalg.norm(self.tree.constant[k, :3]))
+            if self.tree.kind[k] == SLIDE:
+                v = self.tree.vadr[k]
+                radius += float(np.max(np.abs([self.lower[v], self.upper[v]])))
+        return (self.tree.constant[chain[0], :3].copy(), radius) if np.isfinite(radius) else None
+
+    def _work(self, node: int) -> tuple[NDArray[np.int64], Array, Array]:
+        nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
+        return nodes, np.empty((self.tree.size, 12)), np.empty((2, 12))
+
+    @property
+    def _addresses(self) -> NDArray[np.int64]:
+        model, found = self.model, []
+        for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
+            start = int(model.jnt_qposadr[joint])
+            found += range(start, start + {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}[int(kind)])
+        return np.array(found, dtype=np.int64)
+
+
+def load_robot(
+    name: str | Path, *, joints: Sequence[str] | str | None = None, tool: str | None = None
+) -> Robot:
+    """Loads a robot by catalogue name, or any MJCF or MuJoCo-readable URDF by path.
+
+    Args:
+        name: ``"puma560"``, or the path of a model file or of a folder with a ``robot.toml``.
+        joints: Names of the joints that may move, or the name of a joint group; the rest are frozen at
+            home.  Default: the group ``arm`` of ``robot.toml`` if it has one, else all joints.
+        tool: Name of the default frame.
+
+    Raises:
+        UnknownRobotError: No such name and no such file; lists the close ones.
+        ModelError: The file cannot be read; carries MuJoCo's reason.
+        UnknownJointError, UnknownFrameError: With the close names.
+    """
+    path, file = find_robot(name)
+    model = read_model(path)
+    names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
+    active = _active_joints(names, joints, file)
+    home_qpos = _home_qpos(model, path, file)
+    tree = build_tree(model, active, home_qpos)
+    if tree.nv == 0:
+        raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
+    frames = _frames(model, file)
+    default_tool = tool or file.tool or _guess_tool(model, frames)
+    if default_tool not in frames:
+        raise UnknownFrameError(default_tool, frames)
+    robot = Robot(
+        name=file.name,
+        path=path,
+        model=model,
+        tree=tree,
+        joints=tuple(names[j] for j in tree.joint_ids),
+        lower=tree.lower.copy(),
+        upper=tree.upper.copy(),
+        velocity=np.empty(0),
+        acceleration=np.empty(0),
+        home=np.empty(0),
+        tool=default_tool,
+        frozen_qpos=home_qpos,
+        file=file,
+        _frames=frames,
+    )
+    speed, acceleration = _motion_limits(robot)
+    home = robot.clip(home_qpos[robot._addresses])
+    return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
+
+
+def read_model(path: Path) -> mujoco.MjModel:
+    """MuJoCo's model of an MJCF or URDF file.
+
+    Raises:
+        ModelError: With the file and MuJoCo's reason.
+    """
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{path} is not a model that MuJoCo can read: {reason}",
+            path=path,
+            reason=reason,
+            hint="MJCF and URDF files are read; meshes must lie where the file says",
+        ) from error
+
+
+def _active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
+    if isinstance(joints, str):
+        if joints not in file.groups:
+            raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
+        wanted: Sequence[str] = file.groups[joints]
+    elif joints is not None:
+        wanted = joints
+    else:
+        wanted = file.groups.get("arm", names)
+    for joint in wanted:
+        if joint not in names:
+            raise UnknownJointError(joint, names)
+    return [j for j, joint in enumerate(names) if joint in set(wanted)]
+
+
+def _home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
+    """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
+    if isinstance(file.home, tuple):
+        if len(file.home) != model.nq:
+            raise ModelError(f"{path}: home has {len(file.home)} numbers, the model {model.nq}", path=path)
+        return np.array(file.home, dtype=float)
+    keys = {model.key(k).name: k for k in range(model.nkey)}
+    if file.home is not None and file.home not in keys:
+        raise ModelError(f"{path} has no keyframe {file.home!r}; it has: {', '.join(keys) or 'none'}", path=path)
+    chosen = file.home if file.home is not None else ("home" if "home" in keys else next(iter(keys), None))
+    return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
+
+
+def _frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
+    sites: dict[str, Frame] = {}
+    for s in range(model.nsite):
+        name = model.site(s).name
+        if name:
+            local = Pose(model.site_pos[s], model.site_quat[s])
+            sites[name] = Frame(name, int(model.site_bodyid[s]), local)
+    bodies = {
+        model.body(b).name: Frame(model.body(b).name, b, Pose()) for b in range(1, model.nbody) if model.body(b).name
+    }
+    found: dict[str, Frame] = {}
+    for tool, target in file.tools.items():
+        where = sites if target.site else bodies
+        wanted = target.site or target.body or ""
+        if wanted not in where:
+            raise UnknownFrameError(wanted, where, hint=f"named by the tool {tool!r} of {file.path}")
+        found[tool] = dataclasses.replace(where[wanted], name=tool)
+    for name, frame in {**sites, **bodies}.items():
+        found.setdefault(name, frame)
+    return found
+
+
+def _guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
+    """Default frame of a model without robot.toml: a telling name, else the last site or body."""
+    for wanted in _TOOL_NAMES:
+        for name in frames:
+            if name.lower() == wanted:
+                return name
+    if model.nsite and model.site(model.nsite - 1).name:
+        return str(model.site(model.nsite - 1).name)
+    if not frames:
+        raise ModelError("the model has neither a named site nor a named body, so nothing to aim")
+    return list(frames)[-1]
+
+
+def _motion_limits(robot: Robot) -> tuple[Array, Array]:
+    """Velocity and acceleration (nv,): from robot.toml where it names the joint, else defaults by joint kind."""
+    speed, acceleration = np.empty(robot.nv), np.empty(robot.nv)
+    for k, joint in enumerate(robot.joints):
+        kind, v = int(robot.tree.kind[k]), int(robot.tree.vadr[k])
+        width = {HINGE: 1, SLIDE: 1, BALL: 3, FREE: 6}[kind]
+        fastest = robot.file.velocity.get(joint, _DEFAULT_SPEED[kind])
+        speed[v : v + width] = fastest
+        acceleration[v : v + width] = robot.file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
+    return speed, acceleration
+
+
