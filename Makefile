@@ -59,7 +59,7 @@ types: $(STAMP)
 
 imports: $(STAMP)
 	@$(PY) .ci/link_typed.py $(VENV)/typed
-	@cd $(VENV)/typed && ../bin/lint-imports --no-logo --config ../../pyproject.toml
+	@cd $(VENV)/typed && ../bin/python -c 'from importlinter.cli import lint_imports_command as lint; lint()' --no-logo --config ../../pyproject.toml
 
 format: $(STAMP)
 	@$(PY) -m ruff check --fix .
