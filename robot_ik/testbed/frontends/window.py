@@ -80,6 +80,9 @@ class WindowSink:
         panels: Show MuJoCo's side panels.
         limit: Seconds the window may take to appear.
 
+    Attributes:
+        data: The ``MjData`` that is shown; nobody else may write it.
+
     Raises:
         ViewerError: No display, no OpenGL on it, or macOS without ``mjpython``; the hint says what
             to run instead.
@@ -91,7 +94,7 @@ class WindowSink:
         self._mujoco = import_mujoco()
         self._robot = robot
         self._model = copy.deepcopy(robot.model)
-        self._data = self._mujoco.MjData(self._model)
+        self.data = self._mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
         before = set(threading.enumerate())
         self._viewer = self._open(panels, limit)
@@ -114,13 +117,13 @@ class WindowSink:
         else:
             _require_display(limit)
         return _call_with_limit(
-            lambda: viewer.launch_passive(self._model, self._data, show_left_ui=panels, show_right_ui=panels),
+            lambda: viewer.launch_passive(self._model, self.data, show_left_ui=panels, show_right_ui=panels),
             limit,
         )
 
     def _write(self, q: Array) -> None:
-        self._data.qpos[:] = self._robot.qpos(q)
-        self._mujoco.mj_forward(self._model, self._data)
+        self.data.qpos[:] = self._robot.qpos(q)
+        self._mujoco.mj_forward(self._model, self.data)
 
     def send(self, q: Array, now: float) -> None:
         """Shows ``q`` (nq,), rad or m, in joint order; does nothing once the window is closed."""

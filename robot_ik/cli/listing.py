@@ -1,0 +1,155 @@
+"""``robot-ik robots`` and ``robot-ik solvers``: what there is, from the model folders and ``SOLVERS``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+#: Version of the JSON objects; raised when a field changes its meaning.
+SCHEMA = 1
+UNBOUNDED = "-"
+
+
+@dataclass(frozen=True)
+class RobotsOptions:
+    """Lists the robots that come along, or shows one in detail.
+
+    Any MJCF or URDF file works as well: robot-ik robots path/to/arm.xml
+    """
+
+    robot: Positional[Annotated[str, arg(metavar="[NAME|PATH]", help_behavior_hint="")]] = ""
+    """Robot to show with its joints, limits and frames; without it, all are listed."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+
+@dataclass(frozen=True)
+class SolversOptions:
+    """Lists the methods, or shows one with its options, their ranges and units."""
+
+    solver: Positional[Annotated[str, arg(metavar="[NAME]", help_behavior_hint="")]] = ""
+    """Method to show; without it, all are listed."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+
+# ----------------------------------------------------------------------------------- robots
+
+
+def run_robots(options: RobotsOptions) -> int:
+    """Prints the catalogue, or one robot."""
+    if options.robot:
+        from robot_ik.robot import load_robot
+
+        robot = load_robot(options.robot)
+        if options.json:
+            console.print_json(robot_facts(robot))
+        else:
+            _print_robot(robot)
+        return console.DONE
+    rows = catalogue_facts()
+    if options.json:
+        console.print_json({"schema": SCHEMA, "robots": rows})
+        return console.DONE
+    shown = console.table("name", "title", "joints", "tools (default first)", "arm file")
+    for row in rows:
+        tools, arm = ", ".join(row["tools"]), "yes" if row["arm_file"] else "no"
+        shown.add_row(row["name"], Text(row["title"]), str(len(row["joints"])), tools, arm)
+    console.out().print(shown)
+    console.say("one in detail: robot-ik robots NAME", "dim")
+    return console.DONE
+
+
+def catalogue_facts() -> list[dict[str, Any]]:
+    """One row for each robot that comes along, from its ``robot.toml``; loads no model."""
+    from robot_ik.catalogue import catalogue, read_robot_file
+
+    rows = []
+    for name, folder in catalogue().items():
+        _, file = read_robot_file(folder / "robot.toml")
+        arm = folder / "arm.toml"
+        rows.append(
+            {
+                "name": name,
+                "title": file.title,
+                "joints": list(file.groups.get("arm", ())),
+                "tools": sorted(file.tools, key=lambda tool: tool != file.tool),
+                "arm_file": str(arm) if arm.is_file() else None,
+            }
+        )
+    return rows
+
+
+def robot_facts(robot: Robot) -> dict[str, Any]:
+    """All that ``robots NAME`` shows, in SI units."""
+    return {
+        "schema": SCHEMA,
+        "name": robot.name,
+        "title": robot.file.title,
+        "path": str(robot.path),
+        "arm_file": str(robot.arm_file) if robot.arm_file else None,
+        "tool": robot.tool,
+        "frames": {name: about_frame(robot, name) for name in robot.frames},
+        "joints": list(robot.joints),
+        "kinds": joint_kinds(robot),
+        "lower": robot.lower,
+        "upper": robot.upper,
+        "home": robot.home,
+        "velocity": robot.velocity,
+        "acceleration": robot.acceleration,
+        "sources": list(robot.file.sources),
+    }
+
+
+def about_frame(robot: Robot, name: str) -> str:
+    """What ``robot.toml`` says of a tool; empty for the other sites and the bodies."""
+    tool = robot.file.tools.get(name)
+    return tool.about if tool else ""
+
+
+def joint_kinds(robot: Robot) -> list[str]:
+    """``free``, ``ball``, ``slide`` or ``hinge`` for each active joint."""
+    names = ("free", "ball", "slide", "hinge")  # in the order of MuJoCo's mjtJoint
+    return [names[int(robot.model.joint(name).type[0])] for name in robot.joints]
+
+
+def _print_robot(robot: Robot) -> None:
+    screen = console.out()
+    head = console.table(robot.name, robot.file.title)
+    head.add_row("model", Text(str(robot.path)))
+    head.add_row("arm file", Text(str(robot.arm_file or "none")))
+    for name in robot.file.tools:
+        default = " (default)" if name == robot.tool else ""
+        head.add_row("tool", Text(f"{name}{default}: {about_frame(robot, name)}"))
+    others = [name for name in robot.frames if name not in robot.file.tools]
+    head.add_row("frames", Text(", ".join(f"{f} (default)" if f == robot.tool else f for f in others)))
+    screen.print(head)
+    screen.print()
+    shown = console.table("joint", "kind", "lower", "upper", "home", "velocity", "acceleration", "unit")
+    at_q = at_v = 0
+    for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
+        turns = kind in ("hinge", "ball")
+        limits = [_number(values[at_v], turns) for values in (robot.lower, robot.upper)]
+        speeds = [_number(values[at_v], turns) for values in (robot.velocity, robot.acceleration)]
+        # A quaternion does not fit a column; --json has it.
+        home = _number(robot.home[at_q], turns) if kind in ("hinge", "slide") else "…"
+        shown.add_row(name, kind, *limits, home, *speeds, "deg" if turns else "m")
+        at_q += {"free": 7, "ball": 4}.get(kind, 1)
+        at_v += {"free": 6, "ball": 3}.get(kind, 1)
+    screen.print(shown)
+    console.say("in SI units and with every digit: --json", "dim")
+
+
+def _number(value: float, turns: bool) -> str:
+    if not math.isfinite(value):
+        return UNBOUNDED
+    return f"{math.degrees(value):.1f}" if turns else f"{value:.4g}"

@@ -1,0 +1,177 @@
+"""``robot-ik sim-bus``: simulated servos on a port that any Dynamixel client on this machine can open."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.errors import ConfigError, HardwareError, UnknownRobotError
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.virtual.faults import Faults
+    from robot_ik.hardware.virtual.pty import PtyPort
+
+
+@dataclass(frozen=True)
+class SimBusOptions:
+    """Serves simulated Dynamixel servos (Protocol 2.0) on a serial port of this machine until Ctrl-C.
+
+    Any program may open the port: the ROBOTIS SDK and tools, another robot_ik, your own code.
+
+    Example: robot-ik sim-bus --arm puma560 --link /tmp/arm
+    and elsewhere: robot-ik reach --bus /tmp/arm
+    """
+
+    arm: Annotated[str, arg(metavar="FILE|NAME")] = "puma560"
+    """Arm file (TOML), or a robot of the catalogue that has one."""
+    link: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="(default: no link)")] = None
+    """Also make a symbolic link to the port: a name that stays the same; removed at the end."""
+    match_baud: bool = False
+    """Servos hear only a client that set the port to their baud rate, as on a real wire."""
+    wire_baud: int = 0
+    """Take the time that the bytes take at this rate; 0: none."""
+    latency_ms: float = 0.0
+    """Answer so much later, as a USB adapter does (16 ms unless set to 1)."""
+    stuck: Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")] = ()
+    """Joints whose servo does not move."""
+    silent: Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")] = ()
+    """Joints whose servo does not answer."""
+    zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    """Joints whose zero is off by so many degrees, unknown to their registers."""
+    corrupt: Annotated[float, arg(metavar="P")] = 0.0
+    """Probability that an answer has a flipped bit."""
+    drop: Annotated[float, arg(metavar="P")] = 0.0
+    """Probability that an answer is lost."""
+    seed: int = 0
+    """Of these dice: the same seed and traffic give the same faults."""
+
+
+def run(options: SimBusOptions) -> int:
+    """Serves until SIGINT or SIGTERM, which are the normal end."""
+    try:
+        from robot_ik.hardware.virtual.pty import PtyPort
+    except ImportError as reason:  # no termios: Windows
+        raise HardwareError(
+            f"this system has no pseudo terminals ({reason})",
+            hint="use --bus sim: the same servos in process",
+        ) from reason
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.ports import RealClock
+
+    _check_numbers(options)
+    config = load_arm(options.arm)
+    bus = VirtualBus.from_config(config, RealClock(), faults=_faults(options, config))
+    with (
+        _ended_by_signal() as ended,
+        PtyPort(
+            bus,
+            options.link,
+            match_baud=options.match_baud,
+            wire_baud=options.wire_baud,
+            latency_ms=options.latency_ms,
+        ) as port,
+    ):
+        _announce(config, port)
+        ended.wait()
+    console.say("closed", "dim")
+    return console.DONE
+
+
+def load_arm(name: str) -> ArmConfig:
+    """The arm file of that path, or the one beside a robot of the catalogue.
+
+    Raises:
+        UnknownRobotError: Neither a file nor a robot of the catalogue.
+        ConfigError: The robot has no arm file, or the file is wrong.
+    """
+    from robot_ik.catalogue import catalogue
+    from robot_ik.hardware.config import ArmConfig
+
+    known = catalogue()
+    path = Path(name).expanduser()
+    if name in known:
+        path = known[name] / "arm.toml"
+        if not path.is_file():
+            raise ConfigError(
+                "this robot comes without an arm file", file=path, hint="name one with --arm FILE"
+            )
+    elif not path.suffix and not path.exists() and path.name == name:
+        raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
+    return ArmConfig.load(path)
+
+
+def _faults(options: SimBusOptions, config: ArmConfig) -> Faults:
+    from robot_ik.hardware.virtual.faults import Faults
+
+    offsets = {}
+    for item in options.zero_offset:
+        joint, equals, degrees = item.partition("=")
+        try:
+            offsets[joint] = float(degrees) if equals else float("nan")
+        except ValueError:
+            offsets[joint] = float("nan")
+        if not -360.0 <= offsets[joint] <= 360.0:
+            raise _wrong("--zero-offset", item, "JOINT=DEGREES, such as joint2=2.0")
+    return Faults.for_joints(
+        config,
+        zero_offset_deg=offsets,
+        stuck=options.stuck,
+        silent=options.silent,
+        corrupt=options.corrupt,
+        drop=options.drop,
+        seed=options.seed,
+    )
+
+
+def _check_numbers(options: SimBusOptions) -> None:
+    for flag, value, highest in (
+        ("--corrupt", options.corrupt, 1.0),
+        ("--drop", options.drop, 1.0),
+        ("--latency-ms", options.latency_ms, 1000.0),
+        ("--wire-baud", options.wire_baud, 10_500_000),
+    ):
+        if not 0.0 <= value <= highest:
+            raise _wrong(flag, value, f"0 .. {highest:g}")
+
+
+def _wrong(flag: str, value: object, allowed: str) -> ConfigError:
+    return ConfigError(f"not {value}", file="command line", key=flag, allowed=allowed)
+
+
+@contextmanager
+def _ended_by_signal() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set, instead of what they do otherwise."""
+    ended = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield ended
+        return
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield ended
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _announce(config: ArmConfig, port: PtyPort) -> None:
+    """The port alone on stdout, for scripts; the rest is talk."""
+    name = str(port.link or port.path)
+    ids = ", ".join(f"{joint.id} {joint.name} ({joint.model})" for joint in config.joints)
+    print(name, flush=True)
+    console.say(f"{config.name}: Protocol 2.0 at {config.baud} baud, torque off")
+    console.say(f"servos: {ids}")
+    console.say(f"try: robot-ik reach --robot {config.robot} --bus {name}    end with Ctrl-C", "cyan")
