@@ -135,6 +135,18 @@ class DeviceSource(ClosingSource):
             hint="check cable and network, or allow more time",
         )
 
+    def newest(self) -> Frame | None:
+        """The newest picture at once, or None when there is none newer than the last one given.
+
+        Raises:
+            FrameTimeoutError: The camera stopped delivering pictures.
+        """
+        with self._news:
+            ended = self._ended and not (self._latest and self._latest.sequence > self._given)
+            if not ended and not self._has_news():
+                return None
+        return self.read()
+
     def _has_news(self) -> bool:
         return self._ended or (self._latest is not None and self._latest.sequence > self._given)
 

@@ -133,7 +133,8 @@ def estimate_marker(
         corners: Refined corners, or (4, 2) distorted pixels as a detector gives them.
         size: Side of the black square, metres.
         intrinsics: Of this picture's size.
-        id, time: Copied into the result.
+        id: Copied into the result.
+        time: Copied into the result.
 
     Returns:
         Both branches of the pose, or None when the four corners are no picture of a square.
