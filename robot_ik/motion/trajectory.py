@@ -250,5 +250,4 @@ def joint_move(
         q = first * (1.0 - progress) + last * progress
     else:
         count, q = 1, np.stack([first, last])
-    q[0], q[-1] = first, last
     return Trajectory(np.arange(count + 1) / rate, q, robot.joints)

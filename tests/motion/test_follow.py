@@ -1,0 +1,206 @@
+"""`follow` on the PUMA in virtual time: what is sent, how far, how often."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.errors import TrajectoryError
+from robot_ik.execution import follow
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.motion import CurveSource, FixedGoal, ManualSource, RecorderSink, ScriptSource
+from robot_ik.ports import JointReading, VirtualClock
+
+
+def run(puma, goals, **options):
+    recorder = RecorderSink(puma.joints)
+    options = {"clock": VirtualClock(), "start": puma.home, "duration": 1.0} | options
+    report = follow(goals, puma, options.pop("solver", "lm"), [recorder], **options)
+    return report, recorder.trajectory()
+
+
+def site_position(robot, q, site="gripper"):
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_kinematics(robot.model, data)
+    return data.site(site).xpos.copy()
+
+
+def beside(puma, shift):
+    pose = puma.forward(puma.home)
+    return PoseGoal("gripper", position=pose.position + shift, wxyz=pose.wxyz)
+
+
+def test_no_goal_means_hold_and_the_command_is_repeated(puma):
+    report, path = run(puma, ManualSource())
+    assert report.ticks == report.held == 100 and report.solved == 0 and report.last is None
+    assert (path.q == puma.home).all() and len(path) == 100
+    assert not report.largest_step.any()
+
+
+def test_a_goal_is_reached_within_the_velocity_limits_and_held(puma):
+    goal = beside(puma, (0.05, -0.2, 0.1))
+    report, path = run(puma, FixedGoal(goal), duration=3.0)
+    assert (report.largest_step <= puma.velocity / 100.0 * (1 + 1e-9)).all()
+    assert (path.peak_velocity <= puma.velocity * (1 + 1e-6)).all()
+    assert 0 < report.capped < 300 and report.solved == 300
+    np.testing.assert_allclose(site_position(puma, report.q), goal.position, atol=2e-3)
+    assert path.q[-1].tolist() == path.q[-2].tolist() == report.q.tolist()
+
+
+def test_a_slower_follower_takes_smaller_steps(puma):
+    goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
+    report, _ = run(puma, goal, speed=0.5, rate=50.0)
+    assert (report.largest_step <= 0.5 * puma.velocity / 50.0 * (1 + 1e-9)).all()
+    assert report.ticks == 50 and report.rate == pytest.approx(50.0)
+
+
+def test_a_capped_step_slows_all_joints_alike(puma):
+    """The first command lies on the straight way to the first solution."""
+    seen = []
+    run(puma, FixedGoal(beside(puma, (0.0, -0.3, 0.1))), on_tick=seen.append)
+    assert seen[0].capped
+    way, done = seen[0].solution.q - puma.home, seen[0].q - puma.home
+    share = done @ way / (way @ way)
+    assert 0.0 < share < 1.0
+    np.testing.assert_allclose(done, share * way, atol=1e-12)
+
+
+def test_the_tool_stays_on_a_moving_goal(puma):
+    center = puma.forward(puma.home).position + np.array([0.05, 0.0, 0.0])
+    circle = CurveSource.circle("gripper", center, 0.05, 4.0, wxyz=puma.forward(puma.home).wxyz)
+    seen = []
+    report, path = run(puma, circle, duration=6.0, on_tick=seen.append)
+    late = [tick for tick in seen if tick.time > 2.0]
+    assert not any(tick.capped for tick in late) and all(tick.solution.converged for tick in late)
+    for tick in late[::20]:
+        np.testing.assert_allclose(site_position(puma, tick.q), tick.goal.position, atol=2e-3)
+    assert report.statuses["CONVERGED"] == report.solved >= len(late)
+    assert path.max_jump <= max(puma.velocity) / 100.0 * (1 + 1e-9)
+
+
+def test_goals_may_change_kind_and_go_away_on_the_way(puma):
+    pose, up = beside(puma, (0.0, -0.1, 0.0)), np.array([0.0, 0.0, 0.05])
+    point = PositionGoal("flange", position=puma.forward(puma.home, "flange").position + up)
+    script = ScriptSource([(0.0, pose), (1.0, None), (1.5, point), (3.0, pose)])
+    seen = []
+    report, _ = run(puma, script, duration=4.5, on_tick=seen.append)
+    assert report.held == 50
+    at = {round(tick.time, 2): tick for tick in seen}
+    np.testing.assert_allclose(site_position(puma, at[0.99].q), pose.position, atol=2e-3)
+    np.testing.assert_array_equal(at[1.49].q, at[0.99].q)
+    np.testing.assert_allclose(site_position(puma, at[2.99].q, "flange"), point.position, atol=2e-3)
+    np.testing.assert_allclose(site_position(puma, report.q), pose.position, atol=2e-3)
+
+
+def test_several_goals_at_once_are_one_goal(puma):
+    """Two points on one hand, as a list; the list is solved together."""
+    q = puma.home + 0.05
+    goals = [
+        PositionGoal("gripper", position=puma.forward(q).position),
+        PositionGoal("flange", position=puma.forward(q, "flange").position),
+    ]
+    report, _ = run(puma, FixedGoal(goals), duration=2.0)
+    for goal in goals:
+        np.testing.assert_allclose(site_position(puma, report.q, goal.frame), goal.position, atol=2e-3)
+
+
+def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
+    report, path = run(puma, FixedGoal(beside(puma, (3.0, 0.0, 0.0))), duration=6.0)
+    assert report.solved == 0 and not report.last.converged
+    assert np.abs(np.diff(path.q[-200:], axis=0)).max() <= 1e-3
+    far = np.linalg.norm(site_position(puma, puma.home) - (beside(puma, (3.0, 0, 0)).position))
+    near = np.linalg.norm(site_position(puma, report.q) - (beside(puma, (3.0, 0, 0)).position))
+    assert near < far
+
+
+def test_until_ends_the_loop(puma):
+    goal = FixedGoal(beside(puma, (0.02, 0.0, 0.0)))
+    report, _ = run(
+        puma, goal, duration=60.0, until=lambda tick: tick.solution.converged and not tick.capped
+    )
+    assert report.ticks < 200 and report.last.converged
+
+
+class Mirror:
+    """An arm that is always where it was told, a little askew."""
+
+    def __init__(self, clock, q, away=0.0):
+        self.clock, self.q, self.away = clock, np.array(q), away
+
+    def send(self, q, now):
+        self.q = np.array(q)
+
+    def read(self):
+        return JointReading(self.q + self.away, self.clock.now())
+
+
+def test_it_starts_where_the_arm_is_unclipped(puma):
+    clock = VirtualClock()
+    outside = puma.home.copy()
+    outside[0] = puma.upper[0] + 0.05
+    arm, seen = Mirror(clock, outside), []
+    goal = FixedGoal(beside(puma, (0.0, 0.0, 0.05)))
+    follow(goal, puma, "lm", [arm], clock=clock, source=arm, duration=0.1, on_tick=seen.append)
+    first = seen[0].q - outside
+    assert (np.abs(first) <= puma.velocity / 100.0 * (1 + 1e-9)).all() and first[0] < 0.0
+
+
+def test_tracking_error_is_that_of_the_source(puma):
+    clock = VirtualClock()
+    arm = Mirror(clock, puma.home, away=0.003)
+    goal = FixedGoal(beside(puma, (0.0, 0.0, 0.05)))
+    report = follow(goal, puma, "lm", [arm], clock=clock, source=arm, start=puma.home, duration=0.2)
+    np.testing.assert_allclose(report.tracking_error, 0.003, atol=1e-12)
+
+
+def test_a_stall_is_counted_and_not_made_up(puma):
+    clock, recorder = VirtualClock(), RecorderSink(puma.joints)
+
+    def stall(tick):
+        if tick.index in (20, 40):
+            clock.sleep_until(clock.now() + 0.1)
+
+    goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
+    report = follow(
+        goal, puma, "lm", [recorder], clock=clock, start=puma.home, duration=1.0, on_tick=stall
+    )
+    assert report.overruns == 2 and report.slipped == pytest.approx(0.18)
+    assert report.ticks == 100 and np.diff(recorder.trajectory().times).min() == pytest.approx(0.01)
+    assert report.rate < 90.0
+
+
+def test_an_interrupt_propagates_and_nothing_more_is_sent(puma):
+    recorder = RecorderSink(puma.joints)
+
+    def interrupt(tick):
+        if tick.index == 9:
+            raise KeyboardInterrupt
+
+    options = {"clock": VirtualClock(), "start": puma.home, "on_tick": interrupt}
+    with pytest.raises(KeyboardInterrupt):
+        follow(ManualSource(), puma, "lm", [recorder], **options)
+    assert len(recorder) == 10
+
+
+def test_no_sink_can_bend_the_command(puma):
+    class Bender:
+        def send(self, q, now):
+            q[0] = 1e3
+
+    with pytest.raises(ValueError, match="read-only"):
+        follow(ManualSource(), puma, "lm", [Bender()], clock=VirtualClock(), start=puma.home, duration=1.0)
+
+
+@pytest.mark.parametrize(
+    "options", [{"start": None}, {"start": [np.nan] * 6}, {"start": [0.0]}, {"rate": 0.0}, {"speed": 1.5}]
+)
+def test_malformed_options_are_refused_before_anything_is_sent(puma, options):
+    recorder = RecorderSink(puma.joints)
+    with pytest.raises(TrajectoryError):
+        follow(
+            ManualSource(), puma, "lm", [recorder],
+            **({"clock": VirtualClock(), "start": puma.home, "duration": 1.0} | options),
+        )  # fmt: skip
+    assert len(recorder) == 0
