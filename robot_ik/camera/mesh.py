@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Faces round a lathe: 24 keeps a 100 px wide cylinder within 0.2 px of round.
-SEGMENTS = 24
+# Faces round a lathe by radius in metres: 24 keep a 100 px wide cylinder within 0.2 px of round.
+_SEGMENTS = ((0.015, 12), (0.04, 16), (np.inf, 24))
 # Longest face edge, metres.  Short faces follow the lens' curvature and sort well by depth.
 MAX_EDGE = 0.10
 # Faces of a mesh geom above which its vertices are clustered: the painter pays by the face.
 MAX_MESH_FACES = 1500
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
 CREASE = np.radians(30.0)
+# A lid or label stands out of the face it lies on by at most _LID and sinks into it by at most _SINK, metres.
+_LID, _SINK = 0.03, 0.004
 # MuJoCo's viewer shows these geom groups unless told otherwise (mjvOption default).
 VISIBLE_GROUPS = (1, 1, 1, 0, 0, 0)
 
@@ -53,6 +55,8 @@ class ModelMesh:
         vertices: (v, 3) in geom frames, metres; ``vertex_geom`` (v,) which of ``geoms``.
         faces: (f, 4) into ``vertices``; ``face_geom`` (f,).
         normals: (f, 3) outward unit normals in geom frames; ``centres`` (f, 3).
+        overlays: Things lying on a flat face of another geom of the same body (lids, labels): their faces
+            and the faces below them, which are to be drawn first whenever they are seen.
         edges: (e, 2) into ``vertices``; ``edge_faces`` (e, 2) its two faces; ``crease`` (e,) sharp ones.
     """
 
@@ -66,6 +70,7 @@ class ModelMesh:
     edges: Index
     edge_faces: Index
     crease: NDArray[np.bool_]
+    overlays: tuple[tuple[Index, Index], ...]
 
 
 def _weld(vertices: Array, faces: Index) -> GeomMesh:
@@ -90,21 +95,31 @@ def _grid(points: Array) -> tuple[Array, Index]:
     return points.reshape(-1, 3), quads.reshape(-1, 4)
 
 
-def _lathe(profile: Array) -> GeomMesh:
+def _segments(radius: float) -> int:
+    return next(count for limit, count in _SEGMENTS if radius <= limit)
+
+
+def _lathe(profile: Array, *, flat_ends: bool = False) -> GeomMesh:
     """Turns a profile (k, 2) of radius and height, from bottom to top, about z.
 
     The polygon of each ring gets the area of the circle, so that a drawn shape is as wide as the
-    true one on average.
+    true one on average.  ``flat_ends`` closes first and last ring with level strips.
     """
-    step = 2.0 * np.pi / SEGMENTS
+    count = _segments(float(profile[:, 0].max()))
+    step = 2.0 * np.pi / count
     widen = np.sqrt(step / np.sin(step))
-    angle = np.append(np.arange(SEGMENTS) * step, 0.0)
+    angle = np.append(np.arange(count) * step, 0.0)
     radius, height = profile[:, :1] * widen, profile[:, 1:]
     ring = np.stack(
         [radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(height, (len(profile), len(angle)))],
         axis=-1,
     )
-    return _weld(*_grid(ring.transpose(1, 0, 2)))
+    vertices, faces = _grid(ring.transpose(1, 0, 2))
+    if flat_ends:
+        k = np.arange(count // 2)
+        strip = np.stack([k, k + 1, count - k - 1, (count - k) % count], axis=1) * len(profile)
+        faces = np.concatenate([faces, strip + len(profile) - 1, strip[:, ::-1]])
+    return _weld(vertices, faces)
 
 
 def _splits(length: float) -> int:
@@ -117,7 +132,7 @@ def _arc(radius: float, start: float, stop: float, count: int, lift: float) -> A
 
 
 def _sphere(size: Array) -> GeomMesh:
-    return _lathe(_arc(size[0], -np.pi / 2, np.pi / 2, SEGMENTS // 2, 0.0))
+    return _lathe(_arc(size[0], -np.pi / 2, np.pi / 2, _segments(size[0]) // 2, 0.0))
 
 
 def _ellipsoid(size: Array) -> GeomMesh:
@@ -129,9 +144,9 @@ def _capsule(size: Array) -> GeomMesh:
     radius, half = float(size[0]), float(size[1])
     side = np.linspace(-half, half, _splits(2 * half) + 1)[1:-1]
     parts = [
-        _arc(radius, -np.pi / 2, 0.0, SEGMENTS // 4, -half),
+        _arc(radius, -np.pi / 2, 0.0, _segments(radius) // 4, -half),
         np.stack([np.full(len(side), radius), side], axis=1),
-        _arc(radius, 0.0, np.pi / 2, SEGMENTS // 4, half),
+        _arc(radius, 0.0, np.pi / 2, _segments(radius) // 4, half),
     ]
     return _lathe(np.concatenate(parts))
 
@@ -139,9 +154,7 @@ def _capsule(size: Array) -> GeomMesh:
 def _cylinder(size: Array) -> GeomMesh:
     radius, half = float(size[0]), float(size[1])
     side = np.linspace(-half, half, _splits(2 * half) + 1)
-    ends = np.array([[0.0, -half], [0.0, half]])
-    profile = np.concatenate([ends[:1], np.stack([np.full(len(side), radius), side], axis=1), ends[1:]])
-    return _lathe(profile)
+    return _lathe(np.stack([np.full(len(side), radius), side], axis=1), flat_ends=True)
 
 
 def _box(size: Array) -> GeomMesh:
@@ -243,6 +256,36 @@ def _edges(faces: Index, normals: Array) -> tuple[Index, Index, NDArray[np.bool_
     return edges, edge_faces, bend < np.cos(CREASE)
 
 
+def _overlays(
+    model: mujoco.MjModel, geoms: Index, vertices: Array, vertex_geom: Index, faces: Index, normals: Array
+) -> tuple[tuple[Index, Index], ...]:
+    """Pairs (faces of a thing, faces it lies on) among geoms of one rigid body; see ``ModelMesh``.
+
+    Sorting faces by distance goes wrong just there, where a small face lies close to a large one.
+    """
+    turn = np.empty((len(geoms), 9))
+    for k, g in enumerate(geoms):
+        mujoco.mju_quat2Mat(turn[k], model.geom_quat[g])
+    rotation, origin = turn.reshape(-1, 3, 3), np.asarray(model.geom_pos)[geoms]
+    points = np.einsum("vij,vj->vi", rotation[vertex_geom], vertices) + origin[vertex_geom]
+    owner = vertex_geom[faces[:, 0]]
+    normal = np.einsum("fij,fj->fi", rotation[owner], normals)
+    centre = points[faces].mean(axis=1)
+    radius = np.linalg.norm(points[faces] - centre[:, None], axis=2).max(axis=1, initial=0.0)
+    found = []
+    for k, g in enumerate(geoms):
+        thing = points[vertex_geom == k]
+        middle, reach = thing.mean(axis=0), np.linalg.norm(thing - thing.mean(axis=0), axis=1).max()
+        same = np.asarray(model.geom_bodyid)[geoms[owner]] == model.geom_bodyid[g]
+        close = np.linalg.norm(centre - middle, axis=1) < radius + reach
+        below = np.flatnonzero(same & close & (owner != k))
+        height = np.einsum("fj,fvj->fv", normal[below], thing[None] - centre[below][:, None])
+        lies = (height.min(axis=1) > -_SINK) & (height.max(axis=1) < _LID) & (height.max(axis=1) > 1e-6)
+        if lies.any():
+            found.append((np.flatnonzero(owner == k), below[lies]))
+    return tuple(found)
+
+
 def build_mesh(model: mujoco.MjModel, *, planes: bool = False) -> ModelMesh:
     """Stacks the faces of all visible geoms of ``model``; see ``ModelMesh``."""
     parts = [(g, m) for g in visible_geoms(model, planes=planes) if (m := triangulate(model, g)) is not None]
@@ -257,10 +300,12 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False) -> ModelMesh:
     # diagonals of a triangle a b c c: (c - a) x (c - b) is its normal just as well
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     edges, edge_faces, crease = _edges(faces, normals)
+    geom_ids = np.array([g for g, _ in parts], dtype=np.int64)
+    vertex_geom = np.repeat(np.arange(len(meshes)), counts)
     return ModelMesh(
-        geoms=np.array([g for g, _ in parts], dtype=np.int64),
+        geoms=geom_ids,
         vertices=vertices,
-        vertex_geom=np.repeat(np.arange(len(meshes)), counts),
+        vertex_geom=vertex_geom,
         faces=faces,
         face_geom=np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes]),
         normals=normals,
@@ -268,6 +313,7 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False) -> ModelMesh:
         edges=edges,
         edge_faces=edge_faces,
         crease=crease,
+        overlays=_overlays(model, geom_ids, vertices, vertex_geom, faces, normals) if parts else (),
     )
 
 

@@ -174,7 +174,8 @@ def visible_polygons(
     inside = points @ view[:, :3].T + view[:, 3] >= 0.0
     corners = inside[mesh.faces]
     drawn = np.flatnonzero(front & corners.any(axis=1).all(axis=1))
-    order = drawn[np.argsort(-np.einsum("ij,ij->i", centres[drawn], centres[drawn]), kind="stable")]
+    distance = _drawing_distance(mesh, centres, front)
+    order = drawn[np.argsort(-distance[drawn], kind="stable")]
 
     fixed = _fixed(_project(points, intrinsics))
     clipped = {}
@@ -184,6 +185,17 @@ def visible_polygons(
     shade = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals[order] @ _LIGHT, 0.0)
     segments = _face_lines(mesh, front, order, fixed, inside.all(axis=1)) if lines else []
     return Polygons(fixed[mesh.faces[order]], clipped, shade, mesh.geoms[mesh.face_geom[order]], segments)
+
+
+def _drawing_distance(mesh: ModelMesh, centres: Array, front: Mask) -> Array:
+    """Distance (f,) by which faces are sorted: lids and labels come just after what they lie on."""
+    distance = np.sqrt(np.einsum("ij,ij->i", centres, centres))
+    for above, below in mesh.overlays:
+        base = below[front[below]]
+        if len(base):
+            limit = distance[base].min() - 1e-5
+            distance[above] = np.minimum(distance[above], limit)
+    return distance
 
 
 def _face_lines(

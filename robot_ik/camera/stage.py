@@ -71,7 +71,7 @@ class Lights:
     lamp_radius: float
     ceiling: Array
     ceiling_radius: float
-    strength: tuple[float, float, float, float] = (0.45, 0.22, 0.36, 0.31)
+    strength: tuple[float, float, float, float] = (0.49, 0.24, 0.39, 0.33)
 
     @classmethod
     def beside(cls, pose_world_camera: Pose, distance: float) -> Lights:

@@ -1,0 +1,272 @@
+"""Drawings that lie exactly on a camera picture: robot, axes, paths, marker outlines, captions.
+
+No OpenGL.  All functions return a new picture and leave their argument alone; coordinates are those of
+OpenCV (camera x right, y down, z forward; pixel centres at integers), colours are BGR, 0..255.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.painter import NEAR, bounding_box, face_colours, paint, visible_polygons
+from robot_ik.camera.text import text_size, write
+from robot_ik.geometry import Pose
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+Colour = tuple[int, int, int]
+Style = Literal["solid", "outline", "registered"]
+
+BLUE: Colour = (240, 150, 30)
+GREEN: Colour = (90, 190, 60)
+ORANGE: Colour = (30, 140, 250)
+RED: Colour = (60, 60, 230)
+WHITE: Colour = (255, 255, 255)
+DARK: Colour = (38, 32, 28)
+
+_AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((60, 60, 235), (70, 190, 60), (240, 130, 40))
+# cv2's fixed point coordinates: 1/256 px.
+_SHIFT = 8
+# Points along a line drawn through a distorting lens.
+_LINE_POINTS = 24
+
+
+def draw_robot(
+    image: Image,
+    model: mujoco.MjModel,
+    qpos: ArrayLike,
+    intrinsics: CameraIntrinsics,
+    pose_world_camera: Pose,
+    *,
+    alpha: float = 0.6,
+    tint: Colour | None = None,
+    style: Style = "solid",
+    line_colour: Colour = WHITE,
+    line_width: int = 1,
+) -> Image:
+    """Draws the model where this camera would see it.
+
+    Args:
+        image: (height, width, 3) as the camera delivers it, with its distortion.
+        model: Any MuJoCo model; planes (floors) are left out.
+        qpos: (model.nq,) full configuration.
+        intrinsics: For pictures of this size.
+        pose_world_camera: OpenCV camera axes seen from the world.
+        alpha: 0 leaves the picture, 1 hides it.
+        tint: One colour for everything instead of the geoms' own.
+        style: ``solid`` fills, ``outline`` draws silhouettes and sharp edges, hidden ones left out,
+            ``registered`` does both, so that one can see whether the drawing fits the picture.
+        line_colour: Of the lines; ``line_width`` in pixels.
+        line_width: See ``line_colour``.
+
+    Raises:
+        CalibrationError: The calibration is for another picture size.
+        ValueError: Unknown style.
+    """
+    if style not in ("solid", "outline", "registered"):
+        raise ValueError(f"unknown style {style!r}; known: 'solid', 'outline', 'registered'")
+    height, width = image.shape[:2]
+    intrinsics.require_size(width, height)
+    result = image.copy()
+    polygons = visible_polygons(model, qpos, intrinsics, pose_world_camera, lines=style != "solid")
+    x0, y0, x1, y1 = bounding_box(polygons, width, height, margin=3 + line_width)
+    if x1 <= x0:
+        return result
+    region = result[y0:y1, x0:x1]
+    colours = face_colours(model, polygons, tint)
+    if style == "solid":
+        # outside its faces the layer is the picture itself: blending needs no mask
+        layer = region.copy()
+        paint(layer, polygons, colours, (x0, y0))
+        cv2.addWeighted(region, 1.0 - alpha, layer, alpha, 0.0, dst=region)
+        return result
+    # the fourth channel says where lines are
+    layer = np.dstack([region, np.zeros(region.shape[:2], dtype=np.uint8)])
+    fill = np.concatenate([colours, np.zeros((len(colours), 1))], axis=1)
+    paint(layer, polygons, fill, (x0, y0), line_colour=(*line_colour, 255), line_width=line_width)
+    if style == "registered":
+        cv2.addWeighted(region, 1.0 - alpha, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR), alpha, 0.0, dst=region)
+    _stain(region, layer[..., 3], line_colour)
+    return result
+
+
+def _stain(region: Image, mask: Image, colour: Colour) -> None:
+    """Lays ``colour`` over ``region`` as far as ``mask`` (0..255) says, in place."""
+    where = np.nonzero(mask)
+    share = mask[where][:, None] * np.float32(1 / 255)
+    region[where] = np.rint(region[where] * (1 - share) + np.array(colour, dtype=np.float32) * share)
+
+
+def _fixed(pixels: Array) -> NDArray[np.int32]:
+    return np.rint(np.clip(pixels, -8000, 8000) * (1 << _SHIFT)).astype(np.int32)
+
+
+def _runs(points: Array, intrinsics: CameraIntrinsics) -> list[NDArray[np.int32]]:
+    """Polyline (n, 3) in the camera frame as pieces in fixed point that are in front of the lens."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        radius = np.hypot(points[:, 0], points[:, 1]) / points[:, 2]
+    good = (points[:, 2] > NEAR) & (radius < intrinsics.radius_limit)
+    pixels = np.zeros((len(points), 2))
+    if good.any():
+        pixels[good] = intrinsics.project(points[good])
+    cuts = np.flatnonzero(np.diff(good.astype(int))) + 1
+    pieces = np.split(np.arange(len(points)), cuts)
+    return [_fixed(pixels[piece]) for piece in pieces if good[piece[0]] and len(piece) > 1]
+
+
+def draw_path(
+    image: Image, intrinsics: CameraIntrinsics, points_camera: ArrayLike, *, colour: Colour = ORANGE, width: int = 2
+) -> Image:
+    """Draws a line through points (n, 3) of the camera frame, metres, with a dark rim that shows on any ground."""
+    result = image.copy()
+    runs = _runs(np.asarray(points_camera, dtype=float).reshape(-1, 3), intrinsics)
+    cv2.polylines(result, runs, False, DARK, width + 2, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(result, runs, False, colour, width, cv2.LINE_AA, _SHIFT)
+    return result
+
+
+def draw_axes(
+    image: Image,
+    pose_camera_x: Pose,
+    length: float,
+    intrinsics: CameraIntrinsics,
+    *,
+    width: int = 3,
+    label: str = "",
+) -> Image:
+    """Draws a frame's axes, x red, y green, z blue, the farthest first.
+
+    Args:
+        image: (height, width, 3).
+        pose_camera_x: The frame seen from the camera.
+        length: Of each axis, metres.
+        intrinsics: For pictures of this size.
+        width: Pixels.
+        label: Caption beside the origin.
+    """
+    result = image.copy()
+    rotation, origin = pose_camera_x.rotation, pose_camera_x.position
+    steps = np.linspace(0.0, length, _LINE_POINTS)[:, None]
+    for axis in np.argsort(-rotation[2]):
+        runs = _runs(origin + steps * rotation[:, axis], intrinsics)
+        cv2.polylines(result, runs, False, WHITE, width + 2, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(result, runs, False, _AXIS_COLOURS[axis], width, cv2.LINE_AA, _SHIFT)
+    centre = _runs(np.stack([origin, origin * 1.0001]), intrinsics)
+    if centre:
+        x, y = (int(v) for v in centre[0][0])
+        radius = (width + 1) << _SHIFT
+        cv2.circle(result, (x, y), radius, WHITE, -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(result, (x, y), radius - (1 << _SHIFT), DARK, -1, cv2.LINE_AA, _SHIFT)
+        if label:
+            result = put_label(result, label, (x / 256 + 14, y / 256 - 14))
+    return result
+
+
+def draw_marker_outline(
+    image: Image, corners: ArrayLike, *, colour: Colour = GREEN, width: int = 2, label: str = ""
+) -> Image:
+    """Draws a seen marker's border through its corners (4, 2) in pixels, with a square at the first one."""
+    points = np.asarray(corners, dtype=float).reshape(4, 2)
+    result = image.copy()
+    cv2.polylines(result, [_fixed(points)], True, colour, width, cv2.LINE_AA, _SHIFT)
+    square = points[0] + np.array([[-3, -3], [3, -3], [3, 3], [-3, 3]])
+    cv2.fillConvexPoly(result, _fixed(square), RED, cv2.LINE_AA, _SHIFT)
+    if label:
+        result = put_label(result, label, (float(points[:, 0].max()) + 8, float(points[:, 1].mean())), accent=colour)
+    return result
+
+
+def put_label(
+    image: Image,
+    text: str,
+    anchor: tuple[float, float],
+    *,
+    size: int = 17,
+    colour: Colour = WHITE,
+    accent: Colour | None = None,
+    bold: bool = False,
+) -> Image:
+    """Writes a caption on a dark translucent card; lines are separated by newlines.
+
+    Args:
+        image: (height, width, 3).
+        text: One or more lines.
+        anchor: (x, y) of the card's left edge and vertical middle; moved so that the card stays inside.
+        size: Letter size in pixels.
+        colour: Of the text.
+        accent: A bar at the card's left edge.
+        bold: Heavier letters.
+    """
+    lines = text.split("\n")
+    sizes = [text_size(line, size, bold=bold) for line in lines]
+    pad, step = round(0.55 * size), round(1.35 * size)
+    width = max(w for w, _ in sizes) + 2 * pad + (5 if accent else 0)
+    height = step * (len(lines) - 1) + sizes[0][1] + 2 * pad
+    x = int(np.clip(round(anchor[0]), 0, max(0, image.shape[1] - width)))
+    y = int(np.clip(round(anchor[1] - height / 2), 0, max(0, image.shape[0] - height)))
+    result = image.copy()
+    card = result[y : y + height, x : x + width]
+    cv2.addWeighted(card, 0.22, np.full_like(card, DARK), 0.78, 0.0, dst=card)
+    if accent:
+        card[:, :5] = accent
+    for k, line in enumerate(lines):
+        place = (x + pad + (5 if accent else 0), y + pad + sizes[0][1] + k * step)
+        write(result, line, place, size, colour, bold=bold)
+    return result
+
+
+def before_after(
+    before: Image,
+    after: Image,
+    captions: Sequence[str] = ("Before", "After"),
+    *,
+    title: str = "",
+    footer: str = "",
+    accents: tuple[Colour, Colour] = (ORANGE, GREEN),
+    width: int = 960,
+) -> Image:
+    """Puts two views side by side on one sheet with captions below.
+
+    Args:
+        before: (h, w, 3), left; ``after`` right, of any size.
+        after: See ``before``.
+        captions: One for each; the first line is the heading, further lines are small.
+        title: Headline; ``footer``: one line below all.
+        footer: See ``title``.
+        accents: Colour of the bar above each caption.
+        width: Of each view on the sheet, pixels.
+    """
+    views = [_fitted(view, width) for view in (before, after)]
+    margin, gap = 28, 20
+    top = margin + (48 if title else 0)
+    high = max(len(views[0]), len(views[1]))
+    lines = max(text.count("\n") for text in captions)
+    below = 58 + 27 * lines
+    total = (top + high + below + (34 if footer else 0) + margin // 2, 2 * margin + 2 * width + gap)
+    sheet = np.full((*total, 3), 250, dtype=np.uint8)
+    if title:
+        write(sheet, title, (margin, margin + 22), 28, DARK, bold=True)
+    for k, (view, text, accent) in enumerate(zip(views, captions, accents, strict=True)):
+        x = margin + k * (width + gap)
+        sheet[top : top + len(view), x : x + width] = view
+        sheet[top + high : top + high + 6, x : x + width] = accent
+        heading, *rest = text.split("\n")
+        write(sheet, heading, (x, top + high + 40), 24, DARK, bold=True)
+        for j, line in enumerate(rest):
+            write(sheet, line, (x, top + high + 69 + 27 * j), 19, (90, 84, 80))
+    if footer:
+        write(sheet, footer, (margin, total[0] - margin // 2 - 8), 17, (120, 114, 110))
+    return sheet
+
+
+def _fitted(view: Image, width: int) -> Image:
+    height = round(view.shape[0] * width / view.shape[1])
+    way = cv2.INTER_AREA if width < view.shape[1] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(view, (width, height), interpolation=way), dtype=np.uint8)
