@@ -1,1 +1,163 @@
-"""Servos: from joint angles to a bus and back, guarded.  Imported as ``robot_ik.hardware``."""
+"""Servos: from joint angles to a bus and back, guarded.  Imported as ``robot_ik.hardware``.
+
+``open_arm(ArmConfig.load(...), "pty")`` gives an arm; ``BUSES`` are the ways to reach one.  Importing this
+opens nothing and loads neither the SDK nor pyserial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if __name__ != "robot_ik.hardware":
+    raise ImportError(
+        "this is the hardware room of robot_ik: `import robot_ik.hardware`, not `import hardware` "
+        "(other distributions own that name)"
+    )
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.bus import ServoBus
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.ports import Clock
+
+__all__ = ["BUSES", "Bus", "bus_row", "open_arm", "open_bus"]
+
+
+@dataclass(frozen=True)
+class Bus:
+    """One way to reach servos.
+
+    Attributes:
+        name: As the user says it; ``PORT`` stands for any name of a serial port.
+        title: One line for help texts.
+        virtual: Its servos are simulated.
+        make: (name given, config, servos or None, clock) -> bus, not open yet.
+        clock: Makes the clock on which an arm on this bus runs.
+    """
+
+    name: str
+    title: str
+    virtual: bool
+    make: Callable[[str, ArmConfig, VirtualBus | None, Clock], ServoBus]
+    clock: Callable[[], Clock]
+
+
+def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+    from robot_ik.hardware.virtual.inprocess import SimBus
+
+    assert servos is not None
+    return SimBus(servos)
+
+
+def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+    from robot_ik.hardware.served import ServedBus
+
+    assert servos is not None
+    return ServedBus(servos, config.baud)
+
+
+def _port(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+    from robot_ik.hardware.dynamixel import DynamixelBus
+
+    return DynamixelBus(name, config.baud)
+
+
+def _real_clock() -> Clock:
+    from robot_ik.ports import RealClock
+
+    return RealClock()
+
+
+def _virtual_clock() -> Clock:
+    from robot_ik.ports import VirtualClock
+
+    return VirtualClock()
+
+
+BUSES: Mapping[str, Bus] = MappingProxyType(
+    {
+        bus.name: bus
+        for bus in (
+            Bus("sim", "virtual servos in this process, on virtual time", True, _sim, _virtual_clock),
+            Bus("pty", "virtual servos behind a real pty and the real SDK", True, _pty, _real_clock),
+            Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port, _real_clock),
+        )
+    }
+)
+"""Every way to reach servos; the only place of registration."""
+
+
+def bus_row(name: str) -> Bus:
+    """The row for what the user said: any other name is that of a port."""
+    return BUSES.get(name, BUSES["PORT"])
+
+
+def open_arm(
+    config: ArmConfig,
+    bus: str = "pty",
+    *,
+    on_exit: str | None = None,
+    virtual_bus: VirtualBus | None = None,
+    start: ArrayLike | None = None,
+    park_at: ArrayLike | None = None,
+) -> Arm:
+    """Makes an arm on a bus, still disconnected: a ``with`` block connects it, ``enable`` gives it torque.
+
+    Args:
+        config: The arm file.
+        bus: A name in ``BUSES``, or a serial port.
+        on_exit: ``torque_off``, ``hold`` or ``park``; the arm file's by default.
+        virtual_bus: Servos made by the caller (faults, true angles), for "sim" and "pty"; else healthy ones.
+        start: (n,) rad, where those default servos stand at first.
+        park_at: (n,) rad, for ``park``; by default where the arm was enabled.
+
+    Raises:
+        ValueError: ``virtual_bus`` or ``start`` for a real port.
+        ConfigError: ``on_exit`` or ``start`` is impossible.
+    """
+    from robot_ik.hardware.arm import Arm
+
+    clock, servos = _surroundings(config, bus, virtual_bus, start)
+    made = bus_row(bus).make(bus, config, servos, clock)
+    return Arm(config, made, clock, virtual_bus=servos, on_exit=on_exit, park_at=park_at)
+
+
+def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = None) -> ServoBus:
+    """The bus alone, open.
+
+    Args:
+        name: A name in ``BUSES``, or a serial port.
+        config: Says which baud rate, and which servos where they are virtual.
+        virtual_bus: As for ``open_arm``.
+
+    Raises:
+        BusNotOpenError: Missing, not a serial port, not permitted, already open.
+        ValueError: ``virtual_bus`` for a real port.
+    """
+    clock, servos = _surroundings(config, name, virtual_bus, None)
+    bus = bus_row(name).make(name, config, servos, clock)
+    bus.open()
+    return bus
+
+
+def _surroundings(
+    config: ArmConfig, bus: str, servos: VirtualBus | None, start: ArrayLike | None
+) -> tuple[Clock, VirtualBus | None]:
+    """The clock, and the servos where they are virtual; both sides of a simulation share one clock."""
+    row = bus_row(bus)
+    if not row.virtual:
+        if servos is not None or start is not None:
+            raise ValueError(f"{bus} is a real port: virtual_bus and start are for sim and pty")
+        return row.clock(), None
+    if servos is not None:
+        return servos.clock, servos
+    from robot_ik.hardware.virtual.bus import VirtualBus
+
+    clock = row.clock()
+    return clock, VirtualBus.from_config(config, clock, start)

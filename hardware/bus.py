@@ -19,6 +19,9 @@ ALERT_BIT = 0x80
 BROADCAST_ID = 254
 """Every servo listens to this id and none answers a write to it."""
 
+GARBLED = 3
+"""ERR number of a servo that received a damaged request: worth asking again."""
+
 ERROR_REASONS: dict[int, str] = {
     1: "result fail",
     2: "unknown instruction",

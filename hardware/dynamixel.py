@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoRefusedError
-from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, Counters, Status
+from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, GARBLED, Counters, Status
 from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.quiet_port import ANSWER_TIME, QuietPortHandler
 from robot_ik.hardware.wire import QUIET, SHORTEST_STATUS, Answer, Wire
@@ -216,7 +216,7 @@ class DynamixelBus:
                 send(port)
                 port.setPacketTimeout(SHORTEST_STATUS + size)
                 answer = self._answer(port, id, size)
-                if answer is not None:
+                if answer is not None and answer.code != GARBLED:
                     break
                 self._wire.missed()
         if answer is not None:

@@ -1,0 +1,279 @@
+"""One control cycle: a command in, one sync write, one sync read, samples and faults out."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import BusTimeoutError, HardwareError, MotorFaultError, UnsafeCommandError
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import hardware_error_names
+from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
+from robot_ik.hardware.samples import Samples
+from robot_ik.hardware.startup import read_all, shared_register
+from robot_ik.hardware.switch_on import arm_watchdog
+from robot_ik.ports import Array, Clock
+
+log = logging.getLogger(__name__)
+
+PAUSE = 0.25
+"""s between two commands after which the arm is taken to stand: the next command starts from rest."""
+
+SAG = 0.05
+"""rad between goal and shaft up to which holding keeps the goal.  Beyond, something pushes: it yields."""
+
+FOLLOWING_ALARM = 0.15
+"""rad of tracking error at which a servo is asked whether it still has torque (it may have restarted)."""
+
+ARRIVED_TICKS = 3
+"""Servo ticks between goal and shaft at which a joint counts as arrived."""
+
+GRACE = 2.0
+"""s allowed on the way to a pose beyond what the caps ask for."""
+
+_ALARM_PERIOD = 0.5  # s; asking costs a cycle
+
+
+@dataclass
+class MotionReport:
+    """What happened to the commands since torque came on.
+
+    Attributes:
+        sent: Commands sent.
+        clipped: Joint -> number of ticks in which its command lay outside the limits.
+        capped: Joint -> number of ticks in which a cap held it back.
+        last: What the limiter did to the last command.
+        tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
+        largest_tracking_error: (n,) rad.
+    """
+
+    tracking_error: Array
+    largest_tracking_error: Array
+    sent: int = 0
+    clipped: dict[str, int] = field(default_factory=dict)
+    capped: dict[str, int] = field(default_factory=dict)
+    last: LimiterReport = field(default_factory=LimiterReport)
+
+    @classmethod
+    def empty(cls, n: int) -> MotionReport:
+        """Before the first command of ``n`` joints."""
+        return cls(np.zeros(n), np.zeros(n))
+
+    def count(self, report: LimiterReport) -> None:
+        """Adds one command."""
+        self.sent += 1
+        self.last = report
+        for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
+            for name in names:
+                counts[name] = counts.get(name, 0) + 1
+
+    def track(self, error: Array) -> None:
+        """Adds (n,) rad, one cycle's tracking error."""
+        self.tracking_error = error
+        self.largest_tracking_error = np.fmax(self.largest_tracking_error, error)
+
+
+class Cycle:
+    """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
+
+    Attributes:
+        samples: Measured positions; ``limits``: state of the limiter; ``goals``: servo id -> ticks last sent.
+        reports: See ``MotionReport``.
+    """
+
+    def __init__(self, config: ArmConfig, bus: ServoBus, clock: Clock) -> None:
+        n = len(config.joints)
+        self.samples = Samples(config)
+        self.limits = LimiterState.at_rest(np.zeros(n))
+        self.goals: dict[int, int] = {}
+        self.reports = MotionReport.empty(n)
+        self.period = 1.0 / config.rate_hz
+        self._config, self._bus, self._clock = config, bus, clock
+        self._limiter = SafetyLimiter(
+            config.lower, config.upper, config.velocity, config.acceleration, joints=config.names
+        )
+        self._goal = shared_register(config, "goal_position")
+        self._present = shared_register(config, "present_position")
+        self._last_now: float | None = None
+        self._last_traffic = self._last_alarm = -math.inf
+
+    def stand(self, goals: Mapping[int, int]) -> None:
+        """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
+        self.goals = dict(goals)
+        self.limits = LimiterState.at_rest([j.to_radians(goals[j.id]) for j in self._config.joints])
+        self._last_now = None
+        self._last_traffic = self._clock.now()
+        self.samples.forgive(self._last_traffic)
+
+    def drive(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
+        """Limits and caps, goals to all servos in one packet, positions of all in one read.
+
+        Raises:
+            UnsafeCommandError: Nothing was sent.
+            MotorFaultError, BusTimeoutError, BusDisconnectedError: See ``measure``.
+        """
+        command = self._limiter.command(q, self.limits.command)
+        if not math.isfinite(now):
+            raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
+        self.stay_alive()
+        before = np.array(self.limits.q)
+        dt = self._tick(now)
+        if dt > 0.0:
+            self.limits, out, report = self._limiter.step(self.limits, command, dt)
+            joints = self._config.joints
+            self.goals = {j.id: j.to_ticks(angle) for j, angle in zip(joints, out.tolist(), strict=True)}
+            self.reports.count(report)
+        self._bus.sync_write(self._goal, self.goals)
+        self.measure()
+        # A shaft had one period to reach the goal before this one.
+        self.reports.track(np.abs(self.samples.q - before))
+        self._check_torque()
+
+    def measure(self) -> None:
+        """One sync read.
+
+        Raises:
+            MotorFaultError: A servo reports a hardware error, or one is silent for too long.
+            BusTimeoutError: All are.
+            BusDisconnectedError: The port went away.
+        """
+        statuses = self._bus.sync_read(self._config.ids, self._present)
+        now = self._last_traffic = self._clock.now()
+        self.samples.take(statuses, now)
+        for joint in self._config.joints:
+            if statuses[joint.id].alert:
+                raise MotorFaultError(
+                    joint.name,
+                    self._hardware_errors(joint),
+                    hint="the other joints hold; remove the cause, then power-cycle or reboot the servo",
+                )
+        silent = self.samples.silent(now)
+        if silent:
+            raise self._silence(self._config.joint(silent[0]), everyone=len(silent) == len(statuses))
+
+    def go(
+        self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
+    ) -> Array:
+        """Drives to a constant ``q`` within the caps until the shafts are there, time is over or ``stop()``.
+
+        Args:
+            q: (n,) rad, or joint name -> rad.
+            timeout: s; None: what the caps ask for and ``GRACE``.
+            stop: Asked in every cycle.
+
+        Returns:
+            (n,) rad still to go; 0 where arrived.
+
+        Raises:
+            UnsafeCommandError, MotorFaultError, BusTimeoutError, BusDisconnectedError: As ``drive``.
+        """
+        now = self._clock.now()
+        wanted = self._limiter.command(q, self.limits.command)
+        command = np.clip(wanted, self._config.lower, self._config.upper)
+        self.drive(command, now)
+        velocity, acceleration = self._config.velocity, self._config.acceleration
+        needed = np.abs(command - self.samples.q) / velocity + 2.0 * velocity / acceleration
+        end = now + (float(needed.max()) + GRACE if timeout is None else timeout)
+        while True:
+            off = np.abs(self.samples.q - command)
+            off[off <= ARRIVED_TICKS * self._config.resolution] = 0.0
+            if stop() or now > end or (self.limits.q == tuple(command) and not off.any()):
+                return off
+            now = max(now + self.period, self._clock.now())
+            self._clock.sleep_until(now)
+            self.drive(command, now)
+
+    def hold(self) -> None:
+        """Goals of joints that answered: where they are, or where they were sent if they are nearly there."""
+        self.stay_alive()
+        self.goals = self.holding_goals()
+        self._bus.sync_write(self._goal, self.goals)
+        self.stand(self.goals)
+
+    def holding_goals(self) -> dict[int, int]:
+        """Servo id -> ticks.  Taking the present position every time would let a loaded joint creep down."""
+        goals = dict(self.goals)
+        for joint in self._config.joints:
+            present = self.samples.ticks.get(joint.id)
+            if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG:
+                goals[joint.id] = present
+        return goals
+
+    def stay_alive(self) -> None:
+        """After a pause the bus watchdogs may have tripped: then the arm goes on from where it is, from rest.
+
+        Raises:
+            BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError, HardwareError.
+        """
+        limit = self._config.watchdog_ms / 1000.0
+        if limit == 0.0 or self._clock.now() - self._last_traffic < 0.5 * limit:
+            return
+        armed = self._config.watchdog_ms // 20
+        watchdog = shared_register(self._config, "bus_watchdog")
+        if any(value != armed for value in read_all(self._bus, self._config, "bus_watchdog").values()):
+            log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
+            self._bus.sync_write(watchdog, dict.fromkeys(self._config.ids, 0))
+            present = read_all(self._bus, self._config, "present_position")
+            self._bus.sync_write(self._goal, present)
+            arm_watchdog(self._bus, self._config)
+            self.stand(present)
+        self.samples.forgive(self._clock.now())
+
+    def _tick(self, now: float) -> float:
+        """Seconds this command is after the last one; 0: no time has passed, nothing may move."""
+        last, self._last_now = self._last_now, now
+        if last is None:
+            return self.period
+        dt = now - last
+        if 0.0 < dt <= PAUSE:
+            return dt
+        if dt > PAUSE:
+            self.limits = LimiterState.at_rest(self.limits.q)
+            return self.period
+        # The same time again, or another loop with another zero of time: our own clock decides.
+        spent = self._clock.now() - self._last_traffic
+        return self.period if spent >= 0.5 * self.period else 0.0
+
+    def _check_torque(self) -> None:
+        """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque."""
+        now = self._clock.now()
+        if self.reports.tracking_error.max() < FOLLOWING_ALARM or now - self._last_alarm < _ALARM_PERIOD:
+            return
+        self._last_alarm = now
+        torque = shared_register(self._config, "torque_enable")
+        statuses = self._bus.sync_read(self._config.ids, torque)
+        for joint in self._config.joints:
+            if statuses[joint.id].data == 0:
+                raise MotorFaultError(
+                    joint.name,
+                    ("torque_lost",),
+                    hint="the servo has probably restarted: check its supply; the other joints hold",
+                )
+
+    def _hardware_errors(self, joint: JointMap) -> tuple[str, ...]:
+        try:
+            value = self._bus.read(joint.id, joint.table["hardware_error_status"]).data or 0
+        except HardwareError as error:
+            log.warning("hardware error status of %s: %s", joint.name, error)
+            value = 0
+        return hardware_error_names(value) or ("hardware_error",)
+
+    def _silence(self, joint: JointMap, everyone: bool) -> HardwareError:
+        age = float(self._clock.now() - self.samples.times[self._config.names.index(joint.name)])
+        if everyone:
+            return BusTimeoutError(
+                id=joint.id,
+                register="present_position",
+                port=self._bus.port,
+                joint=joint.name,
+                last_good=age if math.isfinite(age) else None,
+                hint="no servo answers any more: check their power and the cable",
+            )
+        hint = f"servo id {joint.id} is silent for {age:.2f} s: check its cable and power; the others hold"
+        return MotorFaultError(joint.name, ("no_status",), hint=hint)

@@ -1,0 +1,138 @@
+"""The end of motion: torque off or hold, each servo on its own, and verified."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from robot_ik.errors import ConfigError
+from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.startup import shared_register
+
+log = logging.getLogger(__name__)
+
+PATIENCE = 1.0
+"""s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
+
+
+ON_EXIT = ("torque_off", "hold", "park")
+"""Ways to leave an arm; ``park`` ends in torque off."""
+
+
+def checked_policy(name: str, config: ArmConfig) -> str:
+    """``name`` if it is one of ``ON_EXIT``.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if name not in ON_EXIT:
+        raise ConfigError(
+            f"{name!r} is no way to leave an arm",
+            file=config.file or config.name,
+            key="bus.on_exit",
+            allowed=", ".join(ON_EXIT),
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class ExitReport:
+    """How an arm was left.
+
+    Attributes:
+        done: ``torque_off``, ``hold`` or ``untouched`` (was never switched on here).
+        verified: Joints that confirmed it.
+        unverified: Joints that did not: silent, or the port is gone.  Their torque may still be on.
+        parked: The way to the park pose was finished before.
+        seconds: How long it took, parking not counted.
+    """
+
+    done: str
+    verified: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
+    parked: bool = False
+    seconds: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Everybody confirmed."""
+        return not self.unverified
+
+
+def torque_off(bus: ServoBus, config: ArmConfig, *, parked: bool = False) -> ExitReport:
+    """Switches every servo off: all at once first, then each by itself, until register 64 reads 0.
+
+    Args:
+        bus: If it is not open, the report says that nothing was done.
+        config: Of the arm.
+        parked: For the report.
+
+    Never raises on what the bus does: what failed is in the report and in the log.
+    """
+    begin = time.monotonic()
+    register = shared_register(config, "torque_enable")
+    left = dict(zip(config.ids, config.names, strict=True))
+    # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
+    # and the torn head of that one can swallow the first.
+    for _ in range(2):
+        with _tolerant("torque off for all"):
+            bus.write(BROADCAST_ID, register, 0)
+    while left and bus.is_open:
+        with _tolerant("reading torque"):
+            for id, status in bus.sync_read(list(left), register).items():
+                if status.data == 0:
+                    del left[id]
+        for id, name in list(left.items()):
+            if time.monotonic() - begin > PATIENCE:
+                return _report("torque_off", config, left, begin, parked)
+            with _tolerant(f"torque off for {name}"):
+                bus.write(id, register, 0)
+    return _report("torque_off", config, left, begin, parked)
+
+
+def hold(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> ExitReport:
+    """Leaves torque on and the shafts at their goals.
+
+    The Bus Watchdog is disarmed: the goals stand, and another program may take over.
+
+    Args:
+        bus: If it is not open, the report says that nothing was done.
+        config: Of the arm.
+        goals: Servo id -> goal position, ticks.
+    """
+    begin = time.monotonic()
+    goal, watchdog = (shared_register(config, name) for name in ("goal_position", "bus_watchdog"))
+    left = dict(zip(config.ids, config.names, strict=True))
+    while left and bus.is_open and time.monotonic() - begin < PATIENCE:
+        with _tolerant("hold"):
+            bus.sync_write(watchdog, dict.fromkeys(left, 0))
+            bus.sync_write(goal, {id: goals[id] for id in left})
+            for id, status in bus.sync_read(list(left), goal).items():
+                if status.data == goals[id]:
+                    del left[id]
+    return _report("hold", config, left, begin)
+
+
+def _report(
+    done: str, config: ArmConfig, left: Mapping[int, str], begin: float, parked: bool = False
+) -> ExitReport:
+    seconds = time.monotonic() - begin
+    if left:
+        log.error("%s not confirmed by %s: torque may be ON, cut the power", done, ", ".join(left.values()))
+    else:
+        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.joints), seconds)
+    verified = tuple(name for name in config.names if name not in left.values())
+    return ExitReport(done, verified, tuple(left.values()), parked, seconds)
+
+
+@contextmanager
+def _tolerant(what: str) -> Iterator[None]:
+    """One step of leaving must not prevent the next."""
+    try:
+        yield
+    except Exception as error:
+        log.warning("%s: %s", what, error)

@@ -1,0 +1,273 @@
+"""Before an arm may move: are these the servos of the arm file, healthy, and set up as the program assumes?
+
+Nothing here switches torque on.  EEPROM is written only where it differs (it wears out), with torque off.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from robot_ik.errors import (
+    ArmStateError,
+    BusCorruptError,
+    BusTimeoutError,
+    ConfigError,
+    HardwareError,
+    MotorFaultError,
+    ServoMismatchError,
+    ServoRefusedError,
+)
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import (
+    ACCELERATION_UNIT,
+    VELOCITY_UNIT,
+    OperatingMode,
+    Register,
+    hardware_error_names,
+    model_by_number,
+)
+
+log = logging.getLogger(__name__)
+
+ALL_ANSWERS = 2
+"""Status Return Level: answer everything."""
+
+SPEED_HEADROOM = 1.5
+"""Profile Velocity over the joint's cap: the servo catches up after a lost cycle, yet stays bounded."""
+
+RAMP_SHARE = 0.25
+"""Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
+
+_REVERSE = 0b0001  # Drive Mode bit 0
+_LARGEST_PROFILE = 32767  # of both profile registers
+
+
+def shared_register(config: ArmConfig, name: str) -> Register:
+    """The register all servos of the arm have at one address: what sync read and write need.
+
+    Raises:
+        ConfigError: The models of the arm differ in it.
+    """
+    first = config.joints[0].table[name]
+    for joint in config.joints:
+        other = joint.table[name]
+        if (other.address, other.size, other.signed) != (first.address, first.size, first.signed):
+            raise ConfigError(
+                f"{name} lies elsewhere in {joint.model} than in {config.joints[0].model}",
+                file=config.file or config.name,
+                key="joints",
+                allowed="models with one layout on one bus",
+            )
+    return first
+
+
+@contextmanager
+def joint_named(config: ArmConfig) -> Iterator[None]:
+    """Adds the joint's name to errors of the bus, which knows ids only."""
+    names = dict(zip(config.ids, config.names, strict=True))
+    try:
+        yield
+    except BusTimeoutError as error:
+        raise BusTimeoutError(
+            id=error.id,
+            register=error.register,
+            port=error.port,
+            joint=names.get(error.id, ""),
+            last_good=error.last_good,
+        ) from error
+    except ServoRefusedError as error:
+        raise ServoRefusedError(
+            id=error.id,
+            register=error.register,
+            code=error.code,
+            reason=error.reason,
+            joint=names.get(error.id, ""),
+        ) from error
+
+
+def read_all(bus: ServoBus, config: ArmConfig, name: str) -> dict[int, int]:
+    """One register of every servo; who misses the common read is asked alone.
+
+    Raises:
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
+    """
+    register = shared_register(config, name)
+    values: dict[int, int] = {}
+    with joint_named(config):
+        for id, status in bus.sync_read(config.ids, register).items():
+            value = status.data if status.data is not None else bus.read(id, register).data
+            assert value is not None  # read() answers or raises
+            values[id] = value
+    return values
+
+
+def check_servos(bus: ServoBus, config: ArmConfig) -> None:
+    """Every servo is there, is the right model and healthy, and answers as expected; torque is not touched.
+
+    Raises:
+        ServoMismatchError: Missing or another model.
+        MotorFaultError: A latched hardware error, or a supply outside the servo's limits.
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    """
+    _check_models(bus, config)
+    with joint_named(config):
+        for joint in config.joints:
+            _answer_everything(bus, joint)
+    for joint, value in _by_joint(config, read_all(bus, config, "hardware_error_status")):
+        if value:
+            raise MotorFaultError(
+                joint.name,
+                hardware_error_names(value),
+                hint="remove the cause, then power-cycle or reboot the servo",
+            )
+    _check_voltage(bus, config)
+    watchdog = shared_register(config, "bus_watchdog")
+    with joint_named(config):
+        for joint, value in _by_joint(config, read_all(bus, config, "bus_watchdog")):
+            if value != 0:  # armed, or tripped: then goals are refused until it is cleared
+                bus.write(joint.id, watchdog, 0)
+
+
+def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
+    """Operating mode, return delay, drive mode and motion profile as this program needs them.
+
+    Raises:
+        ArmStateError: An EEPROM setting must change and torque is on (left so by another program).
+        ConfigError: A one-turn servo's own limits are narrower than the arm file's.
+        HardwareError: A servo turns in reverse by its own setting, against the arm file's directions.
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    """
+    torque = read_all(bus, config, "torque_enable")
+    drive = read_all(bus, config, "drive_mode")
+    for joint, value in _by_joint(config, drive):
+        if value & _REVERSE:
+            raise HardwareError(
+                f"joint {joint.name!r} (servo id {joint.id}) is set to turn in reverse (Drive Mode bit 0)",
+                hint="clear it in the servo, and set `direction` in the arm file instead",
+            )
+    wanted = {
+        "return_delay_time": dict.fromkeys(config.ids, 0),
+        "drive_mode": dict.fromkeys(config.ids, 0),
+        "operating_mode": {joint.id: int(joint.mode) for joint in config.joints},
+    }
+    for name, values in wanted.items():
+        _set_eeprom(bus, config, name, values, torque)
+    _check_servo_limits(bus, config)
+    _write_verified(bus, config, "profile_acceleration", _profile(config)[1])
+    _write_verified(bus, config, "profile_velocity", _profile(config)[0])
+
+
+def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointMap, int]]:
+    return [(joint, values[joint.id]) for joint in config.joints]
+
+
+def _check_models(bus: ServoBus, config: ArmConfig) -> None:
+    found: dict[int, int] = {}
+    for joint in config.joints:
+        try:
+            found[joint.id] = bus.ping(joint.id)
+        except (BusTimeoutError, BusCorruptError) as error:
+            log.debug("ping %d: %s", joint.id, error)
+    if all(found.get(joint.id) == joint.table.number for joint in config.joints):
+        return
+    if len(found) < len(config.joints):
+        found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
+    expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.joints}
+    models = {id: _model_name(number) for id, number in found.items()}
+    hint = ""
+    if not found:
+        hint = "nobody answers at all: check the servos' power, the cable and the baud rate of the arm file"
+    raise ServoMismatchError(expected, models, port=bus.port, hint=hint)
+
+
+def _model_name(number: int) -> str:
+    table = model_by_number(number)
+    return table.model if table else f"model number {number}"
+
+
+def _answer_everything(bus: ServoBus, joint: JointMap) -> None:
+    """Status Return Level 2: a servo at 0 or 1 would look dead."""
+    register = joint.table["status_return_level"]
+    try:
+        if bus.read(joint.id, register).data == ALL_ANSWERS:
+            return
+    except BusTimeoutError:
+        log.debug("servo %d does not answer reads; raising its status return level", joint.id)
+    try:
+        bus.write(joint.id, register, ALL_ANSWERS)
+    except BusTimeoutError:
+        log.debug("servo %d did not answer the write either, as expected below level 2", joint.id)
+    if bus.read(joint.id, register).data != ALL_ANSWERS:
+        raise HardwareError(f"servo id {joint.id} (joint {joint.name!r}) keeps its status return level")
+
+
+def _check_voltage(bus: ServoBus, config: ArmConfig) -> None:
+    low, high = (read_all(bus, config, f"{end}_voltage_limit") for end in ("min", "max"))
+    for joint, value in _by_joint(config, read_all(bus, config, "present_input_voltage")):
+        if not low[joint.id] <= value <= high[joint.id]:
+            raise MotorFaultError(
+                joint.name,
+                ("input_voltage",),
+                hint=f"its supply is {value / 10:.1f} V, allowed are {low[joint.id] / 10:.1f} to "
+                f"{high[joint.id] / 10:.1f} V",
+            )
+
+
+def _set_eeprom(
+    bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
+) -> None:
+    register = shared_register(config, name)
+    present = read_all(bus, config, name)
+    wrong = [joint for joint in config.joints if present[joint.id] != wanted[joint.id]]
+    for joint in wrong:
+        if torque[joint.id]:
+            raise ArmStateError(
+                f"{name} of joint {joint.name!r} must change, but its torque is on (left on by a program)",
+                hint="support the arm, switch its torque off, and connect again",
+            )
+    with joint_named(config):
+        for joint in wrong:
+            log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
+            bus.write(joint.id, register, wanted[joint.id])
+    if wrong and read_all(bus, config, name) != dict(wanted):
+        raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
+
+
+def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
+    """A one-turn servo refuses goals outside its own limits, and a sync write has no answer to say so."""
+    lowest, highest = (read_all(bus, config, f"{end}_position_limit") for end in ("min", "max"))
+    for index, joint in enumerate(config.joints):
+        first, last = joint.ticks_range
+        low, high = lowest[joint.id], highest[joint.id]
+        if joint.mode == OperatingMode.POSITION and not low <= first <= last <= high:
+            ends = sorted(math.degrees(joint.to_radians(ticks)) for ticks in (low, high))
+            raise ConfigError(
+                f"the servo's own limits (ticks {low} to {high}) are narrower than lower_deg .. upper_deg",
+                file=config.file or config.name,
+                key=f"joints[{index}]",
+                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg, or other limits in the servo",
+            )
+
+
+def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
+    """Profile velocity and acceleration by servo id, in register units."""
+    velocity, acceleration = {}, {}
+    for joint in config.joints:
+        speed = SPEED_HEADROOM * joint.velocity * joint.ratio  # rad/s at the servo
+        ramp = speed * config.rate_hz / RAMP_SHARE
+        velocity[joint.id] = min(max(math.ceil(speed / VELOCITY_UNIT), 1), _LARGEST_PROFILE)
+        acceleration[joint.id] = min(max(math.ceil(ramp / ACCELERATION_UNIT), 1), _LARGEST_PROFILE)
+    return velocity, acceleration
+
+
+def _write_verified(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> None:
+    register = shared_register(config, name)
+    with joint_named(config):
+        for joint in config.joints:
+            bus.write(joint.id, register, values[joint.id])
+    if read_all(bus, config, name) != dict(values):
+        raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")

@@ -1,0 +1,96 @@
+"""Torque on without a jerk: every goal is where its shaft is before any servo gets torque."""
+
+from __future__ import annotations
+
+import math
+
+from robot_ik.errors import HardwareError, MotorFaultError
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
+from robot_ik.hardware.startup import read_all, shared_register
+
+WATCHDOG_UNIT_MS = 20
+
+_ATTEMPTS = 3  # a sync write has no answer: it is read back, and repeated if it was lost
+_REBASE_TICKS = TICKS_PER_TURN // 8  # a shaft does not move so far while torque comes on; a lost turn does
+
+
+def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
+    """Goal = present, read back; torque on, read back; then the Bus Watchdog.
+
+    Returns:
+        Servo id -> goal position, ticks: where the arm now holds.
+
+    Raises:
+        HardwareError: A goal was not taken, or a multi-turn servo has lost its turns.  Torque may be on then:
+            the caller switches it off.
+        MotorFaultError: A servo refuses torque, by joint and with its hardware error.
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    """
+    goals = read_all(bus, config, "present_position")
+    _check_turns(config, goals)
+    missing = _sync_set(bus, config, "goal_position", goals)
+    if missing:
+        raise HardwareError(
+            f"{', '.join(missing)} did not take the present position as goal; nothing was switched on",
+            hint="is the shaft outside the servo's own position limits? turn it back inside by hand",
+        )
+    missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.ids, 1))
+    if missing:
+        errors = read_all(bus, config, "hardware_error_status")
+        names = hardware_error_names(errors[config.joint(missing[0]).id])
+        raise MotorFaultError(missing[0], names or ("torque_refused",))
+    arm_watchdog(bus, config)
+    present = read_all(bus, config, "present_position")
+    for joint in config.joints:
+        after = present[joint.id]
+        if abs(after - goals[joint.id]) > _REBASE_TICKS:
+            raise HardwareError(
+                f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
+                hint="a servo may count its turns anew when torque comes on: check zero_ticks",
+            )
+    return goals
+
+
+def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
+    """Servos stop by themselves when the bus is silent for ``watchdog_ms`` (0: never).
+
+    Raises:
+        HardwareError: A servo did not take it.
+    """
+    value = config.watchdog_ms // WATCHDOG_UNIT_MS
+    missing = _sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.ids, value))
+    if missing:
+        raise HardwareError(
+            f"{', '.join(missing)} did not take the bus watchdog",
+            hint="firmware before 38 has none: set watchdog_ms = 0 in the arm file and stay beside the arm",
+        )
+
+
+def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[str]:
+    """Joints that do not read back what was written."""
+    register = shared_register(config, name)
+    wrong = list(config.joints)
+    for _ in range(_ATTEMPTS):
+        bus.sync_write(register, {joint.id: values[joint.id] for joint in wrong})
+        present = read_all(bus, config, name)
+        wrong = [joint for joint in config.joints if present[joint.id] != values[joint.id]]
+        if not wrong:
+            break
+    return [joint.name for joint in wrong]
+
+
+def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
+    """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
+    for joint in config.joints:
+        q = joint.to_radians(present[joint.id])
+        lower, upper = joint.limits
+        outside = max(lower - q, q - upper, 0.0)
+        if outside / joint.resolution > TICKS_PER_TURN / 2:
+            raise HardwareError(
+                f"joint {joint.name!r} reads {math.degrees(q):.1f} deg, more than half a servo turn outside "
+                f"{math.degrees(lower):.1f} .. {math.degrees(upper):.1f} deg; nothing was switched on",
+                hint="the servo has probably lost count of its turns: turn the joint by hand, or correct "
+                "zero_ticks in the arm file",
+            )
