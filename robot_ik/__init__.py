@@ -1,0 +1,62 @@
+"""Inverse kinematics from a MuJoCo model to simulated or real Dynamixel servos, with goals a camera can see.
+
+    import robot_ik as rik
+
+    robot = rik.load_robot("puma560")
+    solution = rik.solve(robot, rik.PoseGoal("gripper", position=(-0.45, -0.1, 0.8), wxyz=(0, 1, 0, 0)))
+
+Names are imported when they are first used: importing the package opens no window, port, camera or GL
+context and compiles nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from robot_ik.catalogue import catalogue
+    from robot_ik.errors import NotConvergedError, RobotIkError
+    from robot_ik.execution import execute, follow
+    from robot_ik.geometry import Pose
+    from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+    from robot_ik.motion.line import line_move
+    from robot_ik.motion.trajectory import Trajectory, joint_move
+    from robot_ik.ports import RealClock, VirtualClock
+    from robot_ik.problem import Budget, Problem, Tolerance
+    from robot_ik.robot import Robot, load_robot
+    from robot_ik.solution import Miss, Solution, Status
+    from robot_ik.solve import solve
+    from robot_ik.solvers import SOLVERS, make_solver
+
+_HOME = {
+    "robot_ik.catalogue": ("catalogue",),
+    "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
+    "robot_ik.execution": ("execute", "follow"),
+    "robot_ik.geometry": ("Pose",),
+    "robot_ik.goals": ("Goal", "OrientationGoal", "PoseGoal", "PositionGoal"),
+    "robot_ik.motion.line": ("line_move",),
+    "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
+    "robot_ik.ports": ("RealClock", "VirtualClock"),
+    "robot_ik.problem": ("Budget", "Problem", "Tolerance"),
+    "robot_ik.robot": ("Robot", "load_robot"),
+    "robot_ik.solution": ("Miss", "Solution", "Status"),
+    "robot_ik.solve": ("solve",),
+    "robot_ik.solvers": ("SOLVERS", "make_solver"),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = sorted([*_MODULE_OF, "__version__"])
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        module = _MODULE_OF.get(name)
+        if module is None:
+            raise AttributeError(f"module 'robot_ik' has no attribute {name!r}")
+        value = getattr(importlib.import_module(module), name)
+        globals()[name] = value
+        return value
+
+    def __dir__() -> list[str]:
+        return __all__

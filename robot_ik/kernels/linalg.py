@@ -39,6 +39,22 @@ def cholesky_solve(matrix, rhs, index, size, factor, x):
     return True
 
 
+@pure
+def normal_equations(jacobian, residual, normal, gradient):
+    """normal = JᵀJ (lower triangle), gradient = Jᵀr."""
+    rows, n = jacobian.shape
+    for i in range(n):
+        s = 0.0
+        for r in range(rows):
+            s += jacobian[r, i] * residual[r]
+        gradient[i] = s
+        for j in range(i + 1):
+            s = 0.0
+            for r in range(rows):
+                s += jacobian[r, i] * jacobian[r, j]
+            normal[i, j] = s
+
+
 @outlined
 def box_step(matrix, gradient, low, high, step, rhs, free, factor):
     """Step d that lessens ½ dᵀ M d − gᵀ d inside low <= d <= high (active set, binding bounds only grow).

@@ -89,8 +89,8 @@ WORK = _WorkType(
         ("trace", _TABLE),  # (rows, len(TRACE_COLUMNS)); no rows = no trace
     )
 )
-_WORK_FIELDS = tuple(name for name, _ in WORK.field_dict.items())
-WorkArrays = namedtuple("WorkArrays", _WORK_FIELDS)
+WORK_FIELDS = tuple(name for name, _ in WORK.field_dict.items())
+WorkArrays = namedtuple("WorkArrays", WORK_FIELDS)
 TreeArrays = namedtuple(
     "TreeArrays",
     "kind parent qadr vadr constant lower upper low high dof_node dof_kind",
@@ -276,6 +276,21 @@ def apply_step(kind, qadr, vadr, dof_node, lower, upper, dofs, nodes, step, dq, 
             a, v = a + 3, v + 3
         turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
     clip(kind, qadr, vadr, lower, upper, nodes, q)
+
+
+@pure
+def room(kind, qadr, dof_node, lower, upper, dofs, q, low, high):
+    """How far each degree of freedom may still go from q: low <= step <= high, each (nu,)."""
+    for u in range(dofs.shape[0]):
+        v = dofs[u]
+        k = dof_node[v]
+        if kind[k] < BALL:
+            low[u] = min(lower[v] - q[qadr[k]], 0.0)
+            high[u] = max(upper[v] - q[qadr[k]], 0.0)
+        else:
+            # A ball's cone is kept by projection after the step; here a step stays below half a turn.
+            low[u] = -3.0
+            high[u] = 3.0
 
 
 @outlined

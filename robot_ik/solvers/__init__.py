@@ -1,0 +1,73 @@
+"""``SOLVERS``: one row for each method, the only place of registration.
+
+CLI, docs table, tests and benchmarks are made from it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from robot_ik.errors import ConfigError, UnknownSolverError, close_matches
+from robot_ik.goals import Goal
+from robot_ik.solvers.base import Solver
+
+# name -> module and class; a method is imported when it is first used.
+_ROWS: dict[str, tuple[str, str]] = {
+    "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
+    "dls": ("damped_least_squares", "DampedLeastSquares"),
+    "ccd": ("ccd", "CyclicCoordinateDescent"),
+}
+
+# ``auto`` names the method that serves any goal best; the default of ``solve``.
+AUTO = "lm"
+
+
+class _Solvers(Mapping[str, type[Solver]]):
+    """Name -> solver class, imported on access."""
+
+    def __getitem__(self, name: str) -> type[Solver]:
+        row = _ROWS.get(AUTO if name == "auto" else name)
+        if row is None:
+            raise UnknownSolverError(name, ("auto", *_ROWS))
+        found: type[Solver] = getattr(importlib.import_module(f"robot_ik.solvers.{row[0]}"), row[1])
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_ROWS)
+
+    def __len__(self) -> int:
+        return len(_ROWS)
+
+    def __contains__(self, name: object) -> bool:
+        return name == "auto" or name in _ROWS
+
+
+SOLVERS: Mapping[str, type[Solver]] = _Solvers()
+
+
+def make_solver(solver: str | Solver, **options: Any) -> Solver:
+    """A solver by name, with options; an instance is returned as it is.
+
+    Raises:
+        UnknownSolverError: With the close names.
+        ConfigError: An option that the method does not have, or out of range.
+    """
+    if isinstance(solver, Solver):
+        return solver
+    kind = SOLVERS[solver]
+    known = list(kind.__dataclass_fields__)
+    for key in options:
+        if key not in known:
+            close = close_matches(key, known)
+            raise ConfigError(
+                "unknown option" + (f" (did you mean {close[0]!r}?)" if close else ""),
+                file=f"solver {solver}", key=key, allowed=", ".join(known),
+            )  # fmt: skip
+    return kind(**options)
+
+
+def able_solvers(goal: type[Goal]) -> tuple[str, ...]:
+    """Names of the methods that serve a kind of goal."""
+    return tuple(name for name in SOLVERS if issubclass(goal, SOLVERS[name].goals))

@@ -1,63 +1,59 @@
-"""Levenberg-Marquardt with joint limits as constraints of each step: the default numeric method."""
+"""Levenberg-Marquardt with joint limits as constraints of each step: the default numeric method.
 
+Each step minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside the joint limits (an active-set solve), with λ in
+proportion to the cost, as Chan & Lawrence (General inverse kinematics with the error damped
+pseudoinverse, ICRA 1988) have it; a step that made things worse is taken back and λ raised
+(Marquardt 1963).  Short tries from random starts replace long ones that creep.
+"""
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.linalg import box_step
+from robot_ik.kernels.linalg import box_step, normal_equations
 from robot_ik.kernels.loop import (
     ACCEPTED,
-    BLOCKED,
     COST,
     DAMPING,
     PRESSED,
-    STALLED,
-    STATUS,
     TRY_STEPS,
     advance,
     begin,
     proceed,
+    room,
     unpack,
 )
 from robot_ik.kernels.residuals import goal_jacobian
-from robot_ik.kernels.tree import BALL
+from robot_ik.solvers.base import IterativeSolver, option
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt(IterativeSolver):
+    """Damped Gauss-Newton inside the joint limits; adaptive damping, seeded restarts."""
+
+    damping: float = option(0.1, "damping per unit of cost at the start of a try", low=1e-9, high=1e3)
+    increase: float = option(4.0, "factor on the damping when a step failed", low=1.01, high=100.0)
+    decrease: float = option(0.5, "factor on the damping when a step helped", low=0.01, high=1.0)
+    least: float = option(1e-3, "smallest damping per unit of cost", low=0.0, high=1e3)
+    floor: float = option(1e-12, "damping that always remains", low=0.0, high=1.0)
+
+    name: ClassVar[str] = "lm"
+    title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
+    source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
+
+    def kernel(self) -> Callable[..., None]:
+        return lm
+
+    def parameters(self) -> tuple[float, ...]:
+        return (self.floor, self.damping, self.increase, self.decrease, self.least)
 
 
 @pure
-def normal_equations(jacobian, residual, normal, gradient):  # type: ignore[no-untyped-def]
-    """normal = JᵀJ (lower triangle), gradient = Jᵀr."""
-    rows, n = jacobian.shape
-    for i in range(n):
-        s = 0.0
-        for r in range(rows):
-            s += jacobian[r, i] * residual[r]
-        gradient[i] = s
-        for j in range(i + 1):
-            s = 0.0
-            for r in range(rows):
-                s += jacobian[r, i] * jacobian[r, j]
-            normal[i, j] = s
-
-
-@pure
-def room(kind, qadr, dof_node, lower, upper, dofs, q, low, high):  # type: ignore[no-untyped-def]
-    """How far each degree of freedom may still go from q: low <= step <= high, each (nu,)."""
-    for u in range(dofs.shape[0]):
-        v = dofs[u]
-        k = dof_node[v]
-        if kind[k] < BALL:
-            low[u] = min(lower[v] - q[qadr[k]], 0.0)
-            high[u] = max(upper[v] - q[qadr[k]], 0.0)
-        else:
-            # A ball's cone is kept by projection after the step; here a step stays below half a turn.
-            low[u] = -3.0
-            high[u] = 3.0
-
-
-@pure
-def lm_step(tree, goal, work, options):  # type: ignore[no-untyped-def]
+def lm_step(tree, goal, work, options):
     """One damped Gauss-Newton step inside the limits; a step that made things worse is taken back first."""
     state, value = work.state, work.value
     n = work.gradient.shape[0]
@@ -96,7 +92,7 @@ def lm_step(tree, goal, work, options):  # type: ignore[no-untyped-def]
 
 
 @outlined
-def descend(tree, goal, work, options):  # type: ignore[no-untyped-def]
+def descend(tree, goal, work, options):
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         lm_step(tree, goal, work, options)
@@ -104,7 +100,7 @@ def descend(tree, goal, work, options):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lm(tree, goals, work, options):  # type: ignore[no-untyped-def]
+def lm(tree, goals, work, options):
     """Runs until ``proceed`` says stop; options: floor, start, increase, decrease, least."""
     arrays, goal, space = unpack(tree, goals, work)
     descend(arrays, goal, space, options)

@@ -1,0 +1,211 @@
+"""``Problem``: all that a solver may see: compiled goals, limits, tolerance, budget, seed.
+
+Building one costs a few microseconds times ten; the hot loop builds it once and then moves its target:
+
+    problem = Problem(robot, PoseGoal("gripper", position, wxyz))
+    for pose in path:
+        problem.retarget(pose)
+        q = solver.solve(problem, q).q
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import GoalError, InvalidGoalError
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal
+from robot_ik.kernels import loop, residuals
+from robot_ik.kernels.tree import pose_row
+from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+# A pose goal weighs metres against radians: one reach-radius times this counts as much as one radian.
+_LENGTH_PER_REACH = 0.5
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What counts as reached: every goal within ``position`` metres and ``angle`` radians."""
+
+    position: float = 1e-4
+    angle: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not (self.position > 0 and self.angle > 0):
+            raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a solver may try.  An iteration budget gives bit-equal results for a seed; seconds do not.
+
+    Attributes:
+        iterations: Steps in all tries together.
+        seconds: Wall-clock limit; None = none.
+        restarts: Random restarts after the first try; None = as the solver says.
+    """
+
+    iterations: int = 20_000
+    seconds: float | None = None
+    restarts: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.iterations < 0 or (self.restarts is not None and self.restarts < 0):
+            raise InvalidGoalError("a budget of iterations or restarts must be zero or more")
+        if self.seconds is not None and not self.seconds >= 0:
+            raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds}")
+
+
+class Problem:
+    """Goals of one robot in compiled form, with the work space of the solve.
+
+    Not to be shared between threads: the arrays in it are the solver's.
+
+    Attributes:
+        robot, goals, tolerance, budget, seed: As given.
+        trace: Whether to keep a row for every step.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        goals: Goal | Sequence[Goal],
+        *,
+        tolerance: Tolerance | None = None,
+        budget: Budget | None = None,
+        seed: int = 0,
+        trace: bool = False,
+    ) -> None:
+        """Compiles the goals.
+
+        Raises:
+            GoalError: No goal at all, or something that is not a goal.
+            UnknownFrameError: A goal names a frame that the robot does not have.
+        """
+        self.robot = robot
+        self.goals: list[Goal] = [goals] if isinstance(goals, Goal) else list(goals)
+        if not self.goals or not all(isinstance(g, Goal) for g in self.goals):
+            raise GoalError(f"a problem needs one or more goals, not {goals!r}")
+        self.tolerance = tolerance or Tolerance()
+        self.budget = budget or Budget()
+        self.seed = int(seed)
+        self._compile_goals()
+        self._make_work(self.budget.iterations + 1 if trace else 0)
+
+    def _compile_goals(self) -> None:
+        robot, tree, count = self.robot, self.robot.tree, len(self.goals)
+        self.kind = np.empty(count, dtype=np.int64)
+        row = np.empty(count, dtype=np.int64)
+        self.node = np.empty(count, dtype=np.int64)
+        local = np.empty((count, 12))
+        self.target = np.empty((count, 12))
+        weight = np.empty((count, 2))
+        tolerance = np.tile([self.tolerance.position, self.tolerance.angle], (count, 1))
+        self.rows = 0
+        ancestors: list[list[int]] = []
+        for g, goal in enumerate(self.goals):
+            self.kind[g] = goal_kind(goal)
+            row[g] = self.rows
+            self.rows += residuals.ROWS_OF[int(self.kind[g])]
+            node, local[g] = robot.attachment(goal.frame)
+            self.node[g] = node
+            self.target[g] = pose_row(goal.target)
+            weight[g] = goal.weights
+            weight[g, 0] /= self._length(goal)
+            ancestors.append(tree.ancestors(node))
+        self.nodes = np.array(sorted({k for chain in ancestors for k in chain}), dtype=np.int64)
+        used = np.isin(_dof_nodes(robot), self.nodes)
+        self.dofs = np.flatnonzero(used).astype(np.int64)
+        moves = np.array(
+            [[int(k in chain) for k in _dof_nodes(robot)[self.dofs]] for chain in ancestors], dtype=np.int64
+        ).reshape(count, len(self.dofs))
+        self.handle = residuals.new_goals(
+            self.kind, row, self.node, local, self.target, weight, tolerance, self.dofs, moves
+        )
+
+    def _length(self, goal: Goal) -> float:
+        """Metres that count as much as one radian: scales position rows, so that all rows are angles."""
+        ball = self.robot.reach(goal.frame)
+        if ball is None or ball[1] < 1e-6:
+            return 1.0
+        return _LENGTH_PER_REACH * ball[1]
+
+    def _make_work(self, trace_rows: int) -> None:
+        robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
+        nq, k = robot.nq, max(self.rows, len(self.dofs), 1)
+        shapes: dict[str, Any] = {
+            "state": (loop.STATE_SIZE,), "value": (loop.VALUE_SIZE,), "start": (nq,), "q": (nq,), "best": (nq,),
+            "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
+            "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "normal": (nu, nu), "damped": (nu, nu),
+            "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
+            "free": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(loop.TRACE_COLUMNS)),
+        }  # fmt: skip
+        self.arrays: dict[str, Any] = {
+            name: np.zeros(shape, dtype=np.int64 if name in ("state", "free") else float)
+            for name, shape in shapes.items()
+        }
+        self.arrays["seed"] = np.ones(1, dtype=np.uint64)
+        self.arrays["nodes"] = self.nodes
+        self.work = loop.new_work(*(self.arrays[name] for name in loop.WORK_FIELDS))
+
+    def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
+        """Moves the target of one goal: a ``Pose``, a position (3,), or a goal of the same kind and frame.
+
+        Raises:
+            InvalidGoalError: Not finite, or another kind of goal.
+        """
+        if isinstance(target, Pose):
+            row = self.target[index]
+            row[:3] = target.position
+            row[3:] = target.rotation.ravel()
+            return
+        if isinstance(target, Goal):
+            mine = self.goals[index]
+            if type(target) is not type(mine) or target.frame not in (mine.frame, None):
+                raise InvalidGoalError(
+                    f"this problem was built for a {mine.name} of {mine.frame or self.robot.tool!r}",
+                    hint="another kind of goal or frame needs a new Problem",
+                )
+            self.target[index] = pose_row(target.target)
+            return
+        position = np.asarray(target, dtype=float)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise InvalidGoalError(f"a target is a Pose or a finite position (3,), not {target!r}")
+        self.target[index, :3] = position
+
+    def target_pose(self, index: int = 0) -> Pose:
+        """The wanted pose of one goal, world."""
+        row = self.target[index]
+        return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
+
+    def out_of_reach(self) -> bool:
+        """Whether some position goal is proven unreachable: farther than all links laid end to end."""
+        for g, goal in enumerate(self.goals):
+            if not goal.has_position:
+                continue
+            ball = self.robot.reach(goal.frame)
+            if ball is None:
+                continue
+            distance = float(np.linalg.norm(self.target[g, :3] - ball[0]))
+            if distance > ball[1] + self.tolerance.position:
+                return True
+        return False
+
+
+def goal_kind(goal: Goal) -> int:
+    """The kernel's code for a goal."""
+    if goal.has_position and goal.has_angle:
+        return residuals.POSE
+    return residuals.POSITION if goal.has_position else residuals.ORIENTATION
+
+
+def _dof_nodes(robot: Robot) -> NDArray[np.int64]:
+    widths = np.array([1, 1, 3, 6])[robot.tree.kind]
+    return np.repeat(np.arange(robot.tree.size), widths)

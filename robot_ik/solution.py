@@ -1,0 +1,146 @@
+"""``Solution``: what came out of a solve, honestly."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import NotConvergedError
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal
+from robot_ik.kernels import loop
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+class Status(enum.IntEnum):
+    """How a solve ended; only CONVERGED means that every goal is within tolerance."""
+
+    CONVERGED = loop.CONVERGED
+    STALLED = loop.STALLED
+    ITERATION_LIMIT = loop.ITERATION_LIMIT
+    TIME_LIMIT = loop.TIME_LIMIT
+    UNREACHABLE = loop.UNREACHABLE
+    BLOCKED_BY_LIMITS = loop.BLOCKED
+    NUMERICAL = loop.NUMERICAL
+
+    @property
+    def meaning(self) -> str:
+        """One sentence for people."""
+        return _MEANING[self]
+
+
+_MEANING = {
+    Status.CONVERGED: "every goal is within tolerance",
+    Status.STALLED: "no step improves it any more; the nearest point found is kept",
+    Status.ITERATION_LIMIT: "the iteration budget ran out; the nearest point found is kept",
+    Status.TIME_LIMIT: "the time budget ran out; the nearest point found is kept",
+    Status.UNREACHABLE: "proven out of reach; the nearest point found is kept",
+    Status.BLOCKED_BY_LIMITS: "joint limits hold it back; the nearest point found is kept",
+    Status.NUMERICAL: "numbers left the finite range; the nearest point found is kept",
+}
+
+
+@dataclass(frozen=True)
+class Miss:
+    """Honest distance to the goals, unweighted: the largest of all goals.
+
+    Attributes:
+        position: Metres; 0 when no goal asks for a position.
+        angle: Radians; 0 when no goal asks for an orientation.
+    """
+
+    position: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """One trace row: state after one step of the solver."""
+
+    iteration: int
+    restart: int
+    cost: float
+    position: float
+    angle: float
+    damping: float
+    step: float
+
+
+@dataclass(eq=False)
+class Solution:
+    """Joint angles found for goals.
+
+    Attributes:
+        q: (nq,) the best found, inside the limits, never wrapped.
+        status: How the solve ended.
+        iterations, restarts: Steps of all tries; random restarts used.
+        seconds: Wall-clock time of the solve.
+        solver: Name of the method that found q.
+    """
+
+    q: Array
+    status: Status
+    iterations: int
+    restarts: int
+    seconds: float
+    solver: str
+    robot: Robot
+    goals: tuple[Goal, ...]
+    targets: Array
+    trace_rows: Array | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether every goal is within tolerance."""
+        return self.status is Status.CONVERGED
+
+    @cached_property
+    def misses(self) -> tuple[Miss, ...]:
+        """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
+        return tuple(self._measure(goal, row) for goal, row in zip(self.goals, self.targets, strict=True))
+
+    @property
+    def miss(self) -> Miss:
+        """The largest miss over all goals, measured by MuJoCo's own forward pass on first access."""
+        return Miss(max(m.position for m in self.misses), max(m.angle for m in self.misses))
+
+    @cached_property
+    def trace(self) -> tuple[Step, ...]:
+        """One row for each step, when a trace was asked for."""
+        rows = self.trace_rows if self.trace_rows is not None else np.empty((0, 7))
+        return tuple(Step(int(r[0]), int(r[1]), *(float(v) for v in r[2:])) for r in rows)
+
+    def require(self) -> Solution:
+        """This solution if it converged.
+
+        Raises:
+            NotConvergedError: Carries the solution; says how far off it is and why.
+        """
+        if self.converged:
+            return self
+        miss = self.miss
+        raise NotConvergedError(
+            f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); nearest: "
+            f"{1000 * miss.position:.2f} mm, {np.degrees(miss.angle):.3f}° off after {self.iterations} steps",
+            self,
+        )
+
+    def _measure(self, goal: Goal, row: Array) -> Miss:
+        pose = self.robot.measure(self.q, goal.frame)
+        metres, radians = pose.distance(Pose.from_rotation(row[3:].reshape(3, 3), row[:3]))
+        return Miss(metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0)
+
+    def __repr__(self) -> str:
+        return (
+            f"Solution({self.status.name}, q={np.array2string(self.q, precision=4)}, solver={self.solver!r}, "
+            f"iterations={self.iterations}, restarts={self.restarts}, seconds={self.seconds:.2g})"
+        )

@@ -1,0 +1,164 @@
+"""What a solver is: a frozen dataclass of options, and a compiled kernel.
+
+The options (with default, range, unit and one line of help) become the CLI's flags, the rows of the
+docs' table and the columns of benchmarks; ``option`` declares them.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import ConfigError, UnsupportedGoalError
+from robot_ik.goals import GOALS, Goal
+from robot_ik.kernels import jit, loop
+from robot_ik.problem import Problem
+from robot_ik.solution import Solution, Status
+
+Array = NDArray[np.float64]
+
+# With a time budget the kernel runs in slices of about this long between looks at the clock.
+_SLICE_SECONDS = 1e-3
+_FIRST_SLICE = 64
+_NO_LIMIT = 1 << 60
+
+
+def option(default: Any, help: str, *, low: float, high: float, unit: str = "") -> Any:
+    """A field of a solver: its default, range, unit and one line of help."""
+    return field(default=default, metadata={"help": help, "low": low, "high": high, "unit": unit})
+
+
+@dataclass(frozen=True)
+class Solver(ABC):
+    """A method of inverse kinematics.
+
+    Class attributes:
+        name: Its key in ``SOLVERS``.
+        title, source: One line for people; where the method is published.
+        goals: Kinds of goals it serves.
+    """
+
+    name: ClassVar[str] = ""
+    title: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    goals: ClassVar[tuple[type[Goal], ...]] = GOALS
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value, meta = getattr(self, item.name), item.metadata
+            if "low" in meta and not meta["low"] <= value <= meta["high"]:
+                raise ConfigError(
+                    f"{value} is out of range", file=f"solver {self.name}", key=item.name,
+                    allowed=f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip(),
+                )  # fmt: skip
+
+    def supports(self, goal: Goal) -> bool:
+        """Whether it serves this kind of goal."""
+        return isinstance(goal, self.goals)
+
+    def require_support(self, problem: Problem) -> None:
+        """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
+        for goal in problem.goals:
+            if not self.supports(goal):
+                from robot_ik.solvers import able_solvers
+
+                raise UnsupportedGoalError(self.name, f"a {goal.name}", able_solvers(type(goal)))
+
+    @abstractmethod
+    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+        """Solves from ``start`` (nq,), default the robot's home.  No solution is a result, never an exception."""
+
+
+@dataclass(frozen=True)
+class IterativeSolver(Solver):
+    """A method that takes steps: the shared loop does the rest."""
+
+    restarts: int = option(100, "random restarts when a try stalls", low=0, high=100_000)
+    first_steps: int = option(30, "steps granted to the try from the start", low=1, high=100_000)
+    try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
+    patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
+    progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+
+    @abstractmethod
+    def kernel(self) -> Callable[..., None]:
+        """The compiled loop: takes tree, goals, work, options."""
+
+    @abstractmethod
+    def parameters(self) -> tuple[float, ...]:
+        """What the kernel takes as its options, in its order."""
+
+    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+        self.require_support(problem)
+        robot, arrays = problem.robot, problem.arrays
+        q = robot.home if start is None else robot.check_q(start, "start")
+        kernel = self.kernel()
+        jit.announce(kernel, f"solver {self.name!r}")
+        began = time.perf_counter()
+        unreachable = self._prepare(problem, q)
+        run = (robot.tree.handle, problem.handle, problem.work, np.array(self.parameters(), dtype=float))
+        state = arrays["state"]
+        if problem.budget.seconds is None:
+            kernel(*run)
+        else:
+            self._in_slices(kernel, run, state, began + problem.budget.seconds)
+        seconds = time.perf_counter() - began
+        status = Status(int(state[loop.STATUS]))
+        if unreachable and status is not Status.CONVERGED:
+            status = Status.UNREACHABLE
+        rows = int(state[loop.TRACE_ROWS])
+        return Solution(
+            q=arrays["best"].copy(),
+            status=status,
+            iterations=int(state[loop.ITERATIONS]),
+            restarts=int(state[loop.RESTARTS]),
+            seconds=seconds,
+            solver=self.name,
+            robot=robot,
+            goals=tuple(problem.goals),
+            targets=problem.target.copy(),
+            trace_rows=arrays["trace"][:rows].copy() if rows else None,
+        )
+
+    def _prepare(self, problem: Problem, q: Array) -> bool:
+        """Sets the loop's state for a new solve; returns whether the goal is proven out of reach."""
+        arrays, budget = problem.arrays, problem.budget
+        unreachable = problem.out_of_reach()
+        restarts = self.restarts if budget.restarts is None else budget.restarts
+        if unreachable:
+            restarts = 0  # the proof says that no start will help
+        state, value = arrays["state"], arrays["value"]
+        state[:] = 0
+        state[loop.MAX_ITERATIONS] = budget.iterations
+        state[loop.MAX_RESTARTS] = restarts
+        state[loop.FIRST_STEPS] = self.first_steps if restarts else _NO_LIMIT
+        state[loop.TRY_LIMIT] = self.try_steps
+        state[loop.PATIENCE] = self.patience
+        state[loop.SLICE_END] = _NO_LIMIT
+        value[:] = 0.0
+        value[loop.PROGRESS] = self.progress
+        arrays["start"][:] = q
+        # Any seed, zero included, becomes a nonzero state of the generator.
+        arrays["seed"][0] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 64) or 1
+        return unreachable
+
+    @staticmethod
+    def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:
+        slice_steps = _FIRST_SLICE
+        while True:
+            state[loop.SLICE_END] = state[loop.ITERATIONS] + slice_steps
+            began = time.perf_counter()
+            kernel(*run)
+            now = time.perf_counter()
+            if state[loop.STATUS] != loop.RUNNING:
+                return
+            if now >= deadline:
+                state[loop.STATUS] = loop.TIME_LIMIT
+                return
+            pace = slice_steps / max(now - began, 1e-6)
+            slice_steps = max(1, int(pace * min(_SLICE_SECONDS, deadline - now)))

@@ -1,0 +1,151 @@
+"""Cyclic coordinate descent: one joint at a time, each to its exact optimum inside its limits.
+
+A turn about an axis changes both parts of the cost to const − A cos φ − B sin φ, so the best angle is
+atan2(B, A) in closed form, for positions, orientations and any mixture on any frames the joint moves;
+a shift has a parabola.  Wang & Chen (A combined optimization method for solving the inverse kinematics
+problem of mechanical manipulators, IEEE T-RA 7(4), 1991) give the position and orientation terms.
+Unlike the textbook form it turns joints about their real axes, keeps limits exactly and cannot divide
+by a vanishing cross product: where no angle matters, the joint stays.
+"""
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import dof_axis, forward
+from robot_ik.kernels.loop import advance, apply_step, begin, proceed, room, unpack
+from robot_ik.kernels.residuals import ORIENTATION, POSITION, evaluate
+from robot_ik.solvers.base import IterativeSolver, option
+
+
+@dataclass(frozen=True)
+class CyclicCoordinateDescent(IterativeSolver):
+    """One sweep over all joints a step; robust and cheap, slow in the last decimals."""
+
+    restarts: int = option(20, "random restarts when a try stalls", low=0, high=100_000)
+    first_steps: int = option(400, "sweeps granted to the try from the start", low=1, high=100_000)
+    try_steps: int = option(300, "sweeps granted to a try from a random point", low=1, high=100_000)
+    patience: int = option(20, "sweeps without progress before a try is given up", low=1, high=1000)
+    progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+
+    name: ClassVar[str] = "ccd"
+    title: ClassVar[str] = "cyclic coordinate descent, exact optimum of one joint at a time"
+    source: ClassVar[str] = "Wang & Chen, IEEE T-RA 1991"
+
+    def kernel(self) -> Callable[..., None]:
+        return ccd
+
+    def parameters(self) -> tuple[float, ...]:
+        return ()
+
+
+@pure
+def turn_terms(world, k, x, y, z, goal, frames, u):
+    """A, B of the cost const − A cos φ − B sin φ when all that hangs on a turn about (x, y, z) moves."""
+    a, b = 0.0, 0.0
+    target = goal.target
+    for g in range(goal.kind.shape[0]):
+        if goal.moves[g, u] == 0:
+            continue
+        if goal.kind[g] != ORIENTATION:
+            w = goal.weight[g, 0] * goal.weight[g, 0]
+            px, py, pz = frames[g, 0] - world[k, 0], frames[g, 1] - world[k, 1], frames[g, 2] - world[k, 2]
+            tx, ty, tz = target[g, 0] - world[k, 0], target[g, 1] - world[k, 1], target[g, 2] - world[k, 2]
+            along = (x * px + y * py + z * pz) * (x * tx + y * ty + z * tz)
+            a += w * (px * tx + py * ty + pz * tz - along)
+            b += w * (x * (py * tz - pz * ty) + y * (pz * tx - px * tz) + z * (px * ty - py * tx))
+        if goal.kind[g] != POSITION:
+            # ‖R_t − R‖²/2 = 3 − Σ columns c·t, and each column turns like a point.
+            w = goal.weight[g, 1] * goal.weight[g, 1]
+            for c in range(3, 6):
+                px, py, pz = frames[g, c], frames[g, c + 3], frames[g, c + 6]
+                tx, ty, tz = target[g, c], target[g, c + 3], target[g, c + 6]
+                along = (x * px + y * py + z * pz) * (x * tx + y * ty + z * tz)
+                a += w * (px * tx + py * ty + pz * tz - along)
+                b += w * (x * (py * tz - pz * ty) + y * (pz * tx - px * tz) + z * (px * ty - py * tx))
+    return a, b
+
+
+@pure
+def best_turn(a, b, low, high):
+    """The φ in [low, high] that maximises A cos φ + B sin φ; 0 where nothing depends on it."""
+    if a * a + b * b < 1e-24:
+        return 0.0
+    angle = math.atan2(b, a)
+    if low <= angle <= high:
+        return angle
+    # The optimum may also be met a whole turn away; else the better end of the range is it.
+    for turned in (angle - 2.0 * math.pi, angle + 2.0 * math.pi):
+        if low <= turned <= high:
+            return turned
+    at_low = a * math.cos(low) + b * math.sin(low)
+    at_high = a * math.cos(high) + b * math.sin(high)
+    return low if at_low > at_high else high
+
+
+@pure
+def best_shift(x, y, z, goal, frames, u, low, high):
+    """The shift along (x, y, z) in [low, high] that minimises the weighted distances."""
+    wanted, total = 0.0, 0.0
+    for g in range(goal.kind.shape[0]):
+        if goal.moves[g, u] == 0 or goal.kind[g] == ORIENTATION:
+            continue
+        w = goal.weight[g, 0] * goal.weight[g, 0]
+        total += w
+        wanted += w * (
+            x * (goal.target[g, 0] - frames[g, 0])
+            + y * (goal.target[g, 1] - frames[g, 1])
+            + z * (goal.target[g, 2] - frames[g, 2])
+        )
+    if total <= 0.0:
+        return 0.0
+    return min(max(wanted / total, low), high)
+
+
+@outlined
+def sweep(tree, goal, work):
+    """Every degree of freedom once, the tip's first; leaves q moved and work.step zero."""
+    n = goal.dofs.shape[0]
+    for u in range(n):
+        work.step[u] = 0.0
+    for back in range(n):
+        u = n - 1 - back
+        v = goal.dofs[u]
+        k = tree.dof_node[v]
+        room(
+            tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high
+        )
+        x, y, z, turn = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
+        if turn:
+            a, b = turn_terms(work.world, k, x, y, z, goal, work.frames, u)
+            work.step[u] = best_turn(a, b, work.low[u], work.high[u])
+        else:
+            work.step[u] = best_shift(x, y, z, goal, work.frames, u, work.low[u], work.high[u])
+        apply_step(
+            tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.nodes,
+            work.step, work.dq, work.q,
+        )  # fmt: skip
+        work.step[u] = 0.0
+        forward(tree.kind, tree.parent, tree.qadr, tree.constant, work.nodes, work.q, work.world, work.scratch)
+        evaluate(work.world, goal, work.frames, work.residual, work.miss)
+
+
+@outlined
+def ccd_descend(tree, goal, work):
+    begin(tree, goal, work)
+    while proceed(tree, goal, work):
+        sweep(tree, goal, work)
+        advance(tree, goal, work)
+
+
+@kernel
+def ccd(tree, goals, work, options):
+    """Runs until ``proceed`` says stop; a step is a sweep over all joints."""
+    arrays, goal, space = unpack(tree, goals, work)
+    ccd_descend(arrays, goal, space)
+
