@@ -55,7 +55,7 @@ SHARED: tuple[Row, ...] = (
     ("goal_position", 116, 4, "s", "tick", None, -1_048_575, 1_048_575),
     ("realtime_tick", 120, 2, "r", "ms", None, 0, 32767),
     ("moving", 122, 1, "r", "", 0, 0, 1),
-    ("moving_status", 123, 1, "r", "bits", 0, 0, 255),
+    ("moving_status", 123, 1, "r", "bits", None, 0, 255),
     ("present_pwm", 124, 2, "rs", "0.113 %", None, -885, 885),
     ("present_current", 126, 2, "rs", "2.69 mA", None, -32768, 32767),
     ("present_velocity", 128, 4, "rs", "0.229 rev/min", None, -(2**31), 2**31 - 1),

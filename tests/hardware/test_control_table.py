@@ -1,0 +1,188 @@
+"""Control tables against the manual's pages, transcribed here a second time, and codes against the SDK's."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_ik.errors import ConfigError
+from robot_ik.hardware.control_table import (
+    ACCELERATION_UNIT,
+    BAUD_RATES,
+    CONTROL_TABLES,
+    HARDWARE_ERRORS,
+    RADIANS_PER_TICK,
+    VELOCITY_UNIT,
+    Register,
+    control_table,
+    hardware_error_names,
+    model_by_number,
+)
+
+# The manual's table, X series: address size name initial; s after the size: signed; r: read only; "-":
+# no fixed value.
+MANUAL = """
+0 2r model_number -              | 2 4r model_information -     | 6 1r firmware_version -
+7 1 id 1                         | 8 1 baud_rate 1               | 9 1 return_delay_time 250
+10 1 drive_mode 0                | 11 1 operating_mode 3         | 12 1 secondary_id 255
+13 1 protocol_type 2             | 20 4s homing_offset 0         | 24 4 moving_threshold 10
+31 1 temperature_limit -         | 32 2 max_voltage_limit -      | 34 2 min_voltage_limit -
+36 2 pwm_limit 885               | 44 4 velocity_limit -         | 48 4 max_position_limit 4095
+52 4 min_position_limit 0        | 60 1 startup_configuration 0  | 63 1 shutdown -
+64 1 torque_enable 0             | 65 1 led 0                    | 68 1 status_return_level 2
+69 1r registered_instruction 0   | 70 1r hardware_error_status 0 | 76 2 velocity_i_gain -
+78 2 velocity_p_gain -           | 80 2 position_d_gain -        | 82 2 position_i_gain 0
+84 2 position_p_gain -           | 88 2 feedforward_2nd_gain 0   | 90 2 feedforward_1st_gain 0
+98 1s bus_watchdog 0             | 100 2s goal_pwm -             | 104 4s goal_velocity -
+108 4 profile_acceleration 0     | 112 4 profile_velocity 0      | 116 4s goal_position -
+120 2r realtime_tick -           | 122 1r moving 0               | 123 1r moving_status -
+124 2rs present_pwm -            | 128 4rs present_velocity -    | 132 4rs present_position -
+136 4rs velocity_trajectory -    | 140 4rs position_trajectory - | 144 2r present_input_voltage -
+146 1r present_temperature -     | 147 1r backup_ready 0
+"""
+
+# Per model: number, temperature, max/min voltage, current limit, velocity limit, shutdown, velocity
+# I/P, position D/P.
+MODELS = {
+    "XL430-W250": (1060, 72, 140, 60, None, 265, 52, 1000, 100, 4000, 640),
+    "XM430-W350": (1020, 80, 160, 95, 1193, 350, 52, 1920, 100, 0, 800),
+    "XL330-M288": (1200, 70, 70, 35, 1750, 445, 53, 1600, 180, 0, 400),
+}
+
+
+def _manual() -> list[tuple[str, int, int, str, bool, int | None]]:
+    rows = []
+    for cell in MANUAL.replace("\n", "|").split("|"):
+        if cell.strip():
+            address, kind, name, initial = cell.split()[:4]
+            access = "r" if "r" in kind else "rw"
+            value = None if initial == "-" else int(initial)
+            rows.append((name, int(address), int(kind[0]), access, "s" in kind, value))
+    return rows
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_shared_registers_are_the_manual_s(model: str) -> None:
+    table = CONTROL_TABLES[model]
+    for name, address, size, access, signed, initial in _manual():
+        register = table[name]
+        assert (register.address, register.size, register.access, register.signed) == (
+            address,
+            size,
+            access,
+            signed,
+        ), name
+        assert register.eeprom == (address < 64)
+        if initial is not None:
+            assert register.initial == initial, name
+    own = {"current_limit", "goal_current", "present_current", "present_load", "acceleration_limit"}
+    own.add("pwm_slope")
+    listed = {name for name, *_ in _manual()}
+    assert {r.name for r in table if not r.name.startswith("indirect")} - own == listed
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_what_differs_by_model_is_the_manual_s(model: str) -> None:
+    table = CONTROL_TABLES[model]
+    names = "model_number temperature_limit max_voltage_limit min_voltage_limit current_limit velocity_limit"
+    names += " shutdown velocity_i_gain velocity_p_gain position_d_gain position_p_gain"
+    found = tuple(table[n].initial if n in table else None for n in names.split())
+    assert found == MODELS[model]
+    assert table.number == MODELS[model][0]
+    assert model_by_number(table.number) is table
+
+
+def test_registers_only_some_models_have() -> None:
+    xl430, xm430, xl330 = (CONTROL_TABLES[m] for m in MODELS)
+    assert "goal_current" not in xl430 and "current_limit" not in xl430
+    assert xl430["present_load"].address == xm430["present_current"].address == 126
+    assert xm430["acceleration_limit"].address == 40 and "acceleration_limit" not in xl330
+    assert xl330["pwm_slope"].initial == 140 and "pwm_slope" not in xm430
+    for table, last, data in ((xl430, 56, 634 + 27), (xm430, 56, 634 + 27), (xl330, 20, 208 + 19)):
+        assert table[f"indirect_data_{last}"].address == data
+        assert table[f"indirect_address_{last}"].initial == data
+        assert f"indirect_data_{last + 1}" not in table
+    assert xm430["indirect_address_29"].address == 578
+
+
+@pytest.mark.parametrize("model", CONTROL_TABLES)
+def test_registers_do_not_overlap_and_start_within_their_range(model: str) -> None:
+    end = 0
+    for register in CONTROL_TABLES[model]:
+        assert register.address >= end, register.name
+        end = register.end
+        register.encode(register.minimum), register.encode(register.maximum)  # they fit
+        if register.initial is not None and register.writable:
+            assert register.minimum <= register.initial <= register.maximum, register.name
+
+
+def test_the_manual_s_codes() -> None:
+    assert BAUD_RATES == {
+        0: 9600,
+        1: 57600,
+        2: 115200,
+        3: 1000000,
+        4: 2000000,
+        5: 3000000,
+        6: 4000000,
+        7: 4500000,
+    }
+    assert 4_500_000 not in CONTROL_TABLES["XL330-M288"].baud_rates
+    assert 4_500_000 in CONTROL_TABLES["XM430-W350"].baud_rates
+    assert hardware_error_names(0) == ()
+    assert hardware_error_names(0b100101) == ("input_voltage", "overheating", "overload")
+    assert hardware_error_names(0b10) == ("bit1",)
+    assert set(HARDWARE_ERRORS) == {0, 2, 3, 4, 5}
+
+
+def test_units_of_the_manual() -> None:
+    assert pytest.approx(0.0015339808, rel=1e-7) == RADIANS_PER_TICK
+    assert pytest.approx(0.023981, abs=5e-7) == VELOCITY_UNIT
+    assert pytest.approx(0.374505, abs=5e-6) == ACCELERATION_UNIT
+
+
+def _register(size: int, signed: bool) -> Register:
+    return Register("x", 0, size, "rw", signed, "", False, 0, 0, 0)
+
+
+@given(st.sampled_from([1, 2, 4]), st.booleans(), st.data())
+def test_values_survive_their_bytes(size: int, signed: bool, data: st.DataObject) -> None:
+    register = _register(size, signed)
+    raw = data.draw(st.binary(min_size=size, max_size=size))
+    value = register.decode(raw)
+    assert register.encode(value) == raw
+    by_hand = sum(byte << 8 * k for k, byte in enumerate(raw))
+    if signed and by_hand >> (8 * size - 1):
+        by_hand -= 1 << 8 * size
+    assert value == by_hand
+
+
+@pytest.mark.parametrize(
+    "size,signed,value", [(1, False, 256), (1, False, -1), (2, True, 32768), (4, True, -(2**31) - 1)]
+)
+def test_values_that_do_not_fit_are_refused(size: int, signed: bool, value: int) -> None:
+    with pytest.raises(ValueError, match="does not fit"):
+        _register(size, signed).encode(value)
+
+
+def test_bytes_of_another_length_are_refused() -> None:
+    for raw in (b"", b"\x00", b"\x00\x00\x00"):
+        with pytest.raises(ValueError, match="2 bytes"):
+            _register(2, False).decode(raw)
+
+
+def test_unknown_names_come_with_close_ones() -> None:
+    with pytest.raises(KeyError, match="present_position"):
+        CONTROL_TABLES["XM430-W350"]["present_positon"]
+    with pytest.raises(ConfigError, match="XM430-W350"):
+        control_table("XM430-W35")
+    assert model_by_number(12) is None
+
+
+def test_tables_cannot_be_changed() -> None:
+    table = CONTROL_TABLES["XM430-W350"]
+    with pytest.raises(TypeError):
+        table.registers["id"] = table["led"]  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        table["id"].address = 3  # type: ignore[misc]
