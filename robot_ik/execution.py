@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import TrajectoryError
+from robot_ik.goals import Goal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
 from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
+from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
 
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
 
 START_TOLERANCE = 0.02
 """rad or m: how far the arm may be from a trajectory's first sample; a servo holding a load sags by less."""
+
+# Steps a tick may take: from the last command a few are enough; restarts find the way out of a dead end;
+# the rest of a period of 10 ms is left to the bus.
+_TICK_ITERATIONS = 1000
 
 
 class _Schedule:
@@ -144,7 +150,7 @@ def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
 
 
 def follow(
-    goal_source: GoalSource[Any],
+    goal_source: GoalSource[Goals],
     robot: Robot,
     solver: str | Solver,
     sinks: Sequence[JointSink],
@@ -214,21 +220,20 @@ class _Chase:
         self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
     ) -> None:
         self.robot, self.tolerance = robot, tolerance
-        from robot_ik.solvers import find_solver
+        from robot_ik.solvers import make_solver  # here, because it loads the compiler
 
-        self.solver = find_solver(solver)
+        self.solver = make_solver(solver)
         self.q = _frozen(start)
         self.solution: Solution | None = None
         self.ticks = self.held = self.capped = 0
         self._largest_allowed = step
         self._problem: Problem | None = None
-        self._goal: Any = None
         self._last: Solution | None = None
         self._statuses: Counter[str] = Counter()
         self._largest_step = np.zeros_like(start)
         self._tracking: Array | None = None
 
-    def step(self, goal: Any) -> bool:
+    def step(self, goal: Goals | None) -> bool:
         """Moves the command towards ``goal``; True when the way was cut short."""
         self.ticks += 1
         self.solution = None
@@ -254,14 +259,18 @@ class _Chase:
         self._tracking = away if self._tracking is None else np.maximum(self._tracking, away)
         return np.array(measured, dtype=float)
 
-    def _aim(self, goal: Any) -> Problem:
+    def _aim(self, goal: Goals) -> Problem:
         """The problem for ``goal``: the one at hand with a new target where only the target changed."""
-        from robot_ik.problem import Problem
+        from robot_ik.problem import Budget, Problem
 
-        if self._problem is None or goal is not self._goal:
-            self._problem = Problem(self.robot, goal, self.tolerance)
-            self._goal = goal
-        return self._problem
+        goals = [goal] if isinstance(goal, Goal) else list(goal)
+        problem = self._problem
+        if problem is None or [_kind(g) for g in goals] != [_kind(g) for g in problem.goals]:
+            budget = Budget(iterations=_TICK_ITERATIONS)
+            self._problem = problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
+        for index, one in enumerate(goals):
+            problem.retarget(one, index)
+        return problem
 
     def report(self, duration: float, schedule: _Schedule) -> FollowReport:
         return FollowReport(
@@ -278,6 +287,11 @@ class _Chase:
             largest_step=self._largest_step,
             tracking_error=self._tracking,
         )
+
+
+def _kind(goal: Goal) -> tuple[object, ...]:
+    """What a problem is compiled for; goals that agree in it differ only in their target."""
+    return type(goal), goal.frame, goal.weights
 
 
 def _frozen(q: ArrayLike) -> Array:

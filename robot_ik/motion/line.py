@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import TrajectoryError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
+from robot_ik.goals import PoseGoal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
 from robot_ik.motion.profiles import Timing, fastest_timing
 from robot_ik.motion.trajectory import Trajectory
@@ -147,12 +148,12 @@ def _nearest(
     robot: Robot, frame: str, solver: str | Solver, tolerance: Tolerance
 ) -> Callable[[Pose, Array], Array | None]:
     """The function that solves one pose of ``frame`` from a start, None where it did not converge."""
-    from robot_ik.goals import PoseGoal
+    # Here, because these load the compiler, which other parts of this package do without.
     from robot_ik.problem import Problem
-    from robot_ik.solvers import find_solver
+    from robot_ik.solvers import make_solver
 
-    method = find_solver(solver)
-    problem = Problem(robot, PoseGoal(frame, position=np.zeros(3), wxyz=(1.0, 0.0, 0.0, 0.0)), tolerance)
+    method = make_solver(solver)
+    problem = Problem(robot, PoseGoal.at(frame, Pose()), tolerance=tolerance)
 
     def near(pose: Pose, start: Array) -> Array | None:
         problem.retarget(pose)
@@ -237,7 +238,7 @@ def _sampled(
     duration = timing.duration
     for _ in range(_ROUNDS):
         count = max(1, int(np.ceil(duration * rate * (1.0 - 1e-12))))
-        s = timing.progress(np.arange(count + 1) * (timing.duration / count))
+        s = timing.progress(np.linspace(0.0, timing.duration, count + 1, dtype=np.float64))
         q = _solved(tracer, timing.s, path, s)
         trajectory = Trajectory(np.arange(count + 1) / rate, q, tracer.robot.joints)
         excess = max(

@@ -6,22 +6,22 @@ A source counts time from its first `poll`, so that it can be made long before t
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
-    from robot_ik.goals import PoseGoal, PositionGoal
     from robot_ik.robot import Robot
 
-# One goal or several at once, as `solve` takes them: a source does not look inside.
-Goal = Any
+Goals = Goal | Sequence[Goal]
+"""One goal or several at once, as ``solve`` takes them; a source does not look inside."""
 
 
 class FixedGoal:
@@ -31,10 +31,10 @@ class FixedGoal:
         goal: What `poll` gives.
     """
 
-    def __init__(self, goal: Goal) -> None:
+    def __init__(self, goal: Goals) -> None:
         self.goal = goal
 
-    def poll(self, now: float) -> Goal:
+    def poll(self, now: float) -> Goals:
         """The goal, whatever ``now`` is."""
         return self.goal
 
@@ -48,11 +48,11 @@ class ManualSource:
         goal: First goal; None means hold.
     """
 
-    def __init__(self, goal: Goal | None = None) -> None:
+    def __init__(self, goal: Goals | None = None) -> None:
         self._lock = threading.Lock()
         self._goal = goal
 
-    def set(self, goal: Goal | None) -> None:
+    def set(self, goal: Goals | None) -> None:
         """Takes a new goal; None means hold."""
         with self._lock:
             self._goal = goal
@@ -61,7 +61,7 @@ class ManualSource:
         """From now on: hold."""
         self.set(None)
 
-    def poll(self, now: float) -> Goal | None:
+    def poll(self, now: float) -> Goals | None:
         """The newest goal, None before the first and after `clear`."""
         with self._lock:
             return self._goal
@@ -78,7 +78,7 @@ class ScriptSource:
         InvalidGoalError: No steps, a time that is negative or not finite, or one that comes twice.
     """
 
-    def __init__(self, steps: Iterable[tuple[float, Goal | None]]) -> None:
+    def __init__(self, steps: Iterable[tuple[float, Goals | None]]) -> None:
         ordered = sorted(((float(time), goal) for time, goal in steps), key=lambda step: step[0])
         self._times = np.array([time for time, _ in ordered])
         self._goals = [goal for _, goal in ordered]
@@ -96,7 +96,7 @@ class ScriptSource:
         """Time of the last step, seconds from the first poll."""
         return float(self._times[-1])
 
-    def poll(self, now: float) -> Goal | None:
+    def poll(self, now: float) -> Goals | None:
         """The goal of the newest step at or before ``now``."""
         self._begin = now if self._begin is None else self._begin
         k = int(np.searchsorted(self._times, now - self._begin, side="right")) - 1
@@ -213,10 +213,8 @@ class RandomSource:
 
 
 def _goal(frame: str, where: Pose | ArrayLike) -> PoseGoal | PositionGoal:
-    from robot_ik.goals import PoseGoal, PositionGoal
-
     if isinstance(where, Pose):
-        return PoseGoal(frame, position=where.position, wxyz=where.wxyz)
+        return PoseGoal.at(frame, where)
     return PositionGoal(frame, position=np.asarray(where, dtype=float))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -11,7 +11,8 @@ import pytest
 from robot_ik.errors import TrajectoryError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.motion import line_move
-from robot_ik.solvers import find_solver
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.base import Solver
 
 SLACK = 1.0 + 1e-9
 
@@ -135,17 +136,17 @@ def test_a_joint_limit_in_the_way_is_named(puma):
     assert line_move(puma, puma.home, end).duration > 0.0
 
 
-class OtherBranch:
+@dataclass(frozen=True)
+class OtherBranch(Solver):
     """A solver that changes to the other solution of the wrist half-way: same pose, other angles."""
 
-    def __init__(self):
-        self.plain, self.calls = find_solver("lm"), 0
+    calls: list = field(default_factory=list)
 
-    def solve(self, problem, start):
-        self.calls += 1
-        solution = self.plain.solve(problem, start)
+    def solve(self, problem, start=None):
+        self.calls.append(start)
+        solution = make_solver("lm").solve(problem, start)
         q = np.array(solution.q)
-        if self.calls > 15:
+        if len(self.calls) > 15:
             q[3] += np.pi if q[3] < 0 else -np.pi
             q[4] = -q[4]
         return replace(solution, q=q)
