@@ -115,9 +115,25 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
+def json_text(value: Any, indent: str = "") -> str:
+    """JSON for people and machines: objects over several lines, lists of plain values on one."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        rows = [f"{inner}{_dumps(key)}: {json_text(item, inner)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
+        rows = [inner + json_text(item, inner) for item in value]
+        return "[\n" + ",\n".join(rows) + f"\n{indent}]"
+    return _dumps(value)
+
+
+def _dumps(value: Any) -> str:
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
 def print_json(value: Mapping[str, Any]) -> None:
     """One JSON object on stdout."""
-    sys.stdout.write(json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+    sys.stdout.write(json_text(plain(value)) + "\n")
 
 
 # ----------------------------------------------------------------------------------- errors

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.text import Text
@@ -13,6 +13,7 @@ from robot_ik.cli import console
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
+    from robot_ik.solvers.base import Solver
 
 #: Version of the JSON objects; raised when a field changes its meaning.
 SCHEMA = 1
@@ -153,3 +154,69 @@ def _number(value: float, turns: bool) -> str:
     if not math.isfinite(value):
         return UNBOUNDED
     return f"{math.degrees(value):.1f}" if turns else f"{value:.4g}"
+
+
+# ---------------------------------------------------------------------------------- solvers
+
+
+def run_solvers(options: SolversOptions) -> int:
+    """Prints the table of methods, or one method with its options."""
+    from robot_ik.solvers import SOLVERS
+
+    if options.solver:
+        facts = solver_facts(options.solver, SOLVERS[options.solver])
+        if options.json:
+            console.print_json({"schema": SCHEMA, **facts})
+        else:
+            _print_solver(facts)
+        return console.DONE
+    rows = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
+    if options.json:
+        console.print_json({"schema": SCHEMA, "auto": SOLVERS["auto"].name, "solvers": rows})
+        return console.DONE
+    shown = console.table("name", "method", "goals", "options")
+    for row in rows:
+        goals = ", ".join(goal.removesuffix(" goal") for goal in row["goals"])
+        shown.add_row(row["name"], Text(row["title"]), goals, str(len(row["options"])))
+    console.out().print(shown)
+    console.say(f"auto chooses {SOLVERS['auto'].name}; the options of one: robot-ik solvers NAME", "dim")
+    return console.DONE
+
+
+def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
+    """Name, title, source, kinds of goals and options (default, range, unit, help) of a method."""
+    options = [
+        {
+            "name": field.name,
+            "default": None if field.default is MISSING else field.default,
+            "low": field.metadata.get("low"),
+            "high": field.metadata.get("high"),
+            "unit": field.metadata.get("unit", ""),
+            "help": field.metadata.get("help", ""),
+        }
+        for field in fields(kind)
+    ]
+    return {
+        "name": kind.name or name,
+        "title": kind.title,
+        "source": kind.source,
+        "goals": [goal.name for goal in kind.goals],
+        "options": options,
+    }
+
+
+def _print_solver(facts: dict[str, Any]) -> None:
+    screen = console.out()
+    head = console.table(facts["name"], facts["title"])
+    head.add_row("goals", ", ".join(facts["goals"]))
+    head.add_row("source", Text(facts["source"]))
+    screen.print(head)
+    screen.print()
+    shown = console.table("option", "default", "range", "unit", "meaning")
+    for row in facts["options"]:
+        bounded = row["low"] is not None
+        span = f"{row['low']:g} … {row['high']:g}" if bounded else UNBOUNDED
+        default = f"{row['default']:g}" if isinstance(row["default"], float) else str(row["default"])
+        shown.add_row(row["name"], default, span, row["unit"] or "-", Text(row["help"]))
+    screen.print(shown)
+    console.say(f"use them with: robot-ik solve --solver {facts['name']} --set NAME=VALUE …", "dim")

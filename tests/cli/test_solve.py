@@ -1,0 +1,190 @@
+"""``robot-ik solve``: the angles it prints bring the frame to the goal, by MuJoCo's own reckoning."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers import SOLVERS
+
+GOAL = ("-0.4", "-0.1", "0.7")
+TIMES = ("seconds", "microseconds")
+
+
+@pytest.fixture(scope="module")
+def puma() -> Robot:
+    return load_robot("puma560")
+
+
+def site_pose(robot: Robot, site: str, q: Any) -> tuple[Any, Any]:
+    """Position (3,) and rotation (3, 3) from MuJoCo alone."""
+    data = mujoco.MjData(robot.model)
+    for joint, angle in zip(robot.joints, q, strict=True):
+        data.joint(joint).qpos[0] = angle
+    mujoco.mj_kinematics(robot.model, data)
+    return data.site(site).xpos.copy(), data.site(site).xmat.reshape(3, 3).copy()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("frame", ["gripper", "flange"])
+def test_the_angles_reach_the_pose(seed: int, frame: str, puma: Robot, robot_ik: Any) -> None:
+    q = puma.sample(np.random.default_rng(seed))
+    position, rotation = site_pose(puma, frame, q)
+    wxyz = np.empty(4)
+    mujoco.mju_mat2Quat(wxyz, rotation.ravel())
+    # repr keeps every digit; a leading minus must not be taken for an option
+    numbers = [repr(float(value)) for value in (*position, *wxyz)]
+    run = robot_ik("solve", "--frame", frame, "--seed", seed, "--goal", *numbers)
+    assert run.code == 0, run
+    facts = json.loads(run.out)
+    assert facts["converged"] and facts["status"] == "converged" and facts["frame"] == frame
+    found, turned = site_pose(puma, frame, facts["q"])
+    assert np.linalg.norm(found - position) <= 1e-4
+    angle = np.arccos(np.clip((np.trace(turned.T @ rotation) - 1) / 2, -1, 1))
+    assert angle <= 1e-3 + 1e-7
+    assert facts["miss"]["position"] == pytest.approx(np.linalg.norm(found - position), abs=1e-12)
+    assert (puma.lower <= facts["q"]).all() and (facts["q"] <= puma.upper).all()
+    assert facts["joints"] == list(puma.joints)
+
+
+def test_what_is_printed(robot_ik: Any) -> None:
+    run = robot_ik("solve", "--goal", *GOAL)
+    facts = json.loads(run.out)
+    assert facts["schema"] == 1 and facts["robot"] == "puma560" and facts["frame"] == "gripper"
+    assert facts["goal"] == {"position": [float(value) for value in GOAL], "wxyz": None}
+    assert facts["tolerance"] == {"position": 1e-4, "angle": 1e-3}
+    assert isinstance(facts["iterations"], int) and isinstance(facts["restarts"], int)
+    assert 0 < facts["microseconds"] < 1e7 and facts["seconds"] > 0
+
+
+def test_the_same_seed_gives_the_same_digits(robot_ik: Any) -> None:
+    runs = [json.loads(robot_ik("solve", "--goal", *GOAL, "--seed", 4).out) for _ in range(2)]
+    for facts in runs:
+        for name in TIMES:
+            del facts[name]
+    assert runs[0] == runs[1]
+
+
+def test_a_start_at_the_goal_stays(puma: Robot, robot_ik: Any) -> None:
+    q = puma.sample(np.random.default_rng(3))
+    position, _ = site_pose(puma, "gripper", q)
+    numbers = [repr(float(value)) for value in position]
+    start = [repr(float(value)) for value in q]
+    facts = json.loads(robot_ik("solve", "--goal", *numbers, "--start", *start).out)
+    assert facts["iterations"] == 0 and facts["q"] == list(q)
+
+
+def test_tolerance_and_budget_are_used(robot_ik: Any) -> None:
+    fine = json.loads(robot_ik("solve", "--goal", *GOAL, "--position-tolerance", "1e-9").out)
+    assert fine["converged"] and fine["miss"]["position"] <= 1e-9
+    run = robot_ik("solve", "--goal", *GOAL, "--iterations", 1)
+    facts = json.loads(run.out)
+    assert run.code == 1 and facts["status"] == "iteration_limit" and facts["iterations"] <= 1
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_method_can_be_asked_for(name: str, robot_ik: Any) -> None:
+    run = robot_ik("solve", "--goal", *GOAL, "--solver", name)
+    assert json.loads(run.out)["solver"] == name
+    assert run.code == 0, run
+
+
+def test_options_of_the_method_reach_it(robot_ik: Any) -> None:
+    far = ("solve", "--solver", "lm", "--goal", "-0.4", "-0.1", "0.2", "0", "0.3", "0.4", "0.5", "--seed", 1)
+    assert json.loads(robot_ik(*far, "--set", "restarts=0").out)["restarts"] == 0
+
+
+def test_an_unreachable_goal_is_a_result(puma: Robot, robot_ik: Any) -> None:
+    run = robot_ik("solve", "--goal", 9, 0, 0)
+    facts = json.loads(run.out)
+    assert run.code == 1 and "Traceback" not in run.err
+    assert facts["converged"] is False and facts["status"] == "unreachable"
+    found, _ = site_pose(puma, "gripper", facts["q"])
+    assert facts["miss"]["position"] == pytest.approx(np.linalg.norm(found - [9, 0, 0]), rel=1e-9)
+    at_home, _ = site_pose(puma, "gripper", puma.home)
+    assert facts["miss"]["position"] < np.linalg.norm(at_home - [9, 0, 0])  # the nearest found is kept
+
+
+def test_the_table_for_people(robot_ik: Any) -> None:
+    run = robot_ik("solve", "--goal", *GOAL, "--no-json")
+    assert run.code == 0 and len(run.out.splitlines()) < 25
+    assert "converged" in run.out and "joint6" in run.out and "deg" in run.out
+    assert robot_ik("solve", "--goal", 9, 0, 0, "--no-json").code == 1
+
+
+MIXED = """
+<mujoco><worldbody><body><joint name="lift" type="slide" axis="0 0 1" range="0 1"/><geom size=".1"/>
+  <body><joint name="neck" type="ball"/><geom size=".1"/><site name="eye" pos=".3 0 0"/></body>
+</body></worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize("extra", [[], ["--no-json"]])
+def test_any_model_by_path(extra: list[str], robot_ik: Any, tmp_path: Path) -> None:
+    file = tmp_path / "lift.xml"
+    file.write_text(MIXED)
+    run = robot_ik("solve", "--robot", file, "--frame", "eye", "--goal", "0.1", "0.2", "0.6", *extra)
+    assert run.code == 0 and "lift" in run.out and "neck" in run.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--robot", "pumma560", "--goal", *GOAL], ["'puma560'"]),
+        (["--solver", "lmm", "--goal", *GOAL], ["'lm'"]),
+        (["--frame", "griper", "--goal", *GOAL], ["'gripper'"]),
+        (["--goal", "nan", "0", "0"], ["nan", "finite"]),
+        (["--goal", "0", "inf", "0"], ["inf", "finite"]),
+        (["--goal", *GOAL, "0", "0", "0", "0"], ["zero quaternion", "w, x, y, z"]),
+        (["--goal", *GOAL, "1", "0", "0", "nan"], ["nan"]),
+        (["--goal", "1", "2"], ["2 numbers", "3", "7"]),
+        (["--goal", *GOAL, "1"], ["4 numbers"]),
+        ([], ["--goal", "for example"]),
+        (["--robot", "nowhere/arm.xml", "--goal", *GOAL], ["nowhere/arm.xml"]),
+        (["--goal", *GOAL, "--start", "1", "2"], ["start", "joint6"]),
+        (["--goal", *GOAL, "--start", *["nan"] * 6], ["start", "nan"]),
+        (["--goal", *GOAL, "--position-tolerance", "0"], ["tolerance"]),
+        (["--goal", *GOAL, "--angle-tolerance", "nan"], ["tolerance"]),
+        (["--goal", *GOAL, "--iterations", "-5"], ["iterations"]),
+        (["--goal", *GOAL, "--set", "rstarts=5"], ["'restarts'"]),
+        (["--goal", *GOAL, "--set", "restarts=-5"], ["restarts", "0 …"]),
+        (["--goal", *GOAL, "--set", "restarts=many"], ["restarts=many", "int"]),
+        (["--goal", *GOAL, "--set", "restarts"], ["restarts", "NAME=VALUE"]),
+    ],
+)
+def test_wrong_input(arguments: list[str], named: list[str], robot_ik: Any) -> None:
+    run = robot_ik("solve", *arguments)
+    run.assert_one_screen_error()
+    for text in named:
+        assert text in run.err, run.err
+
+
+def test_a_broken_model_names_file_and_reason(robot_ik: Any, tmp_path: Path) -> None:
+    file = tmp_path / "broken.xml"
+    file.write_text(
+        '<mujoco><worldbody><body><joint type="hindge"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    run = robot_ik("solve", "--robot", file, "--goal", *GOAL)
+    run.assert_one_screen_error()
+    assert str(file) in run.err and "hindge" in run.err
+
+
+def test_as_a_program(robot_ik_child: Any) -> None:
+    run = robot_ik_child("solve", "--goal", *GOAL)
+    assert run.code == 0 and json.loads(run.out)["converged"]
+    assert "\x1b" not in run.out + run.err
+    run = robot_ik_child("solve", "--goal", "nan", "0", "0")
+    run.assert_one_screen_error()
+
+
+def test_the_first_compilation_is_announced_on_stderr(robot_ik_child: Any, tmp_path: Path) -> None:
+    """With an empty kernel cache there is one line of talk, and stdout stays pure JSON."""
+    run = robot_ik_child("solve", "--solver", "ccd", "--goal", *GOAL, XDG_CACHE_HOME=str(tmp_path))
+    assert "ompil" in run.err and len(run.err.splitlines()) == 1, run.err
+    assert json.loads(run.out)["solver"] == "ccd"

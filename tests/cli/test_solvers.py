@@ -1,0 +1,43 @@
+"""``robot-ik solvers``: the table is made from ``SOLVERS`` and complete."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from typing import Any
+
+import pytest
+
+from robot_ik.solvers import SOLVERS
+
+
+def test_every_method_is_listed(robot_ik: Any) -> None:
+    run = robot_ik("solvers")
+    assert run.code == 0
+    for name, kind in SOLVERS.items():
+        line = next(line for line in run.out.splitlines() if line.startswith(name + " "))
+        assert kind.title in line
+        for goal in kind.goals:
+            assert goal.name.removesuffix(" goal") in line
+    rows = json.loads(robot_ik("solvers", "--json").out)
+    assert [row["name"] for row in rows["solvers"]] == list(SOLVERS)
+    assert rows["auto"] in SOLVERS
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_option_is_explained(name: str, robot_ik: Any) -> None:
+    run = robot_ik("solvers", name)
+    assert run.code == 0 and SOLVERS[name].title in run.out
+    rows = {row["name"]: row for row in json.loads(robot_ik("solvers", name, "--json").out)["options"]}
+    assert list(rows) == [field.name for field in fields(SOLVERS[name])]
+    for option, row in rows.items():
+        line = next(line for line in run.out.splitlines() if line.startswith(option + " "))
+        assert row["help"] and row["help"] in line, option
+        if isinstance(row["default"], (int, float)) and not isinstance(row["default"], bool):
+            assert row["low"] <= row["default"] <= row["high"], option
+
+
+def test_unknown_method_names_the_close_one(robot_ik: Any) -> None:
+    run = robot_ik("solvers", "dsl")
+    run.assert_one_screen_error()
+    assert "'dls'" in run.err
