@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Blur in px: the pixel's own width alone gives 0.29; beyond 4 px no cell of a marker could be read.
+# Blur in px.  The pixel's own width alone gives 0.29, but a model sharper than a third has a minimum between any
+# two pixels (sharpened pictures show it); beyond 4 px no cell of a marker could be read.
 BLUR_START = 0.8
-_BLUR_RANGE = (0.25, 4.0)
+_BLUR_RANGE = (0.33, 4.0)
 # Residuals beyond this many standard deviations lose weight (Cauchy's function): dirt, glare, occlusion.
 _CAUCHY = 2.4
 # Keeps weights meaningful in pictures without noise: quantisation to whole grey levels.

@@ -39,7 +39,7 @@ _CORNER_GAP = 2.5
 _LEAST_PASSES, _MOST_PASSES = 2, 6
 _STILL = 0.03
 # A fit that after all passes still moves by this much has not found an edge.
-_RESTLESS = 0.15
+_RESTLESS = 0.3
 # ln(blur) differs between the sides of a marker by about this (motion blur), and from BLUR_START by that.
 _BLUR_ALIKE, _BLUR_UNKNOWN = 0.3, 0.6
 
@@ -116,13 +116,16 @@ def refine_markers(
         shift, covariance = sides.move_corners(fit)
         moved = np.abs(np.nan_to_num(shift, nan=np.inf)).max(axis=(1, 2))
         good &= np.isfinite(moved)
-        corners[good] += shift[good]
+        # Half steps settle the rare fit that jumps to and fro (sharpened pictures).
+        corners[good] += shift[good] * (1.0 if step < _LEAST_PASSES else 0.5)
         good &= np.abs(corners - rough).max(axis=(1, 2)) < np.maximum(3.0, 0.1 * sides.shortest)
         good &= _sides_ok(corners, gray)
         corners[~good] = rough[~good]
         if step + 1 >= _LEAST_PASSES and (moved[good] < _STILL).all():
             break
     good &= moved < _RESTLESS
+    # Where it has not come to rest, the range it still covers is part of the uncertainty.
+    covariance += np.eye(8) * np.where(moved < _STILL, 0.0, np.minimum(moved, 1.0) ** 2)[:, None, None]
     return [
         _result(corners[i] if good[i] else rough[i], covariance[i], bool(good[i]), intrinsics)
         for i in range(len(rough))
@@ -219,12 +222,15 @@ class _Sides:
         """Whole columns along each side, and where the curve crosses them."""
         s = len(curve)
         gap = _CORNER_GAP * np.abs(curve[:, -1, 0] - curve[:, 0, 0]) / np.maximum(length, 1e-9)
-        low = np.ceil(np.minimum(curve[:, 0, 0], curve[:, -1, 0]) + gap)
-        high = np.floor(np.maximum(curve[:, 0, 0], curve[:, -1, 0]) - gap)
+        first = np.minimum(curve[:, 0, 0], curve[:, -1, 0]) + gap
+        last = np.maximum(curve[:, 0, 0], curve[:, -1, 0]) - gap
+        low, high = np.ceil(first), np.floor(last)
         columns = np.rint(low[:, None] + np.linspace(0, 1, _COLUMNS) * (high - low)[:, None])
         self.use = np.ones((s, _COLUMNS))
         self.use[:, 1:] = np.diff(columns, axis=1) > 0
-        self.use[high < low] = 0.0
+        # Columns at the ends, and pixels at the border of the band below, fade in over one pixel: with a hard
+        # border the fit can jump between two sets of pixels for ever.
+        self.use *= np.clip(np.minimum(columns - first[:, None], last[:, None] - columns), 0.0, 1.0)
         self.columns = columns
         self.along, self.cross, slope = (np.empty((s, _COLUMNS)) for _ in range(3))
         for i in range(s):
@@ -249,15 +255,15 @@ class _Sides:
 
     def pixels(self, gray: Image) -> EdgePixels:
         """The pixels of the band, as they are in the picture."""
-        reach = int((self.band[:, None] / self.cosine).max() + 0.5)
+        reach = int(((self.band[:, None] + 0.5) / self.cosine).max() + 0.5)
         rows = np.rint(self.cross)[:, :, None] + np.arange(-reach, reach + 1)
         columns = np.broadcast_to(self.columns[:, :, None], rows.shape)
         distance = (rows - self.cross[:, :, None]) * (self.cosine * self.sign[:, None])[:, :, None]
         steep = self.steep[:, None, None]
         x, y = np.where(steep, rows, columns), np.where(steep, columns, rows)
         h, w = gray.shape
-        use = (np.abs(distance) <= self.band[:, None, None]) & (self.use[:, :, None] > 0)
-        use &= (x >= 0) & (x < w) & (y >= 0) & (y < h)
+        use = np.clip(self.band[:, None, None] + 0.5 - np.abs(distance), 0.0, 1.0) * self.use[:, :, None]
+        use = use * ((x >= 0) & (x < w) & (y >= 0) & (y < h))
         x = np.clip(np.nan_to_num(x), 0, w - 1).astype(np.intp)
         y = np.clip(np.nan_to_num(y), 0, h - 1).astype(np.intp)
         flat = (len(rows), -1)
@@ -266,7 +272,7 @@ class _Sides:
             np.nan_to_num(distance).reshape(flat),
             np.nan_to_num(along).reshape(flat),
             gray[y, x].astype(float).reshape(flat),
-            use.astype(float).reshape(flat),
+            np.nan_to_num(use).reshape(flat),
         )
 
     def move_corners(self, fit: EdgeFit) -> tuple[Array, Array]:
