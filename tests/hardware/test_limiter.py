@@ -186,8 +186,21 @@ def test_a_margin_keeps_clear_of_the_limits():
 
 @pytest.mark.parametrize(
     "bad",
-    [[math.nan, 0.0], [0.0, math.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.0, "up", None, ["a", "b"],
-     {"joint3": 0.0}, {"joint1": math.nan}, {"joint1": "x"}, [1e309, 0.0]],
+    [
+        [math.nan, 0.0],
+        [0.0, math.inf],
+        [0.0],
+        [0.0, 0.0, 0.0],
+        [[0.0, 0.0]],
+        0.0,
+        "up",
+        None,
+        ["a", "b"],
+        {"joint3": 0.0},
+        {"joint1": math.nan},
+        {"joint1": "x"},
+        [1e309, 0.0],
+    ],
     ids=repr,
 )
 def test_what_must_not_be_obeyed_is_refused(bad):
