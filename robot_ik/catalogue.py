@@ -183,7 +183,9 @@ def _config_error(path: Path, error: ValidationError) -> ConfigError:
         table: Any = _File
         for part in first["loc"][:-1]:
             annotation = table.model_fields[str(part)].annotation if hasattr(table, "model_fields") else None
-            table = next((a for a in getattr(annotation, "__args__", [annotation]) if hasattr(a, "model_fields")), None)
+            table = next(
+                (a for a in getattr(annotation, "__args__", [annotation]) if hasattr(a, "model_fields")), None
+            )
         known = ["schema" if n == "schema_" else n for n in table.model_fields] if table else []
         close = close_matches(str(first["loc"][-1]), known)
         problem = "unknown key" + (f" (did you mean {close[0]!r}?)" if close else "")

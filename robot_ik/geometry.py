@@ -94,13 +94,13 @@ class Pose:
     position: Array
     wxyz: Array
 
-    def __init__(
-        self, position: ArrayLike = (0.0, 0.0, 0.0), wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)
-    ) -> None:
+    def __init__(self, position: ArrayLike = (0.0, 0.0, 0.0), wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
         p = np.array(position, dtype=float)
         q = np.array(wxyz, dtype=float)
         if p.shape != (3,) or q.shape != (4,):
-            raise ValueError(f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}")
+            raise ValueError(
+                f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}"
+            )
         norm = float(np.linalg.norm(q))
         if not (np.isfinite(p).all() and np.isfinite(norm)):
             raise ValueError(f"a pose must be finite, not {p.tolist()}, {q.tolist()}")
@@ -160,9 +160,7 @@ class Pose:
 
     def compose(self, other: Pose) -> Pose:
         """``pose_ac = pose_ab.compose(pose_bc)``; the same as ``@`` with the type known."""
-        return Pose(
-            self.position + self.rotation @ other.position, quat_multiply(self.wxyz, other.wxyz)
-        )
+        return Pose(self.position + self.rotation @ other.position, quat_multiply(self.wxyz, other.wxyz))
 
     def apply(self, points: ArrayLike) -> Array:
         """Points (3,) or (n, 3) of frame b in frame a."""

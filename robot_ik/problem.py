@@ -21,7 +21,7 @@ from robot_ik.errors import GoalError, InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels import loop, residuals
-from robot_ik.kernels.tree import pose_row
+from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]
@@ -97,6 +97,11 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self._compile_goals()
+        self._reach: list[tuple[int, float, float, float, float]] = []
+        for g, goal in enumerate(self.goals):
+            ball = robot.reach(goal.frame) if goal.has_position else None
+            if ball is not None:
+                self._reach.append((g, *ball[0].tolist(), ball[1] + self.tolerance.position))
         self._make_work(self.budget.iterations + 1 if trace else 0)
 
     def _compile_goals(self) -> None:
@@ -187,14 +192,9 @@ class Problem:
 
     def out_of_reach(self) -> bool:
         """Whether some position goal is proven unreachable: farther than all links laid end to end."""
-        for g, goal in enumerate(self.goals):
-            if not goal.has_position:
-                continue
-            ball = self.robot.reach(goal.frame)
-            if ball is None:
-                continue
-            distance = float(np.linalg.norm(self.target[g, :3] - ball[0]))
-            if distance > ball[1] + self.tolerance.position:
+        for g, x, y, z, radius in self._reach:
+            row = self.target[g]
+            if (row[0] - x) ** 2 + (row[1] - y) ** 2 + (row[2] - z) ** 2 > radius * radius:
                 return True
         return False
 

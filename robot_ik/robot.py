@@ -20,26 +20,15 @@ from robot_ik.catalogue import RobotFile, find_robot
 from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError, UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, Tree, build_tree, pose_row, row_pose
+from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
+from robot_ik.model_file import Frame, guess_tool, home_qpos, model_frames, read_model
+from robot_ik.model_tree import Attachment, build_tree, pose_row, row_pose
 
 Array = NDArray[np.float64]
 
 # Motion limits of a joint whose robot.toml names none: slow enough to watch.
 _DEFAULT_SPEED = {HINGE: 1.5, SLIDE: 0.25, BALL: 1.5, FREE: 0.5}  # rad/s or m/s
 _SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
-# Site and body names that people give to the end of an arm, tried in this order.
-_TOOL_NAMES = (
-    "gripper", "tool", "tcp", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange", "tip",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A named frame: rigidly fixed to a body of the model at ``local``."""
-
-    name: str
-    body: int
-    local: Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +62,7 @@ class Robot:
     frozen_qpos: Array
     file: RobotFile
     _frames: dict[str, Frame] = field(repr=False)
+    _bodies: tuple[Attachment, ...] = field(repr=False)
 
     @property
     def nq(self) -> int:
@@ -130,7 +120,7 @@ class Robot:
     def attachment(self, frame: str | None = None) -> tuple[int, Array]:
         """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,)."""
         at = self.frame(frame)
-        body = self.tree.bodies[at.body]
+        body = self._bodies[at.body]
         return body.node, pose_row(body.local.compose(at.local))
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
@@ -190,7 +180,7 @@ class Robot:
         gone = np.abs(self.clip(q) - q)
         tree, names = self.tree, []
         for k, joint in enumerate(self.joints):
-            width = {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}[int(tree.kind[k])]
+            width = Q_WIDTH[int(tree.kind[k])]
             if gone[tree.qadr[k] : tree.qadr[k] + width].max() > slack:
                 names.append(joint)
         return names
@@ -259,7 +249,7 @@ class Robot:
         model, found = self.model, []
         for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
             start = int(model.jnt_qposadr[joint])
-            found += range(start, start + {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}[int(kind)])
+            found += range(start, start + Q_WIDTH[int(kind)])
         return np.array(found, dtype=np.int64)
 
 
@@ -283,12 +273,12 @@ def load_robot(
     model = read_model(path)
     names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
     active = _active_joints(names, joints, file)
-    home_qpos = _home_qpos(model, path, file)
-    tree = build_tree(model, active, home_qpos)
+    rest = home_qpos(model, path, file)
+    tree, bodies = build_tree(model, active, rest)
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
-    frames = _frames(model, file)
-    default_tool = tool or file.tool or _guess_tool(model, frames)
+    frames = model_frames(model, file)
+    default_tool = tool or file.tool or guess_tool(model, frames)
     if default_tool not in frames:
         raise UnknownFrameError(default_tool, frames)
     robot = Robot(
@@ -303,31 +293,14 @@ def load_robot(
         acceleration=np.empty(0),
         home=np.empty(0),
         tool=default_tool,
-        frozen_qpos=home_qpos,
+        frozen_qpos=rest,
         file=file,
         _frames=frames,
+        _bodies=bodies,
     )
     speed, acceleration = _motion_limits(robot)
-    home = robot.clip(home_qpos[robot._addresses])
+    home = robot.clip(rest[robot._addresses])
     return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
-
-
-def read_model(path: Path) -> mujoco.MjModel:
-    """MuJoCo's model of an MJCF or URDF file.
-
-    Raises:
-        ModelError: With the file and MuJoCo's reason.
-    """
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(
-            f"{path} is not a model that MuJoCo can read: {reason}",
-            path=path,
-            reason=reason,
-            hint="MJCF and URDF files are read; meshes must lie where the file says",
-        ) from error
 
 
 def _active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
@@ -345,63 +318,13 @@ def _active_joints(names: list[str], joints: Sequence[str] | str | None, file: R
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 
 
-def _home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
-    """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
-    if isinstance(file.home, tuple):
-        if len(file.home) != model.nq:
-            raise ModelError(f"{path}: home has {len(file.home)} numbers, the model {model.nq}", path=path)
-        return np.array(file.home, dtype=float)
-    keys = {model.key(k).name: k for k in range(model.nkey)}
-    if file.home is not None and file.home not in keys:
-        raise ModelError(f"{path} has no keyframe {file.home!r}; it has: {', '.join(keys) or 'none'}", path=path)
-    chosen = file.home if file.home is not None else ("home" if "home" in keys else next(iter(keys), None))
-    return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
-
-
-def _frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
-    sites: dict[str, Frame] = {}
-    for s in range(model.nsite):
-        name = model.site(s).name
-        if name:
-            local = Pose(model.site_pos[s], model.site_quat[s])
-            sites[name] = Frame(name, int(model.site_bodyid[s]), local)
-    bodies = {
-        model.body(b).name: Frame(model.body(b).name, b, Pose()) for b in range(1, model.nbody) if model.body(b).name
-    }
-    found: dict[str, Frame] = {}
-    for tool, target in file.tools.items():
-        where = sites if target.site else bodies
-        wanted = target.site or target.body or ""
-        if wanted not in where:
-            raise UnknownFrameError(wanted, where, hint=f"named by the tool {tool!r} of {file.path}")
-        found[tool] = dataclasses.replace(where[wanted], name=tool)
-    for name, frame in {**sites, **bodies}.items():
-        found.setdefault(name, frame)
-    return found
-
-
-def _guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
-    """Default frame of a model without robot.toml: a telling name, else the last site or body."""
-    for wanted in _TOOL_NAMES:
-        for name in frames:
-            if name.lower() == wanted:
-                return name
-    if model.nsite and model.site(model.nsite - 1).name:
-        return str(model.site(model.nsite - 1).name)
-    if not frames:
-        raise ModelError("the model has neither a named site nor a named body, so nothing to aim")
-    return list(frames)[-1]
-
-
 def _motion_limits(robot: Robot) -> tuple[Array, Array]:
     """Velocity and acceleration (nv,): from robot.toml where it names the joint, else defaults by joint kind."""
     speed, acceleration = np.empty(robot.nv), np.empty(robot.nv)
     for k, joint in enumerate(robot.joints):
         kind, v = int(robot.tree.kind[k]), int(robot.tree.vadr[k])
-        width = {HINGE: 1, SLIDE: 1, BALL: 3, FREE: 6}[kind]
+        width = V_WIDTH[kind]
         fastest = robot.file.velocity.get(joint, _DEFAULT_SPEED[kind])
         speed[v : v + width] = fastest
         acceleration[v : v + width] = robot.file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
     return speed, acceleration
-
-

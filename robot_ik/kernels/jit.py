@@ -71,9 +71,9 @@ def _compile(function: F, **options: Any) -> F:
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder())
     try:
-        compiled = numba.njit(
-            cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH, **options
-        )(function)
+        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH, **options)(
+            function
+        )
     finally:
         numba_config.CACHE_DIR = previous
     return compiled  # type: ignore[no-any-return]

@@ -137,7 +137,9 @@ def uniform(seed):
     x ^= x << types.uint64(25)
     x ^= x >> types.uint64(27)
     seed[0] = x
-    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (1.0 / 9007199254740992.0)
+    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (
+        1.0 / 9007199254740992.0
+    )
 
 
 @pure
@@ -213,9 +215,7 @@ def next_try(tree, goal, work):
         return False
     if work.state[RESTARTS] < work.state[MAX_RESTARTS]:
         work.state[RESTARTS] += 1
-        draw(
-            tree.kind, tree.qadr, tree.vadr, tree.low, tree.high, work.nodes, work.start, work.seed, work.q
-        )
+        draw(tree.kind, tree.qadr, tree.vadr, tree.low, tree.high, work.nodes, work.start, work.seed, work.q)
     else:
         work.state[POLISHING] = 1
         for i in range(work.q.shape[0]):

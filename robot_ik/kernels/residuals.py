@@ -181,9 +181,7 @@ def goal_jacobian(kind, vadr, dof_node, world, goal, frames, residual, jacobian)
             moves = float(goal.moves[g, u])
             if what != ORIENTATION:
                 w = goal.weight[g, 0] * moves
-                x, y, z = point_velocity(
-                    world, k, ax, ay, az, turn, frames[g, 0], frames[g, 1], frames[g, 2]
-                )
+                x, y, z = point_velocity(world, k, ax, ay, az, turn, frames[g, 0], frames[g, 1], frames[g, 2])
                 jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
                 row += 3
             if what != POSITION:

@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -93,6 +94,10 @@ class IterativeSolver(Solver):
     def parameters(self) -> tuple[float, ...]:
         """What the kernel takes as its options, in its order."""
 
+    @cached_property
+    def _options(self) -> Array:
+        return np.array(self.parameters(), dtype=float)
+
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         self.require_support(problem)
         robot, arrays = problem.robot, problem.arrays
@@ -101,7 +106,7 @@ class IterativeSolver(Solver):
         jit.announce(kernel, f"solver {self.name!r}")
         began = time.perf_counter()
         unreachable = self._prepare(problem, q)
-        run = (robot.tree.handle, problem.handle, problem.work, np.array(self.parameters(), dtype=float))
+        run = (robot.tree.handle, problem.handle, problem.work, self._options)
         state = arrays["state"]
         if problem.budget.seconds is None:
             kernel(*run)

@@ -118,7 +118,15 @@ def sweep(tree, goal, work):
         v = goal.dofs[u]
         k = tree.dof_node[v]
         room(
-            tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high
+            tree.kind,
+            tree.qadr,
+            tree.dof_node,
+            tree.lower,
+            tree.upper,
+            goal.dofs,
+            work.q,
+            work.low,
+            work.high,
         )
         x, y, z, turn = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
         if turn:
@@ -131,7 +139,9 @@ def sweep(tree, goal, work):
             work.step, work.dq, work.q,
         )  # fmt: skip
         work.step[u] = 0.0
-        forward(tree.kind, tree.parent, tree.qadr, tree.constant, work.nodes, work.q, work.world, work.scratch)
+        forward(
+            tree.kind, tree.parent, tree.qadr, tree.constant, work.nodes, work.q, work.world, work.scratch
+        )
         evaluate(work.world, goal, work.frames, work.residual, work.miss)
 
 
@@ -148,4 +158,3 @@ def ccd(tree, goals, work, options):
     """Runs until ``proceed`` says stop; a step is a sweep over all joints."""
     arrays, goal, space = unpack(tree, goals, work)
     ccd_descend(arrays, goal, space)
-

@@ -60,9 +60,7 @@ def dls_step(tree, goal, work, options):
     normal_equations(work.jacobian, work.residual, work.normal, work.gradient)
     for i in range(n):
         work.normal[i, i] += damping * damping
-    room(
-        tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high
-    )
+    room(tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high)
     pressed = box_step(
         work.normal, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.factor
     )

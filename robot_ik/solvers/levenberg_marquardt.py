@@ -77,9 +77,7 @@ def lm_step(tree, goal, work, options):
         for j in range(i):
             work.damped[i, j] = work.normal[i, j]
         work.damped[i, i] = work.normal[i, i] + damping
-    room(
-        tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high
-    )
+    room(tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high)
     pressed = box_step(
         work.damped, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.factor
     )

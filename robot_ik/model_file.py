@@ -1,0 +1,101 @@
+"""What a model file says by itself: MuJoCo's model, its frames, its home, and which frame is the tool."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.catalogue import RobotFile
+from robot_ik.errors import ModelError, UnknownFrameError
+from robot_ik.geometry import Pose
+
+Array = NDArray[np.float64]
+
+# Site and body names that people give to the end of an arm, tried in this order.
+_TOOL_NAMES = (
+    "gripper", "tool", "tcp", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange", "tip",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A named frame: rigidly fixed to a body of the model at ``local``."""
+
+    name: str
+    body: int
+    local: Pose
+
+
+def read_model(path: Path) -> mujoco.MjModel:
+    """MuJoCo's model of an MJCF or URDF file.
+
+    Raises:
+        ModelError: With the file and MuJoCo's reason.
+    """
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{path} is not a model that MuJoCo can read: {reason}",
+            path=path,
+            reason=reason,
+            hint="MJCF and URDF files are read; meshes must lie where the file says",
+        ) from error
+
+
+def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
+    """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
+    if isinstance(file.home, tuple):
+        if len(file.home) != model.nq:
+            raise ModelError(f"{path}: home has {len(file.home)} numbers, the model {model.nq}", path=path)
+        return np.array(file.home, dtype=float)
+    keys = {model.key(k).name: k for k in range(model.nkey)}
+    if file.home is not None and file.home not in keys:
+        raise ModelError(
+            f"{path} has no keyframe {file.home!r}; it has: {', '.join(keys) or 'none'}", path=path
+        )
+    chosen = file.home if file.home is not None else ("home" if "home" in keys else next(iter(keys), None))
+    return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
+
+
+def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
+    sites: dict[str, Frame] = {}
+    for s in range(model.nsite):
+        name = model.site(s).name
+        if name:
+            local = Pose(model.site_pos[s], model.site_quat[s])
+            sites[name] = Frame(name, int(model.site_bodyid[s]), local)
+    bodies = {
+        model.body(b).name: Frame(model.body(b).name, b, Pose())
+        for b in range(1, model.nbody)
+        if model.body(b).name
+    }
+    found: dict[str, Frame] = {}
+    for tool, target in file.tools.items():
+        where = sites if target.site else bodies
+        wanted = target.site or target.body or ""
+        if wanted not in where:
+            raise UnknownFrameError(wanted, where, hint=f"named by the tool {tool!r} of {file.path}")
+        found[tool] = dataclasses.replace(where[wanted], name=tool)
+    for name, frame in {**sites, **bodies}.items():
+        found.setdefault(name, frame)
+    return found
+
+
+def guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
+    """Default frame of a model without robot.toml: a telling name, else the last site or body."""
+    for wanted in _TOOL_NAMES:
+        for name in frames:
+            if name.lower() == wanted:
+                return name
+    if model.nsite and model.site(model.nsite - 1).name:
+        return str(model.site(model.nsite - 1).name)
+    if not frames:
+        raise ModelError("the model has neither a named site nor a named body, so nothing to aim")
+    return list(frames)[-1]
