@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 # Faces round a lathe by radius in metres: 24 keep a 100 px wide cylinder within 0.2 px of round.
 _SEGMENTS = ((0.015, 12), (0.04, 16), (np.inf, 24))
 # Longest face edge, metres.  Short faces follow the lens' curvature and sort well by depth.
-MAX_EDGE = 0.10
+MAX_EDGE = 0.13
 # Faces of a mesh geom above which its vertices are clustered: the painter pays by the face.
 MAX_MESH_FACES = 1500
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
@@ -54,6 +54,7 @@ class ModelMesh:
         geoms: (g,) geom ids of the model, in the order of ``*_geom``.
         vertices: (v, 3) in geom frames, metres; ``vertex_geom`` (v,) which of ``geoms``.
         faces: (f, 4) into ``vertices``; ``face_geom`` (f,).
+        vertex_normals: (v, 3) mean of the unit normals of the faces at a vertex, unit.
         normals: (f, 3) outward unit normals in geom frames; ``centres`` (f, 3).
         overlays: Things lying on a flat face of another geom of the same body (lids, labels): their faces
             and the faces below them, which are to be drawn first whenever they are seen.
@@ -63,6 +64,7 @@ class ModelMesh:
     geoms: Index
     vertices: Array
     vertex_geom: Index
+    vertex_normals: Array
     faces: Index
     face_geom: Index
     normals: Array
@@ -127,7 +129,10 @@ def _splits(length: float) -> int:
 
 
 def _arc(radius: float, start: float, stop: float, count: int, lift: float) -> Array:
+    """Profile of a round end; widened like the rings of ``_lathe``."""
     angle = np.linspace(start, stop, count + 1)
+    step = (stop - start) / count
+    radius *= np.sqrt(step / np.sin(step))
     return np.stack([radius * np.cos(angle), radius * np.sin(angle) + lift], axis=1)
 
 
@@ -256,6 +261,13 @@ def _edges(faces: Index, normals: Array) -> tuple[Index, Index, NDArray[np.bool_
     return edges, edge_faces, bend < np.cos(CREASE)
 
 
+def _vertex_normals(count: int, faces: Index, normals: Array) -> Array:
+    total = np.zeros((count, 3))
+    for k in range(4):
+        np.add.at(total, faces[:, k], normals)
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
+
+
 def _overlays(
     model: mujoco.MjModel, geoms: Index, vertices: Array, vertex_geom: Index, faces: Index, normals: Array
 ) -> tuple[tuple[Index, Index], ...]:
@@ -306,6 +318,7 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False) -> ModelMesh:
         geoms=geom_ids,
         vertices=vertices,
         vertex_geom=vertex_geom,
+        vertex_normals=_vertex_normals(len(vertices), faces, normals),
         faces=faces,
         face_geom=np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes]),
         normals=normals,
