@@ -20,6 +20,7 @@ from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutErr
 DEFAULT_TIMEOUT = 2.0
 # Opening a camera switches it on and may take seconds; a dead URL must not hang the program.
 _OPEN_TIMEOUT_S = 10.0
+_CLOSE_TIMEOUT_S = 1.0
 # A camera drops a picture now and then; this many in a row mean that it is gone.
 _FAILURES_ALLOWED = 5
 
@@ -107,6 +108,8 @@ class DeviceSource(ClosingSource):
                 self._latest = Frame(image, stamp, sequence)
                 self._news.notify_all()
             sequence += 1
+        # Released by the thread that reads: a driver must not be closed under the feet of a waiting read().
+        self._capture.release()
         with self._news:
             self._ended = True
             self._news.notify_all()
@@ -153,10 +156,8 @@ class DeviceSource(ClosingSource):
     def close(self) -> None:
         self._stop = True
         if self._thread is not threading.current_thread():
-            self._thread.join(timeout=self.timeout)
-        if not self._thread.is_alive():
-            # A driver that hangs in read() must not be released under its feet.
-            self._capture.release()
+            # A read() that hangs is left behind; its thread releases the camera when it returns.
+            self._thread.join(timeout=_CLOSE_TIMEOUT_S)
 
 
 def _open(device: int | str) -> Any:

@@ -23,23 +23,21 @@ Image = NDArray[np.uint8]
 
 VERSION: tuple[int, int] = tuple(int(v) for v in re.findall(r"\d+", cv2.__version__)[:2])  # type: ignore[assignment]
 
-_FILM_LOG = "OPENCV_FFMPEG_LOGLEVEL"
+# FFMPEG inside OpenCV has a log level of its own, read once, before the first film is opened; -8 is silence.
+# Whoever has set it keeps what he set.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
     """OpenCV's own messages on stderr off for a while: failures are told by our errors."""
     log = cv2.utils.logging
-    before, film = log.getLogLevel(), os.environ.get(_FILM_LOG)
+    before = log.getLogLevel()
     log.setLogLevel(log.LOG_LEVEL_SILENT)
-    # FFMPEG has a level of its own, read by OpenCV whenever it opens a film; -8 is silence.
-    os.environ.setdefault(_FILM_LOG, "-8")
     try:
         yield
     finally:
         log.setLogLevel(before)
-        if film is None:
-            os.environ.pop(_FILM_LOG, None)
 
 
 def dictionary_names() -> tuple[str, ...]:

@@ -1,0 +1,73 @@
+"""Fixtures of the camera tests: the standard marker set, measured once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.pose import MarkerObservation
+from robot_ik.camera.sources import Frame
+from robot_ik.camera.standard_set import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
+from robot_ik.camera.track import MarkerTracker
+from robot_ik.geometry import quat_multiply, rotation_log
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was seen in one picture of the set, beside the truth."""
+
+    view: MarkerView
+    seen: MarkerObservation
+
+    @property
+    def corner_error(self) -> Array:
+        return self.seen.corners - self.view.corners
+
+    @property
+    def position_error(self) -> float:
+        return self.seen.pose.distance(self.view.pose)[0]
+
+    @property
+    def angle_error(self) -> float:
+        return self.seen.pose.distance(self.view.pose)[1]
+
+    @property
+    def flipped(self) -> bool:
+        """The other branch was the right one."""
+        other = self.seen.alternative
+        return other is not None and other.distance(self.view.pose)[1] < self.angle_error
+
+    @property
+    def pose_error(self) -> Array:
+        """(6,) truth minus seen, along the camera's axes."""
+        turn = quat_multiply(self.view.pose.wxyz, self.seen.pose.inverse().wxyz)
+        return np.concatenate([self.view.pose.position - self.seen.pose.position, rotation_log(turn)])
+
+
+def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1) -> list[Measured]:
+    """Renders and observes a standard set; fails when a marker is not found."""
+    tracker = MarkerTracker(STANDARD_CAMERA, dictionary, STANDARD_SIZE)
+    assert isinstance(tracker.detector, MarkerDetector)
+    result = []
+    for number, view in enumerate(standard_set(distance, count, seed=seed, dictionary=dictionary)):
+        image = np.repeat(view.image[:, :, None], 3, axis=2)
+        seen = tracker.observe(Frame(image, 0.0, number))
+        assert [o.id for o in seen] == [7], f"picture {number} at {distance} m: {[o.id for o in seen]}"
+        result.append(Measured(view, seen[0]))
+    return result
+
+
+def rms(values: object) -> float:
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=float)))))
+
+
+@pytest.fixture(scope="session")
+def standard() -> dict[float, list[Measured]]:
+    """20 pictures at each distance."""
+    return {distance: measure(distance, 20) for distance in (0.3, 0.6, 1.0)}

@@ -1,0 +1,290 @@
+"""Picture sources on real files, a real local web server and a camera that is made to misbehave."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from robot_ik.camera.device import DeviceSource
+from robot_ik.camera.sources import (
+    FolderSource,
+    Frame,
+    FrameSource,
+    ImageSource,
+    VideoSource,
+    natural_sort,
+    open_source,
+    read_image,
+)
+from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+
+
+def picture(value: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
+    return np.full((size[1], size[0], 3), value, np.uint8)
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Path:
+    """Twelve pictures, each a little brighter, at 10 Hz."""
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
+    assert writer.isOpened()
+    for i in range(12):
+        writer.write(picture(20 * i))
+    writer.release()
+    return path
+
+
+def test_a_photograph_is_not_live_and_always_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "photo ü.png"
+    path.write_bytes(cv2.imencode(".png", picture(7))[1].tobytes())
+    with open_source(str(path)) as source:
+        assert isinstance(source, FrameSource)
+        assert not source.live
+        first, second = source.read(), source.read()
+    assert first is second
+    assert (first.image == 7).all()
+    assert first.size == (64, 48)
+
+
+def test_grey_transparent_and_deep_pictures_become_bgr(tmp_path: Path) -> None:
+    for name, image in {
+        "grey.png": np.full((4, 6), 9, np.uint8),
+        "alpha.png": np.full((4, 6, 4), 9, np.uint8),
+        "deep.png": np.full((4, 6, 3), 9 * 257, np.uint16),
+    }.items():
+        cv2.imwrite(str(tmp_path / name), image)
+        read = read_image(tmp_path / name)
+        assert (read.shape, read.dtype) == ((4, 6, 3), np.uint8)
+        assert (read == 9).all()
+
+
+def test_the_orientation_mark_of_a_photograph_is_ignored(tmp_path: Path) -> None:
+    data = cv2.imencode(".jpg", picture(100))[1].tobytes()
+    # Smallest EXIF block that says "turn by 90 degrees" (tag 0x0112, value 6), after the start marker.
+    tiff = b"MM\x00*\x00\x00\x00\x08" + b"\x00\x01" + b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00" + b"\x00" * 4
+    body = b"Exif\x00\x00" + tiff
+    path = tmp_path / "turned.jpg"
+    path.write_bytes(data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + data[2:])
+    assert cv2.imread(str(path)).shape == (64, 48, 3), "the mark is there: OpenCV turns the picture"
+    assert read_image(path).shape == (48, 64, 3)
+
+
+def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
+    for number in (10, 9, 1, 2):
+        cv2.imwrite(str(tmp_path / f"frame{number}.png"), picture(number))
+    (tmp_path / "notes.txt").write_text("not a picture")
+    with open_source(str(tmp_path)) as source:
+        assert isinstance(source, FolderSource)
+        frames = list(source)
+        with pytest.raises(FrameTimeoutError, match="all 4 pictures"):
+            source.read()
+    assert [int(f.image[0, 0, 0]) for f in frames] == [1, 2, 9, 10]
+    assert [f.sequence for f in frames] == [0, 1, 2, 3]
+    assert np.diff([f.time for f in frames]) == pytest.approx(1 / 30)
+
+
+def test_natural_order_mixes_words_and_numbers() -> None:
+    names = ["b", "a10", "10", "a9", "a", "9", "a9b", "A8"]
+    assert [p.name for p in natural_sort(Path(n) for n in names)] == ["9", "10", "a", "A8", "a9", "a9b", "a10", "b"]
+
+
+def test_a_film_gives_every_picture_with_its_time(film: Path) -> None:
+    with open_source(str(film)) as source:
+        assert isinstance(source, VideoSource)
+        assert source.live
+        frames = list(source)
+        with pytest.raises(FrameTimeoutError, match="ended after 12 pictures"):
+            source.read()
+    assert [round(int(f.image[20, 20, 0]) / 20) for f in frames] == list(range(12))
+    assert np.diff([f.time for f in frames]) == pytest.approx(0.1)
+
+
+def test_another_size_than_asked_is_told(tmp_path: Path, film: Path) -> None:
+    cv2.imwrite(str(tmp_path / "photo.png"), picture(1))
+    for name in ("photo.png", "clip.avi", "."):
+        with pytest.raises(FrameSizeError, match="64x48 px, not 640x480"):
+            open_source(str(tmp_path / name), size=(640, 480))
+        open_source(str(tmp_path / name), size=(64, 48)).close()
+
+
+def test_truth_can_be_taken_off() -> None:
+    frame = Frame(picture(3), 1.5, 4, truth={"q": 1})
+    bare = frame.without_truth()
+    assert bare.truth is None
+    assert (bare.time, bare.sequence) == (1.5, 4)
+    assert bare.image is frame.image
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nothing.jpg", "no camera, file or folder"),
+        ("empty", "holds no pictures"),
+        ("words.txt", "not a picture"),
+        ("broken.mp4", "not a film"),
+        ("97", "there is no camera 97"),
+        ("/dev/video97", "there is no camera /dev/video97"),
+        ("http://127.0.0.1:9/stream", "cannot open camera http"),
+    ],
+)
+def test_what_cannot_be_opened_is_told(
+    tmp_path: Path, text: str, message: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "words.txt").write_text("hello")
+    (tmp_path / "broken.mp4").write_bytes(b"\x00" * 100)
+    cv2.imwrite(str(tmp_path / "right.png"), picture(1))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CameraNotFoundError, match=message) as caught:
+        open_source(text)
+    assert caught.value.hint
+    if text == "nothing.jpg":
+        assert "right.png" in str(caught.value)
+    assert capfd.readouterr().err == "", "OpenCV must be quiet"
+
+
+# --------------------------------------------------------------------------------------- cameras
+
+
+class FakeCapture:
+    """A camera: ``read`` blocks until a picture is put in front of it; or it runs by itself."""
+
+    def __init__(self, size: tuple[int, int] = (64, 48), *, dead: bool = False, running: bool = False) -> None:
+        self.size = size
+        self.dead = dead
+        self.running = running
+        self.asked: dict[int, float] = {}
+        self.released = False
+        self.number = 0
+        self._ready = threading.Semaphore(0)
+
+    def put(self, count: int = 1) -> None:
+        for _ in range(count):
+            self._ready.release()
+
+    def set(self, key: int, value: float) -> bool:
+        self.asked[key] = value
+        return True
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        while not self._ready.acquire(timeout=0.02) and not self.running:
+            if self.released or self.dead:
+                return False, None
+        self.number += 1
+        return True, picture(self.number, self.size)
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.fixture
+def capture() -> Iterator[FakeCapture]:
+    fake = FakeCapture()
+    fake.put()
+    yield fake
+    fake.dead = True
+    wait_for(lambda: fake.released)
+
+
+def wait_for(condition: object, limit: float = 10.0) -> None:
+    end = time.monotonic() + limit
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_slow_reader_gets_the_newest_picture(capture: FakeCapture) -> None:
+    with DeviceSource(0, opener=lambda: capture, timeout=5.0) as source:
+        assert source.read().sequence == 0
+        assert source.newest() is None
+        capture.put(5)
+        wait_for(lambda: source._latest is not None and source._latest.sequence == 5)
+        frame = source.newest()
+        assert frame is not None
+        assert frame.sequence == 5
+        assert (frame.image == 6).all()
+        assert capture.asked[cv2.CAP_PROP_BUFFERSIZE] == 1
+        threading.Timer(0.05, capture.put).start()
+        assert source.read().sequence == 6
+
+
+def test_pictures_are_stamped_when_they_are_grabbed(capture: FakeCapture) -> None:
+    with DeviceSource(0, opener=lambda: capture) as source:
+        after = time.monotonic()
+        time.sleep(0.1)
+        assert source.read().time <= after
+
+
+def test_a_silent_camera_times_out(capture: FakeCapture) -> None:
+    with DeviceSource("/dev/cam", opener=lambda: capture, timeout=0.1) as source:
+        source.read()
+        with pytest.raises(FrameTimeoutError, match=r"no new picture from camera /dev/cam for 0.1 s"):
+            source.read()
+
+
+def test_a_pulled_plug_is_told(capture: FakeCapture) -> None:
+    with DeviceSource(0, opener=lambda: capture, timeout=5.0) as source:
+        source.read()
+        capture.dead = True
+        with pytest.raises(FrameTimeoutError, match="stopped delivering"):
+            source.read()
+        with pytest.raises(FrameTimeoutError, match="stopped delivering"):
+            source.newest()
+
+
+def test_a_camera_without_pictures_is_not_opened() -> None:
+    fake = FakeCapture(dead=True)
+    with pytest.raises(CameraNotFoundError, match="delivers no picture"):
+        DeviceSource(0, opener=lambda: fake)
+    assert fake.released
+
+
+def test_a_camera_with_another_size_is_refused() -> None:
+    capture = FakeCapture(running=True)
+    with pytest.raises(FrameSizeError, match="asked for 1280x720 px and delivers 64x48"):
+        DeviceSource(0, opener=lambda: capture, size=(1280, 720))
+    assert capture.asked[cv2.CAP_PROP_FRAME_WIDTH] == 1280
+    assert capture.released
+
+
+def test_closing_lets_go_of_the_camera() -> None:
+    capture = FakeCapture(running=True)
+    source = DeviceSource(0, opener=lambda: capture)
+    source.close()
+    source.close()
+    assert capture.released
+    assert not source._thread.is_alive()
+
+
+class QuietHandler(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        """Nothing on the terminal."""
+
+
+def test_a_url_is_opened(film: Path) -> None:
+    handler = functools.partial(QuietHandler, directory=str(film.parent))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            with open_source(f"http://127.0.0.1:{server.server_port}/clip.avi", size=(64, 48)) as source:
+                assert source.live
+                assert source.read().size == (64, 48)
+                # A file on a server ends; a stream that ends is told.
+                with pytest.raises(FrameTimeoutError, match="stopped delivering"):
+                    for _ in range(20):
+                        source.read()
+        finally:
+            server.shutdown()
+
+
+def test_an_image_source_counts_as_exhausted_once_given(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), picture(1))
+    assert len(list(ImageSource(tmp_path / "a.png"))) == 1
