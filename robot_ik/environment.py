@@ -65,10 +65,12 @@ class Probe:
     Attributes:
         ok: It ran to its end.
         text: Its output when it did; else the last line of its complaint.
+        late: It was stopped because its time was over, which proves nothing on a busy machine.
     """
 
     ok: bool
     text: str
+    late: bool = False
 
 
 def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | None = None) -> Probe:
@@ -89,7 +91,7 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
         # On POSIX the output of a killed child arrives as bytes even in text mode.
         raw: object = stopped.stdout
         said = raw.decode(errors="replace") if isinstance(raw, bytes) else str(raw or "")
-        return Probe(False, f"{said.strip()}\nno answer within {timeout:.0f} s".strip())
+        return Probe(False, f"{said.strip()}\nno answer within {timeout:.1f} s".strip(), late=True)
     except OSError as reason:
         return Probe(False, f"no child process: {reason}")
     if done.returncode == 0:

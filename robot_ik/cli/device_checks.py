@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from robot_ik import environment
-from robot_ik.cli.checks import CHILD_LIMIT, NOTE, OK, Row
+from robot_ik.cli.checks import NOTE, OK, Row, time_left
 
 # Prints a line per camera as it goes, so that what was found survives the time limit.
 _CAMERA_CODE = """
@@ -86,7 +86,7 @@ def serial_row(path: str, about: str, *, sys_root: str = "/sys") -> Row:
     return Row(what, OK, about + ("; free" if sys.platform.startswith("linux") else ""))
 
 
-def check_serial() -> list[Row]:
+def check_serial(until: float) -> list[Row]:
     """Serial ports with what stands in the way of using them."""
     from serial.tools import list_ports
 
@@ -98,7 +98,7 @@ def check_serial() -> list[Row]:
     return rows
 
 
-def check_cameras() -> list[Row]:
+def check_cameras(until: float) -> list[Row]:
     """Cameras that give a picture."""
     if not sys.platform.startswith("linux"):
         return [Row("camera", NOTE, "not looked for on this system", "try: robot-ik reach --camera 0")]
@@ -113,10 +113,10 @@ def check_cameras() -> list[Row]:
     usable = [p for p in paths if os.access(p, os.R_OK | os.W_OK)]
     if not usable:
         return rows
-    probe = environment.run_probe(_CAMERA_CODE.format(paths=usable), timeout=CHILD_LIMIT)
+    probe = environment.run_probe(_CAMERA_CODE.format(paths=usable), timeout=time_left(until))
     answers = dict(line.split("=", 1) for line in probe.text.splitlines() if "=" in line)
     for path in usable:
-        answer = answers.get(path, f"no answer within {CHILD_LIMIT:.0f} s")
+        answer = answers.get(path, "no answer in time")
         good = answer[:1].isdigit()
         # A camera has a second device node for its metadata, which never gives a picture.
         do = "" if good else "in use by another program, or this node carries no pictures"

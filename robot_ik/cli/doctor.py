@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 from rich.text import Text
@@ -13,18 +12,18 @@ from robot_ik.cli import checks, console, device_checks
 #: Version of the JSON object; raised when a field changes its meaning.
 SCHEMA = 1
 
-CHECKS: list[Callable[[], list[checks.Row]]] = [
+CHECKS: list[checks.Check] = [
     checks.check_python,
     checks.check_packages,
     checks.check_mujoco,
     checks.check_opencv,
+    checks.check_kernels,
     checks.check_user_gl,
     functools.partial(checks.check_gl, "egl"),
     functools.partial(checks.check_gl, "osmesa"),
     checks.check_display,
     device_checks.check_serial,
     device_checks.check_cameras,
-    checks.check_kernels,
     checks.check_terminal,
 ]
 
