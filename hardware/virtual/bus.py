@@ -14,6 +14,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.faults import TICKS_PER_DEGREE, Faults, Wire
 from robot_ik.hardware.virtual.protocol2 import (
     BROADCAST,
+    MAX_PACKET,
     ErrorCode,
     Instruction,
     Packet,
@@ -205,16 +206,15 @@ class VirtualBus:
 
     def _read_fast(self, requests: list[_Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
         """One status packet to which each servo adds; it ends before the first that is missing."""
-        answers = []
-        for id, address, length in requests:
+        answers: list[tuple[int, int, bytes]] = []
+        expected = 8 + sum(length + 4 for _, _, length in requests)
+        for id, address, length in requests if expected <= MAX_PACKET else []:
             servos = _answering(id, listeners)
             if not servos:
                 break
             data, error = servos[0].read(address, length)
             answers.append((servos[0].status_byte(error), id, data.ljust(length, b"\x00")))
-        if not answers:
-            return []
-        return [build_fast_status(answers, 8 + sum(length + 4 for _, _, length in requests))]
+        return [build_fast_status(answers, expected)] if answers else []
 
 
 def _answering(id: int, listeners: Sequence[VirtualServo]) -> list[VirtualServo]:

@@ -136,6 +136,11 @@ def test_a_truncated_packet_does_not_swallow_the_next(kept: int) -> None:
     assert [p for p in found if p.valid] == [Packet(2, I.PING, b"")]
 
 
+def test_the_torso_of_a_long_packet_does_not_keep_the_next_one_waiting() -> None:
+    torso = build(1, I.WRITE, bytes(200))[:60]
+    assert Parser().feed(torso + build(2, I.PING), 0.0) == [Packet(2, I.PING, b"")]
+
+
 def test_a_checksum_that_looks_like_a_header_is_read_through() -> None:
     # FF FF at the end of the data and a checksum FD 00 make a header where none is.
     data = next(

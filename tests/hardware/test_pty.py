@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import threading
 import time
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from robot_ik.errors import OutputError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.hardware.virtual.protocol2 import Instruction, build
+from robot_ik.hardware.virtual.protocol2 import Instruction, build, build_status
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock, VirtualClock
 
@@ -180,12 +181,29 @@ def test_wire_time_and_latency_are_spent(bus: VirtualBus) -> None:
             assert time.monotonic() - start >= expected
 
 
-def test_a_client_that_never_reads_does_not_stop_the_bus(pty: PtyPort) -> None:
-    with serial.Serial(pty.path, 1_000_000, timeout=5.0) as deaf:
+def test_a_client_that_never_reads_does_not_stop_the_bus(pty: PtyPort, bus: VirtualBus) -> None:
+    with serial.Serial(pty.path, 1_000_000, write_timeout=10.0) as deaf:
         for _ in range(3000):
             deaf.write(build(1, Instruction.PING))
+        deaf.write(build(254, Instruction.WRITE, b"\x41\x00\x01"))  # LED of all
+        end = time.monotonic() + 10.0
+        while not bus.servo(1).memory.get("led") and time.monotonic() < end:
+            time.sleep(0.01)
+        assert bus.servo(1).memory.get("led") == 1
     for port in _open(pty):
         assert SDK.ping(port, 1)[1] == COMM_SUCCESS
+
+
+def test_a_client_that_sets_nothing_gets_its_bytes_unchanged(pty: PtyPort) -> None:
+    client = os.open(pty.path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        os.write(client, build(1, Instruction.PING))
+        reply = b""
+        while len(reply) < 14 and select.select([client], [], [], 5.0)[0]:
+            reply += os.read(client, 100)
+        assert reply == build_status(1, 0, b"\xfc\x03\x30")
+    finally:
+        os.close(client)
 
 
 def test_a_packet_in_pieces_is_answered_when_whole(pty: PtyPort) -> None:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from robot_ik.errors import (
     BusCorruptError,
@@ -238,6 +240,19 @@ def test_only_servos_at_the_client_s_rate_hear(bus: VirtualBus) -> None:
     assert [a.id for a in _answers(bus.handle(build(254, I.PING)))] == [1, 2, 3]
 
 
+def test_any_instruction_on_the_wire_keeps_the_bus_watchdog_quiet(
+    bus: VirtualBus, clock: VirtualClock
+) -> None:
+    for register, value in ((98, 5), (64, 1)):
+        bus.handle(build(1, I.WRITE, _word(register) + bytes([value])))
+    for _ in range(10):
+        clock.sleep_until(clock.now() + 0.09)
+        bus.handle(build(77, I.PING))
+    assert _answers(bus.handle(build(1, I.READ, _word(98) + _word(1))))[0].data == b"\x05"
+    clock.sleep_until(clock.now() + 0.11)
+    assert _answers(bus.handle(build(1, I.READ, _word(98) + _word(1))))[0].data == b"\xff"
+
+
 def test_several_packets_and_pieces_at_once(bus: VirtualBus) -> None:
     stream = build(1, I.PING) + b"\xff\x00noise" + build(2, I.PING)
     assert bus.handle(stream[:3]) == b""
@@ -259,6 +274,43 @@ def test_threads_do_not_mix_their_packets(bus: VirtualBus) -> None:
     for thread in threads:
         thread.join()
     assert wrong == []
+
+
+# Sizes and addresses that are nearly right, and ids that exist: noise that gets past the first checks.
+NEARLY = st.lists(
+    st.sampled_from([_word(n) for n in (0, 1, 4, 7, 8, 64, 98, 116, 132, 168, 224, 661, 65535)])
+    | st.sampled_from([b"\x01", b"\x02", b"\xff", b"\xff\xff\xfd", b"\x00"]),
+    max_size=12,
+).map(b"".join)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([1, 2, 3, 9, 254]),
+            st.sampled_from(list(Instruction)) | st.integers(0, 255),
+            NEARLY | st.binary(max_size=30),
+        ),
+        max_size=12,
+    )
+)
+def test_no_packet_brings_the_bus_down(packets: list[tuple[int, int, bytes]]) -> None:
+    clock = VirtualClock()
+    bus = VirtualBus(
+        [VirtualServo("XM430-W350", id, clock, position_ticks=100 * id) for id in (1, 2, 3)], clock
+    )
+    for id, instruction, params in packets:
+        clock.sleep_until(clock.now() + 0.01)
+        reply = bus.handle(build(id, instruction, params))
+        if instruction not in (I.FAST_SYNC_READ, I.FAST_BULK_READ):  # those may break off, as they should
+            answers = _answers(reply)
+            ids = [s.id for s in bus.servos]
+            assert all(a.is_status for a in answers if a.valid)
+            assert len(set(ids)) < 3 or all(a.valid for a in answers)
+    for servo in bus.servos:
+        for register in servo.table:
+            data, error = servo.read(register.address, register.size)
+            assert len(data) == register.size and not error
 
 
 # ------------------------------------------------------------------------------------- arm and truth
@@ -380,6 +432,12 @@ def test_simbus_sync_read_keeps_who_answered(sim: SimBus, arm_bus: VirtualBus, a
     assert [id for id, status in read.items() if status.alert] == [5]
     assert read[5].data == 2048  # an alert is information: the data are good
     assert (sim.counters.timeouts, sim.counters.cycles, sim.counters.retries) == (1, 1, 2)
+
+
+def test_simbus_sync_read_carries_refusals(sim: SimBus) -> None:
+    # Current Limit is at 38 on an XM430 and nothing is there on an XL430 (id 4).
+    read = sim.sync_read([1, 4], TABLE["current_limit"])
+    assert read == {1: Status(1, 1193), 4: Status(4, None, 7)}
 
 
 def test_simbus_reboot_clears_an_overload(sim: SimBus, arm_bus: VirtualBus) -> None:

@@ -164,6 +164,17 @@ def test_time_based_profile_takes_its_time() -> None:
     assert (bench.read("moving_status") & 3, bench.read("present_position")) == (1, 4000)
 
 
+def test_a_ramp_is_at_most_half_the_time() -> None:
+    bench = Bench()
+    bench.set(drive_mode=4)
+    bench.set(profile_velocity=2000, profile_acceleration=1900, torque_enable=1, goal_position=4000)
+    bench.wait(1.0)
+    assert bench.servo.reading == pytest.approx((2048 + 4000) / 2)
+    assert bench.read("present_velocity") == pytest.approx(2 * 1952 / 2.0 / V_UNIT, abs=1)
+    bench.wait(1.001)
+    assert bench.read("moving_status") & 3 == 1
+
+
 def test_how_often_it_is_asked_changes_nothing() -> None:
     often, rarely = Bench(mode=EXTENDED), Bench(mode=EXTENDED)
     for bench in (often, rarely):
@@ -320,6 +331,38 @@ def test_one_turn_mode_obeys_the_position_limits_and_extended_does_not() -> None
     assert bench.write("goal_position", 1_048_576) == ErrorCode.DATA_RANGE
 
 
+@pytest.mark.parametrize("name,limit", [("goal_velocity", 350), ("goal_pwm", 885), ("goal_current", 1193)])
+def test_goals_end_at_the_limit_registers(name: str, limit: int) -> None:
+    bench = Bench()
+    assert bench.write(name, limit) == bench.write(name, -limit) == ErrorCode.NONE
+    bench.set(**{name.removeprefix("goal_") + "_limit": limit - 10})
+    assert bench.write(name, limit) == bench.write(name, -limit) == ErrorCode.DATA_LIMIT
+    assert bench.read(name) == -limit
+
+
+def test_drive_mode_has_the_bits_of_the_model() -> None:
+    bench = Bench()
+    assert bench.write("drive_mode", 2) == ErrorCode.DATA_RANGE  # the slave bit is for larger servos
+    assert bench.write("drive_mode", 13) == ErrorCode.NONE
+
+
+def test_torque_by_goal() -> None:
+    bench = Bench()
+    bench.set(drive_mode=8, goal_position=3000)
+    assert bench.read("torque_enable") == 1
+    bench.wait(5.0)
+    assert bench.read("present_position") == 3000
+    bench.servo.inject_error("overload")
+    bench.set(goal_position=1000)
+    assert bench.read("torque_enable") == 0
+
+
+def test_an_indirect_address_out_of_the_table_points_nowhere() -> None:
+    bench = Bench()
+    bench.set(indirect_address_1=65535, indirect_data_1=77)
+    assert bench.read("indirect_data_1") == 77
+
+
 @pytest.mark.parametrize("model,mode,error", [
     ("XM430-W350", 0, ErrorCode.DATA_RANGE),  # exists, but there is no motor to put a current through
     ("XM430-W350", 2, ErrorCode.DATA_RANGE),
@@ -372,6 +415,7 @@ def test_one_turn_mode_reads_within_a_turn() -> None:
     bench.set(operating_mode=OperatingMode.POSITION)
     assert bench.read("present_position") == 3996
     assert bench.servo.true_ticks == -100.0
+    assert Bench(position_ticks=4095.7).read("present_position") == 0
 
 
 # ------------------------------------------------------------------------------------------ torque
