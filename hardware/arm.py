@@ -127,7 +127,9 @@ class Arm:
         self._guard.install()
         self._energised = True
         try:
-            self._cycle.stand(torque_on(self.bus, self.config))
+            goals = torque_on(self.bus, self.config)
+            self._cycle.stand(goals)
+            self._cycle.samples.take({id: Status(id, at) for id, at in goals.items()}, self.clock.now())
         except BaseException:
             with self._guard.shield():
                 self.exit_report = torque_off(self.bus, self.config)

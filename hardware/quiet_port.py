@@ -103,7 +103,15 @@ class QuietPortHandler(PortHandler):  # type: ignore[misc]
 
     def writePort(self, packet: Sequence[int]) -> int:
         """Number of bytes written: all of them, or an error."""
-        self.ser.write(bytes(packet))
+        if os.name != "posix":
+            self.ser.write(bytes(packet))
+        else:
+            # Not pyserial's write: it reports a timeout for bytes that are out if this process was stalled.
+            left = bytes(packet)
+            while left:
+                if not select.select([], [self.ser.fileno()], [], WRITE_TIMEOUT)[1]:
+                    raise serial.SerialTimeoutException(f"the port takes no bytes for {WRITE_TIMEOUT} s")
+                left = left[os.write(self.ser.fileno(), left) :]
         self._counters.bytes_sent += len(packet)
         return len(packet)
 

@@ -1,0 +1,249 @@
+"""The way out: a child process drives an arm on a pty whose servos live here, and is ended in every way.
+
+What counts is what the servos' own registers say afterwards.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from robot_ik.hardware.exit_guard import ExitGuard
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.pty import PtyPort
+from robot_ik.ports import RealClock
+
+START = np.array([0.1, 0.2, 0.3, -0.4, 0.5, 0.6])
+
+CHILD = """
+import itertools, signal, sys
+import numpy as np
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.config import ArmConfig
+
+port, file, policy, end = sys.argv[1:5]
+# As at a terminal, whatever the test run itself was started from.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+arm = open_arm(ArmConfig.load(file), port, on_exit=policy)
+
+def drive(ticks):
+    home = arm.read().q
+    for k in ticks:  # as fast as the bus goes: nearly always inside a transaction
+        if k == 20:
+            print("moving", flush=True)
+        arm.send(home + 0.1 * np.sin(0.01 * k), 0.01 * k)
+
+if end == "forgotten":  # no `with`, no close
+    arm.connect()
+    arm.enable()
+    drive(range(30))
+    raise RuntimeError("forgotten")
+if end == "rounds":
+    # A second signal may come after the arm has given the handlers back.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: None)
+    for line in sys.stdin:
+        try:
+            with arm:
+                arm.enable()
+                drive(itertools.count())
+        except KeyboardInterrupt:
+            print("interrupted", arm.exit_report.ok, flush=True)
+        except SystemExit as error:
+            print("exit", error.code, arm.exit_report.ok, flush=True)
+    sys.exit(0)
+with arm:
+    arm.enable()
+    drive(range(30) if end in ("normal", "raise") else itertools.count())
+    if end == "raise":
+        raise RuntimeError("on purpose")
+print("handlers", signal.getsignal(signal.SIGINT) is signal.default_int_handler,
+      signal.getsignal(signal.SIGTERM) == signal.SIG_DFL, flush=True)
+"""
+
+
+@pytest.fixture
+def served(arm_config):
+    with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=START)) as port:
+        yield port
+
+
+@pytest.fixture
+def child(served, arm_path):
+    started = []
+
+    def start(policy: str, end: str) -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, "-c", CHILD, served.path, str(arm_path), policy, end],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait(timeout=20)
+        for pipe in (process.stdin, process.stdout, process.stderr):
+            pipe.close()
+
+
+def torque(served) -> list[bool]:
+    return [servo.torque for servo in served.bus.servos]
+
+
+def wait_for(process, line: str) -> None:
+    assert process.stdout.readline().strip() == line, process.stderr.read()
+
+
+@pytest.mark.parametrize("end", ["normal", "raise", "forgotten"])
+def test_without_a_signal_every_servo_is_off_at_the_end(served, child, end):
+    process = child("torque_off", end)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == (0 if end == "normal" else 1), err
+    assert "moving" in out
+    assert torque(served) == [False] * 6
+    if end == "normal":
+        assert "handlers True True" in out  # given back to whoever had them
+    else:
+        assert "RuntimeError" in err
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, -2), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_a_signal_switches_every_servo_off_and_keeps_its_exit_code(served, child, number, code):
+    process = child("torque_off", "signal")
+    wait_for(process, "moving")
+    assert torque(served) == [True] * 6
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == code, err
+    assert torque(served) == [False] * 6
+
+
+def test_hold_keeps_torque_and_pose_when_killed_softly(served, child, arm_config):
+    process = child("hold", "signal")
+    wait_for(process, "moving")
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert torque(served) == [True] * 6
+    here = served.bus.true_angles(arm_config)
+    assert np.abs(here - START).max() < 0.15
+    time.sleep(0.3)
+    assert torque(served) == [True] * 6
+    assert (served.bus.true_angles(arm_config) == here).all()
+
+
+def test_park_returns_to_the_start_first(served, child, arm_config):
+    process = child("park", "signal")
+    wait_for(process, "moving")
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert torque(served) == [False] * 6
+    assert np.abs(served.bus.true_angles(arm_config) - START).max() < 0.02
+
+
+def test_after_sigkill_the_bus_watchdog_stops_the_arm(served, child, arm_config):
+    process = child("torque_off", "signal")
+    wait_for(process, "moving")
+    process.kill()
+    process.communicate(timeout=30)
+    time.sleep(0.4)
+    here = served.bus.true_angles(arm_config)
+    assert torque(served) == [True] * 6  # it holds and does not release: nobody was left to ask
+    assert [servo.memory.get("bus_watchdog") for servo in served.bus.servos] == [-1] * 6
+    time.sleep(0.2)
+    assert (served.bus.true_angles(arm_config) == here).all()
+
+
+def kill_at_random(served, child, rounds: int, seed: int) -> None:
+    """Signals at random points of transactions; in every other round an impatient second one."""
+    rng = random.Random(seed)
+    process = child("torque_off", "rounds")
+    for k in range(rounds):
+        print("go", file=process.stdin, flush=True)
+        wait_for(process, "moving")
+        time.sleep(rng.uniform(0.0, 0.02))
+        number = rng.choice([signal.SIGINT, signal.SIGTERM])
+        process.send_signal(number)
+        if k % 2:
+            time.sleep(rng.uniform(0.0, 0.004))
+            process.send_signal(number)
+        said = process.stdout.readline().split()
+        # Torque first, words later: look at the servos before believing the child.
+        assert torque(served) == [False] * 6, (k, said, process.stderr.read() if not said else "")
+        assert said in (["interrupted", "True"], ["exit", "143", "True"]), said
+    process.stdin.close()
+    assert process.wait(timeout=30) == 0
+
+
+def test_a_signal_at_any_point_of_a_transaction_ends_in_torque_off(served, child):
+    kill_at_random(served, child, rounds=20, seed=19)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_signal_at_any_point_of_a_transaction_many_times(served, child, seed):
+    kill_at_random(served, child, rounds=200, seed=seed)
+
+
+# ------------------------------------------------------------------------- the guard by itself
+
+
+@pytest.fixture
+def guard():
+    guard = ExitGuard(lambda: None)
+    yield guard
+    guard.remove()
+
+
+def test_the_first_signal_raises_and_the_second_is_only_counted(guard):
+    guard.install()
+    with pytest.raises(SystemExit) as caught:
+        signal.raise_signal(signal.SIGTERM)
+    assert caught.value.code == 143
+    signal.raise_signal(signal.SIGTERM)
+    signal.raise_signal(signal.SIGINT)
+    assert guard.received == 3 and guard.deferred() is None
+
+
+def test_inside_the_shield_a_signal_waits(guard):
+    guard.install()
+    with guard.shield():
+        signal.raise_signal(signal.SIGINT)
+    assert isinstance(guard.deferred(), KeyboardInterrupt) and guard.deferred() is None
+
+
+def test_handlers_are_given_back_and_ignored_signals_stay_ignored(guard):
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        guard.install()
+        assert signal.getsignal(signal.SIGTERM) != before[signal.SIGTERM]
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        guard.remove()
+        assert signal.getsignal(signal.SIGINT) == before[signal.SIGINT]
+        assert signal.getsignal(signal.SIGTERM) == before[signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGHUP, before[signal.SIGHUP])
+
+
+def test_outside_the_main_thread_no_handler_is_touched(guard):
+    before = signal.getsignal(signal.SIGTERM)
+    thread = threading.Thread(target=guard.install)
+    thread.start()
+    thread.join()
+    assert signal.getsignal(signal.SIGTERM) == before
