@@ -19,6 +19,9 @@ from robot_ik.errors import CameraError
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+# Cells narrower than this (px) cannot be read, only guessed: noise now and then looks like a code.
+_LEAST_CELL = 1.5
+
 
 @dataclass(frozen=True, eq=False)
 class Detection:
@@ -72,8 +75,17 @@ class MarkerDetector:
         The same id may come twice when two copies of a marker are in view.
         """
         found = detect_markers(self._detector, to_gray(image))
-        wanted = [Detection(i, corners) for i, corners in found if self.ids is None or i in self.ids]
+        least = _LEAST_CELL * self.cells
+        wanted = [
+            Detection(i, corners)
+            for i, corners in found
+            if (self.ids is None or i in self.ids) and _shortest_side(corners) >= least
+        ]
         return sorted(wanted, key=lambda d: (d.id, *d.corners[0]))
+
+
+def _shortest_side(corners: Array) -> float:
+    return float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).min())
 
 
 def _parameters() -> cv2.aruco.DetectorParameters:

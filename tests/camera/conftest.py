@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.pose import MarkerObservation
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.standard_set import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
@@ -53,7 +53,6 @@ class Measured:
 def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1) -> list[Measured]:
     """Renders and observes a standard set; fails when a marker is not found."""
     tracker = MarkerTracker(STANDARD_CAMERA, dictionary, STANDARD_SIZE)
-    assert isinstance(tracker.detector, MarkerDetector)
     result = []
     for number, view in enumerate(standard_set(distance, count, seed=seed, dictionary=dictionary)):
         image = np.repeat(view.image[:, :, None], 3, axis=2)
@@ -63,8 +62,10 @@ def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: 
     return result
 
 
-def rms(values: object) -> float:
-    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=float)))))
+@pytest.fixture(scope="session", name="measure")
+def measure_function() -> Callable[..., list[Measured]]:
+    """The function ``measure``: test modules cannot import this file."""
+    return measure
 
 
 @pytest.fixture(scope="session")
