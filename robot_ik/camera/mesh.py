@@ -200,7 +200,9 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> GeomMesh:
         cell = float(np.ptp(vertices, axis=0).max()) / cells
         key = np.round(vertices / cell).astype(np.int64)
         _, inverse, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
-        merged = np.stack([np.bincount(inverse.reshape(-1), vertices[:, k]) / counts for k in range(3)], axis=1)
+        merged = np.stack(
+            [np.bincount(inverse.reshape(-1), vertices[:, k]) / counts for k in range(3)], axis=1
+        )
         result = _weld(merged, inverse.reshape(-1)[quads])
         cells = int(cells / 1.4)
     return result

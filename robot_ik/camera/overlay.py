@@ -122,7 +122,12 @@ def _runs(points: Array, intrinsics: CameraIntrinsics) -> list[NDArray[np.int32]
 
 
 def draw_path(
-    image: Image, intrinsics: CameraIntrinsics, points_camera: ArrayLike, *, colour: Colour = ORANGE, width: int = 2
+    image: Image,
+    intrinsics: CameraIntrinsics,
+    points_camera: ArrayLike,
+    *,
+    colour: Colour = ORANGE,
+    width: int = 2,
 ) -> Image:
     """Draws a line through points (n, 3) of the camera frame, metres, with a dark rim that shows on any ground."""
     result = image.copy()
@@ -179,7 +184,9 @@ def draw_marker_outline(
     square = points[0] + np.array([[-3, -3], [3, -3], [3, 3], [-3, 3]])
     cv2.fillConvexPoly(result, _fixed(square), RED, cv2.LINE_AA, _SHIFT)
     if label:
-        result = put_label(result, label, (float(points[:, 0].max()) + 8, float(points[:, 1].mean())), accent=colour)
+        result = put_label(
+            result, label, (float(points[:, 0].max()) + 8, float(points[:, 1].mean())), accent=colour
+        )
     return result
 
 

@@ -85,12 +85,19 @@ class Photographer:
         lights: Lights,
         subject: Array,
     ) -> None:
-        self._model, self._intrinsics, self._camera, self._lights = model, intrinsics, pose_world_camera, lights
+        self._model, self._intrinsics, self._camera, self._lights = (
+            model,
+            intrinsics,
+            pose_world_camera,
+            lights,
+        )
         self._field = ray_field(intrinsics)
         self._caster = Caster(model)
         self._stage = Stage(intrinsics, pose_world_camera, table, lights, subject).picture
         # planes and height fields are not bounded by the painter's polygons: then look everywhere
-        known = [int(k) for k in mujoco.mjtGeom.__members__.values() if "PLANE" in k.name or "HFIELD" in k.name]
+        known = [
+            int(k) for k in mujoco.mjtGeom.__members__.values() if "PLANE" in k.name or "HFIELD" in k.name
+        ]
         self._bounded = not np.isin(np.asarray(model.geom_type), known).any()
 
     def expose(
@@ -196,10 +203,14 @@ class Photographer:
         geom.reshape(-1)[asked[on]] = hits.geom[on]
         normal = np.zeros((*shape, 3))
         normal.reshape(-1, 3)[asked[on]] = hits.normal[on]
-        seen = self._own_shadows(points, asked[on], shape, max(1, quality.self_stride // stride), quality.self_spots)
+        seen = self._own_shadows(
+            points, asked[on], shape, max(1, quality.self_stride // stride), quality.self_spots
+        )
         colour = np.zeros((*shape, 3), dtype=np.float32)
         visible = seen.reshape(-1, 2)[asked[on]]
-        colour.reshape(-1, 3)[asked[on]] = self._shade(hits.geom[on], points, hits.normal[on], rays[on], visible)
+        colour.reshape(-1, 3)[asked[on]] = self._shade(
+            hits.geom[on], points, hits.normal[on], rays[on], visible
+        )
         coverage = (geom >= 0).astype(np.float32)
         if stride == 1:
             self._smooth_edges(box, geom, normal, seen, colour, coverage)
@@ -234,13 +245,23 @@ class Photographer:
         lamp, ceiling, ambient = self._lights.terms(points, normals)
         light = ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]
         way = self._lights.lamp - points
-        half = way / np.linalg.norm(way, axis=1, keepdims=True) - rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        half = way / np.linalg.norm(way, axis=1, keepdims=True) - rays / np.linalg.norm(
+            rays, axis=1, keepdims=True
+        )
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         shine = np.maximum(np.einsum("ij,ij->i", half, normals), 0.0) ** _SHARPNESS
-        return np.asarray(self._caster.colours[geom] * light[:, None] + (_GLOSS * shine * seen[:, 0])[:, None])
+        return np.asarray(
+            self._caster.colours[geom] * light[:, None] + (_GLOSS * shine * seen[:, 0])[:, None]
+        )
 
     def _smooth_edges(
-        self, box: Box, geom: NDArray[np.int64], normal: Array, seen: Float32, colour: Float32, coverage: Float32
+        self,
+        box: Box,
+        geom: NDArray[np.int64],
+        normal: Array,
+        seen: Float32,
+        colour: Float32,
+        coverage: Float32,
     ) -> None:
         """Replaces pixels on edges of geoms by the mean of five subrays each, in place."""
         kernel = np.ones((3, 3), np.uint8)
@@ -345,5 +366,7 @@ def _enlarged(picture: ArrayLike, stride: int, size: tuple[int, int]) -> Float32
     small = np.ascontiguousarray(picture, dtype=np.float32)
     if stride == 1:
         return small
-    large = cv2.resize(small, (small.shape[1] * stride, small.shape[0] * stride), interpolation=cv2.INTER_LINEAR)
+    large = cv2.resize(
+        small, (small.shape[1] * stride, small.shape[0] * stride), interpolation=cv2.INTER_LINEAR
+    )
     return np.ascontiguousarray(large[: size[0], : size[1]])

@@ -111,7 +111,10 @@ def make_sheet(dictionary: str, marker: int, margin_cells: float, condition: Con
     lines = np.concatenate([[-margin_cells], np.arange(cells + 1.0), [cells + margin_cells]])
     widths = np.diff(lines)
     area = np.outer(widths, widths)
-    sums = [np.pad(np.cumsum(np.cumsum(x * area, axis=0), axis=1), ((1, 0), (1, 0))) for x in (tones, np.ones_like(tones))]
+    sums = [
+        np.pad(np.cumsum(np.cumsum(x * area, axis=0), axis=1), ((1, 0), (1, 0)))
+        for x in (tones, np.ones_like(tones))
+    ]
     return Sheet(lines, sums[0], sums[1], cells)
 
 
@@ -174,7 +177,10 @@ class _Plane:
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (normal @ self._origin) / slope
         depth = np.where(depth > _NEAR, depth, np.nan)
-        point = np.concatenate([ideal, np.ones((*ideal.shape[:-1], 1))], axis=-1) * depth[..., None] - self._origin
+        point = (
+            np.concatenate([ideal, np.ones((*ideal.shape[:-1], 1))], axis=-1) * depth[..., None]
+            - self._origin
+        )
         u = self._half + self._scale * (point @ self._axes[:, 0])
         v = self._half - self._scale * (point @ self._axes[:, 1])
         return u, v, depth
@@ -185,7 +191,12 @@ Blocker = Callable[[Array, Array], NDArray[np.bool_]]
 
 
 def paint_marker(
-    sheet: Sheet, size: float, margin: float, pose_camera_marker: Pose, field: RayField, blocked: Blocker | None
+    sheet: Sheet,
+    size: float,
+    margin: float,
+    pose_camera_marker: Pose,
+    field: RayField,
+    blocked: Blocker | None,
 ) -> PaintedMarker | None:
     """Projects a sheet exactly; ``None`` when its face is turned away or outside the picture.
 
@@ -236,7 +247,9 @@ def paint_marker(
         tones.ravel()[fine] = t.reshape(-1, _SUB * _SUB).mean(axis=1)
     hits = np.clip(hits, 0.0, 1.0)
     visible = float(hits.sum() / max(whole.sum(), 1e-9))
-    return PaintedMarker(box, hits, np.where(hits > 1e-9, tones / np.maximum(hits, 1e-9), PAPER), visible, depth)
+    return PaintedMarker(
+        box, hits, np.where(hits > 1e-9, tones / np.maximum(hits, 1e-9), PAPER), visible, depth
+    )
 
 
 def _uniform(tone: Array, area: Array) -> NDArray[np.bool_]:

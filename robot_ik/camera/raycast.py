@@ -18,8 +18,8 @@ from robot_ik.camera.mesh import VISIBLE_GROUPS, geom_rgba
 
 Array = NDArray[np.float64]
 
-# Lens rays are computed at nodes this far apart and interpolated cubically: below 1e-4 px for real lenses.
-_NODE_PX = 16.0
+# Lens rays are computed at nodes this far apart and interpolated cubically: below 1e-3 px even for fisheyes.
+_NODE_PX = 10.0
 # Rays reach this far, metres.
 _CUTOFF = 50.0
 

@@ -57,21 +57,24 @@ class Table:
 
 @dataclass(frozen=True)
 class Lights:
-    """One large lamp, a bright ceiling, and light from everywhere.
+    """One large lamp, a bright ceiling, a window behind the camera, and light from everywhere.
 
     Attributes:
         lamp: Position (3,) of the lamp, metres, world.
         lamp_radius: Its radius: how soft its shadows are.
         ceiling: Centre (3,) of the bright ceiling; ``ceiling_radius`` its radius.
         ceiling_radius: See ``ceiling``.
-        strength: Of lamp, ceiling, ambient from above, ambient from below; 1 shows white paper as white.
+        window: Where the window (3,) is; it throws no shadows.
+        strength: Of lamp, ceiling, window, ambient from above, ambient from below; they add up to about 1
+            on a level sheet of paper.
     """
 
     lamp: Array
     lamp_radius: float
     ceiling: Array
     ceiling_radius: float
-    strength: tuple[float, float, float, float] = (0.49, 0.24, 0.39, 0.33)
+    window: Array
+    strength: tuple[float, float, float, float, float] = (0.32, 0.19, 0.26, 0.28, 0.28)
 
     @classmethod
     def beside(cls, pose_world_camera: Pose, distance: float) -> Lights:
@@ -79,18 +82,22 @@ class Lights:
         turn, eye = pose_world_camera.rotation, pose_world_camera.position
         subject = eye + turn[:, 2] * distance
         lamp = eye - 0.55 * distance * turn[:, 0] + np.array([0.0, 0.0, 0.9 * distance])
-        return cls(lamp, 0.10 * distance, subject + np.array([0.0, 0.0, 1.6 * distance]), 0.8 * distance)
+        overhead = subject + np.array([0.0, 0.0, 1.6 * distance])
+        return cls(lamp, 0.10 * distance, overhead, 0.8 * distance, eye)
 
     def terms(self, points: Array, normals: Array) -> tuple[Array, Array, Array]:
         """Light (n,) that ``points`` (n, 3) with ``normals`` (n, 3) get: lamp, ceiling, ambient."""
-        lamp, ceiling, above, below = self.strength
+        lamp, ceiling, window, above, below = self.strength
 
         def facing(source: Array) -> Array:
             way = source - points
-            return np.asarray(np.maximum(np.einsum("ij,ij->i", way, normals) / np.linalg.norm(way, axis=1), 0.0))
+            return np.asarray(
+                np.maximum(np.einsum("ij,ij->i", way, normals) / np.maximum(np.linalg.norm(way, axis=1), 1e-9), 0.0)
+            )
 
         up = 0.5 + 0.5 * normals[:, 2]
-        return lamp * facing(self.lamp), ceiling * facing(self.ceiling), below + (above - below) * up
+        ambient = below + (above - below) * up + window * facing(self.window)
+        return lamp * facing(self.lamp), ceiling * facing(self.ceiling), ambient
 
     def spots(self, source: str, count: int) -> Array:
         """``count`` points (count, 3) on the level disc of the ``"lamp"`` or the ``"ceiling"``."""
@@ -169,7 +176,12 @@ class Stage:
     """
 
     def __init__(
-        self, intrinsics: CameraIntrinsics, pose_world_camera: Pose, table: Table | None, lights: Lights, subject: Array
+        self,
+        intrinsics: CameraIntrinsics,
+        pose_world_camera: Pose,
+        table: Table | None,
+        lights: Lights,
+        subject: Array,
     ) -> None:
         self._floor = table.floor_height if table is not None else 0.0
         self._caster = Caster(_environment(table, self._floor))
@@ -200,11 +212,17 @@ class Stage:
     def _light(self, points: Array, normals: Array) -> Array:
         """Ambient, lamp and ceiling light (n, 3) with the table's own shadows."""
         lamp, ceiling, ambient = self._lights.terms(points, normals)
-        return np.stack([ambient, lamp * self._lit(points, "lamp", 8), ceiling * self._lit(points, "ceiling", 12)], 1)
+        return np.stack(
+            [ambient, lamp * self._lit(points, "lamp", 8), ceiling * self._lit(points, "ceiling", 12)], 1
+        )
 
     def _lit(self, points: Array, source: str, count: int) -> Array:
         spots = self._lights.spots(source, count)
-        return np.asarray(np.mean([self._caster.lit(s, points) for s in spots], axis=0)) if len(points) else np.zeros(0)
+        return (
+            np.asarray(np.mean([self._caster.lit(s, points) for s in spots], axis=0))
+            if len(points)
+            else np.zeros(0)
+        )
 
     def _shade(self, ideal: Array) -> Array:
         """Light shares (n, 3 lights, 3 BGR) along any rays (n, 2): exact and slow."""
@@ -250,7 +268,9 @@ class Stage:
         """Light (h, w, 3) on a level plane: smooth, so computed for blocks of pixels."""
         ideal, shape = self._coarse(_LIGHT_STRIDE)
         points, _ = self._level(ideal, height)
-        return self._enlarge(self._light(points, np.tile([0.0, 0.0, 1.0], (len(points), 1))), shape, _LIGHT_STRIDE)
+        return self._enlarge(
+            self._light(points, np.tile([0.0, 0.0, 1.0], (len(points), 1))), shape, _LIGHT_STRIDE
+        )
 
     def _render(self) -> StillPicture:
         w, h = self._field.intrinsics.size

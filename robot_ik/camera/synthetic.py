@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 # A marker of which less than this is seen does not count as visible in the truth.
 _VISIBLE_PART = 0.02
+# White round a marker: detectors take the paper's own outline for the marker's when it is much nearer.
+_MARGIN_CELLS = 1.5
 # Brightness lost in the corners of the picture.
 _VIGNETTE = 0.10
 
@@ -84,7 +86,7 @@ class SyntheticMarker:
         pose: In the world, or seen from ``frame``; a callable is asked with the time in seconds.
         frame: Robot frame that carries it; ``None``: it stands in the world.
         dictionary: OpenCV's name of it.
-        margin: White paper beyond the border, metres; one cell when not given.
+        margin: White paper beyond the border, metres; 1.5 cells when not given.
         condition: ``printed``, ``blank`` (white paper only) or ``covered`` (a grey patch over it).
     """
 
@@ -100,7 +102,7 @@ class SyntheticMarker:
     def paper_margin(self) -> float:
         """White paper beyond the black border, metres."""
         cells = make_sheet(self.dictionary, self.id, 1.0, "printed").cells
-        return self.size / cells if self.margin is None else self.margin
+        return _MARGIN_CELLS * self.size / cells if self.margin is None else self.margin
 
     def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
         """Where it is when the robot stands at ``q`` and the time is ``now``."""
@@ -132,7 +134,9 @@ class SyntheticScene:
         object.__setattr__(self, "markers", tuple(self.markers))
         names = [(m.dictionary, m.id) for m in self.markers]
         if len(set(names)) != len(names):
-            raise CameraError(f"a marker appears twice in the scene: {sorted(names)}", hint="give each its own id")
+            raise CameraError(
+                f"a marker appears twice in the scene: {sorted(names)}", hint="give each its own id"
+            )
 
     def with_marker(self, id: int, **changes: object) -> SyntheticScene:
         """The scene with some fields of marker ``id`` changed, e.g. ``pose`` or ``condition``.
@@ -219,7 +223,9 @@ class SyntheticSource(ClosingSource):
             distance = _subject_distance(scene)
             subject = pose.apply([0.0, 0.0, distance])
             lights = scene.lights or Lights.beside(pose, distance)
-            self._photographer = Photographer(robot.model, scene.intrinsics, pose, scene.table, lights, subject)
+            self._photographer = Photographer(
+                robot.model, scene.intrinsics, pose, scene.table, lights, subject
+            )
         return self._photographer
 
     def _develop(self, light: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -250,7 +256,9 @@ class SyntheticSource(ClosingSource):
             "pose_world_camera": scene.pose_world_camera,
             "pose_world_marker": {m.id: p for m, p, _ in seen},
             "pose_camera_marker": {m.id: inverse.compose(p) for m, p, _ in seen},
-            "corners": {m.id: scene.intrinsics.project(inverse.compose(p).apply(_corners(m.size))) for m, p, _ in seen},
+            "corners": {
+                m.id: scene.intrinsics.project(inverse.compose(p).apply(_corners(m.size))) for m, p, _ in seen
+            },
             "visible": {m.id: part for m, _, part in seen},
         }
 

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 Image = NDArray[np.uint8]
 
 # Letters that the stroke font of OpenCV 4 lacks.
-_PLAIN = str.maketrans({"°": " deg", "–": "-", "—": "-", "≤": "<=", "µ": "u", "→": "->", "σ": "sigma", "·": "-", "±": "+-"})
+_PLAIN = str.maketrans(
+    {"°": " deg", "–": "-", "—": "-", "≤": "<=", "µ": "u", "→": "->", "σ": "sigma", "·": "-", "±": "+-"}
+)
 _HERSHEY = cv2.FONT_HERSHEY_DUPLEX
 # Height of a Hershey capital at scale 1, in pixels, over the em of the outline font.
 _HERSHEY_EM = 30.0
@@ -38,7 +40,13 @@ def text_size(text: str, size: int, *, bold: bool = False) -> tuple[int, int]:
 
 
 def write(
-    image: Image, text: str, origin: tuple[int, int], size: int, colour: tuple[int, int, int], *, bold: bool = False
+    image: Image,
+    text: str,
+    origin: tuple[int, int],
+    size: int,
+    colour: tuple[int, int, int],
+    *,
+    bold: bool = False,
 ) -> None:
     """Writes into ``image``; ``origin`` (x, y) is the left end of the base line, ``size`` the em in pixels."""
     font = _outline_font()

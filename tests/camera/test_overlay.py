@@ -31,7 +31,9 @@ SHAPES = {
 
 
 def model_of(body: str, assets: str = "") -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>")
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>"
+    )
 
 
 def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:
@@ -39,16 +41,24 @@ def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    pixels = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1).reshape(-1, 1, 2).astype(float)
+    pixels = (
+        np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1)
+        .reshape(-1, 1, 2)
+        .astype(float)
+    )
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
     coefficients = np.array(lens.distortion) if lens.distortion else None
-    ideal = cv2.undistortPointsIter(pixels, lens.matrix, coefficients, None, None, stop) if hasattr(
-        cv2, "undistortPointsIter"
-    ) else cv2.undistortPoints(pixels, lens.matrix, coefficients, criteria=stop)
+    ideal = (
+        cv2.undistortPointsIter(pixels, lens.matrix, coefficients, None, None, stop)
+        if hasattr(cv2, "undistortPointsIter")
+        else cv2.undistortPoints(pixels, lens.matrix, coefficients, criteria=stop)
+    )
     rays = np.concatenate([ideal.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1) @ camera.rotation.T
     geom, depth = np.full(len(rays), -1, np.int32), np.zeros(len(rays))
     groups = np.array([1, 1, 1, 0, 0, 0], np.uint8)
-    mujoco.mj_multiRay(model, data, camera.position, rays.ravel(), groups, True, -1, geom, depth, None, len(rays), 1e10)
+    mujoco.mj_multiRay(
+        model, data, camera.position, rays.ravel(), groups, True, -1, geom, depth, None, len(rays), 1e10
+    )
     return geom.reshape(lens.height, lens.width)
 
 
@@ -104,7 +114,9 @@ def test_a_mesh_geom_is_painted_and_a_fine_one_is_thinned() -> None:
     points = rng.normal(size=(3000, 3))
     points *= 0.1 / np.linalg.norm(points, axis=1, keepdims=True)
     vertices = " ".join(f"{v:.6f}" for v in points.ravel())
-    model = model_of("<geom type='mesh' mesh='ball' pos='0 0 1'/>", f"<mesh name='ball' vertex='{vertices}'/>")
+    model = model_of(
+        "<geom type='mesh' mesh='ball' pos='0 0 1'/>", f"<mesh name='ball' vertex='{vertices}'/>"
+    )
     assert int(model.mesh_facenum[0]) > 3000
     assert len(build_mesh(model).faces) < 1600
     mask = paint_mask((480, 640), visible_polygons(model, [], LENS, Pose())) > 127
@@ -134,10 +146,16 @@ def centroid_of_sphere(centre: np.ndarray, radius: float, lens: CameraIntrinsics
     side = np.cross(axis, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)[:, None]
-    ring = radius * np.sqrt(1 - (radius / distance) ** 2) * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
+    ring = (
+        radius
+        * np.sqrt(1 - (radius / distance) ** 2)
+        * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
+    )
     touching = centre * (1 - (radius / distance) ** 2) + ring
     coefficients = np.array(lens.distortion) if lens.distortion else None
-    pixels = cv2.projectPoints(touching, np.zeros(3), np.zeros(3), lens.matrix, coefficients)[0].reshape(-1, 2)
+    pixels = cv2.projectPoints(touching, np.zeros(3), np.zeros(3), lens.matrix, coefficients)[0].reshape(
+        -1, 2
+    )
     moments = cv2.moments((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
     return pixels[0] + [moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]]
 
@@ -153,7 +171,10 @@ def test_projection_identity_of_spheres(lens: CameraIntrinsics, rms: float, wors
         radius = 8 * z / 610
         model = model_of(f"<geom type='sphere' size='{radius}' pos='{centre[0]} {centre[1]} {centre[2]}'/>")
         mask = paint_mask((480, 640), visible_polygons(model, [], lens, Pose())).astype(float)
-        middle = np.array([(mask.sum(0) * np.arange(640)).sum(), (mask.sum(1) * np.arange(480)).sum()]) / mask.sum()
+        middle = (
+            np.array([(mask.sum(0) * np.arange(640)).sum(), (mask.sum(1) * np.arange(480)).sum()])
+            / mask.sum()
+        )
         misses.append(middle - centroid_of_sphere(centre, radius, lens))
     away = np.linalg.norm(misses, axis=1)
     assert np.sqrt((away**2).mean()) <= rms
@@ -167,7 +188,9 @@ def test_corners_of_faces_are_where_opencv_projects_them() -> None:
     mujoco.mj_forward(model, data)
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T * (0.1, 0.2, 0.15)
     world = corners @ data.geom_xmat[0].reshape(3, 3).T + data.geom_xpos[0]
-    pixels = cv2.projectPoints(world, np.zeros(3), np.zeros(3), LENS.matrix, np.array(LENS.distortion))[0].reshape(-1, 2)
+    pixels = cv2.projectPoints(world, np.zeros(3), np.zeros(3), LENS.matrix, np.array(LENS.distortion))[
+        0
+    ].reshape(-1, 2)
     drawn = visible_polygons(model, [], LENS, Pose(), inset=0.0).quads.reshape(-1, 2) / 256
     near = np.linalg.norm(pixels[:, None] - drawn[None], axis=2).min(axis=1)
     assert (near < 0.005).sum() == 7, "three faces of a box show seven corners"
@@ -183,7 +206,9 @@ def test_nothing_is_drawn_of_what_is_behind_the_camera() -> None:
 @pytest.mark.parametrize("style", ["solid", "outline", "registered"])
 def test_a_geom_through_the_lens_is_cut_and_not_folded(style: overlay.Style) -> None:
     picture = np.zeros((480, 640, 3), np.uint8)
-    model = model_of("<geom type='box' size='.05 .05 3' pos='.15 0 0'/><geom type='sphere' size='.3' pos='-.5 0 .1'/>")
+    model = model_of(
+        "<geom type='box' size='.05 .05 3' pos='.15 0 0'/><geom type='sphere' size='.3' pos='-.5 0 .1'/>"
+    )
     drawn = overlay.draw_robot(picture, model, [], LENS, Pose(), style=style, alpha=1.0)
     rays = seen_by_rays(model, np.zeros(0), LENS, Pose()) >= 0
     assert rays.any()
@@ -252,7 +277,9 @@ def test_axes_end_where_opencv_says() -> None:
     picture = overlay.draw_axes(np.full((480, 640, 3), 128, np.uint8), pose, 0.15, LENS)
     tips = np.eye(3) * 0.14
     rotation = cv2.Rodrigues(pose.rotation)[0]
-    pixels = cv2.projectPoints(tips, rotation, pose.position, LENS.matrix, np.array(LENS.distortion))[0].reshape(-1, 2)
+    pixels = cv2.projectPoints(tips, rotation, pose.position, LENS.matrix, np.array(LENS.distortion))[
+        0
+    ].reshape(-1, 2)
     for k, (x, y) in enumerate(np.rint(pixels).astype(int)):
         assert int(np.argmax(picture[y, x])) == 2 - k, "x red, y green, z blue"
 
@@ -274,7 +301,9 @@ def test_a_label_stays_in_the_picture(x: float, y: float, caption: str) -> None:
     assert (drawn < 120).any(), "the card is there"
 
 
-def test_labels_are_written_with_the_stroke_font_where_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_are_written_with_the_stroke_font_where_there_is_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delattr(cv2, "FontFace", raising=False)
     text._outline_font.cache_clear()
     try:
@@ -294,7 +323,9 @@ def test_marker_outline_follows_its_corners() -> None:
 
 def test_before_and_after_stand_side_by_side() -> None:
     left, right = np.full((90, 160, 3), 10, np.uint8), np.full((180, 320, 3), 200, np.uint8)
-    sheet = overlay.before_after(left, right, ("Before\nfar", "After\nnear"), title="T", footer="f", width=400)
+    sheet = overlay.before_after(
+        left, right, ("Before\nfar", "After\nnear"), title="T", footer="f", width=400
+    )
     assert sheet.shape[1] == 2 * 400 + 2 * 28 + 20
     half = sheet.shape[1] // 2
     assert (sheet[:, :half] == 10).all(axis=2).sum() > 400 * 220
