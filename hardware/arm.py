@@ -73,11 +73,10 @@ class Arm:
         self.exit_report: ExitReport | None = None
         self._cycle = Cycle(config, bus, clock)
         self._park_at = park_at
+        self._rest: tuple[float, ...] = ()
         self._fault: HardwareError | None = None
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
-
-    # ------------------------------------------------------------------ what it knows
 
     @property
     def reports(self) -> MotionReport:
@@ -93,8 +92,6 @@ class Arm:
     def fault(self) -> HardwareError | None:
         """What put the arm into ``FAULT``."""
         return self._fault
-
-    # -------------------------------------------------------------------- coming up
 
     def connect(self) -> None:
         """Opens the bus, checks that these are the arm file's servos, sets them up.  Torque stays as it is.
@@ -136,16 +133,13 @@ class Arm:
                 self._energised = False
             self._guard.remove()
             raise
-        if self._park_at is None:
-            self._park_at = np.array(self._cycle.limits.q)
+        self._rest = self._cycle.limits.q
         self.state = ArmState.ENABLED
 
     def __enter__(self) -> Self:
         if self.state is ArmState.DISCONNECTED:
             self.connect()
         return self
-
-    # ----------------------------------------------------------------------- moving
 
     def send(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
         """One bus cycle: goals within limits and caps to all servos, positions of all back.
@@ -224,8 +218,6 @@ class Arm:
             if self.state is ArmState.PARKING:
                 self.state = ArmState.HOLD
 
-    # ---------------------------------------------------------------------- leaving
-
     def close(self) -> None:
         """Leaves the arm as ``on_exit`` says, then the bus; ``exit_report`` tells.  Call it at any time.
 
@@ -262,17 +254,16 @@ class Arm:
 
     def _leave(self) -> ExitReport:
         parked = False
-        if self.on_exit == "park" and self._park_at is not None and self.state in _MOVABLE:
+        if self.on_exit == "park" and self.state in _MOVABLE:
             before = self._guard.received
+            there = self._rest if self._park_at is None else self._park_at
             try:
-                parked = not self._go(self._park_at, None, stop=lambda: self._guard.received > before).any()
+                parked = not self._go(there, None, stop=lambda: self._guard.received > before).any()
             except Exception as error:
                 log.error("not parked: %s", error)
         if self.on_exit == "hold" and self._cycle.goals:
             return hold(self.bus, self.config, self._cycle.holding_goals())
         return torque_off(self.bus, self.config, parked=parked)
-
-    # ----------------------------------------------------------------------- faults
 
     def _require(self, what: str, *allowed: ArmState) -> None:
         if self.state in allowed:

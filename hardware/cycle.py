@@ -17,7 +17,7 @@ from robot_ik.hardware.control_table import hardware_error_names
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.startup import read_all, shared_register
-from robot_ik.hardware.switch_on import arm_watchdog
+from robot_ik.hardware.switch_on import WATCHDOG_UNIT_MS, arm_watchdog
 from robot_ik.ports import Array, Clock
 
 log = logging.getLogger(__name__)
@@ -100,6 +100,9 @@ class Cycle:
         )
         self._goal = shared_register(config, "goal_position")
         self._present = shared_register(config, "present_position")
+        # A pause of half the bus watchdog: from there on it may have tripped.
+        self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
+        self._suspect = False
         self._last_now: float | None = None
         self._last_traffic = self._last_alarm = -math.inf
 
@@ -109,7 +112,6 @@ class Cycle:
         self.limits = LimiterState.at_rest([j.to_radians(goals[j.id]) for j in self._config.joints])
         self._last_now = None
         self._last_traffic = self._clock.now()
-        self.samples.forgive(self._last_traffic)
 
     def drive(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
         """Limits and caps, goals to all servos in one packet, positions of all in one read.
@@ -143,8 +145,13 @@ class Cycle:
             BusTimeoutError: All are.
             BusDisconnectedError: The port went away.
         """
+        self.stay_alive()
+        start = self._clock.now()
         statuses = self._bus.sync_read(self._config.ids, self._present)
-        now = self._last_traffic = self._clock.now()
+        now = self._clock.now()
+        # From before the last cycle's packet to after this one's: this process may have been stalled between.
+        self._suspect = self._suspect or now - self._last_traffic >= self._trust
+        self._last_traffic = start
         self.samples.take(statuses, now)
         for joint in self._config.joints:
             if statuses[joint.id].alert:
@@ -206,24 +213,28 @@ class Cycle:
         return goals
 
     def stay_alive(self) -> None:
-        """After a pause the bus watchdogs may have tripped: then the arm goes on from where it is, from rest.
+        """Where a bus watchdog may have tripped, sees to it that the arm goes on from where it is, from rest.
+
+        A servo whose watchdog has tripped refuses goals, and a sync write has no answer to say so.
 
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError, HardwareError.
         """
-        limit = self._config.watchdog_ms / 1000.0
-        if limit == 0.0 or self._clock.now() - self._last_traffic < 0.5 * limit:
+        start = self._clock.now()
+        if not self._suspect and start - self._last_traffic < self._trust:
             return
-        armed = self._config.watchdog_ms // 20
+        self._suspect, self._last_traffic = False, start
+        armed = self._config.watchdog_ms // WATCHDOG_UNIT_MS
         watchdog = shared_register(self._config, "bus_watchdog")
-        if any(value != armed for value in read_all(self._bus, self._config, "bus_watchdog").values()):
-            log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
-            self._bus.sync_write(watchdog, dict.fromkeys(self._config.ids, 0))
-            present = read_all(self._bus, self._config, "present_position")
-            self._bus.sync_write(self._goal, present)
-            arm_watchdog(self._bus, self._config)
-            self.stand(present)
-        self.samples.forgive(self._clock.now())
+        statuses = self._bus.sync_read(self._config.ids, watchdog)
+        if all(status.data in (armed, None) for status in statuses.values()):
+            return
+        log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
+        self._bus.sync_write(watchdog, dict.fromkeys(self._config.ids, 0))
+        present = read_all(self._bus, self._config, "present_position")
+        self._bus.sync_write(self._goal, present)
+        arm_watchdog(self._bus, self._config)
+        self.stand(present)
 
     def _tick(self, now: float) -> float:
         """Seconds this command is after the last one; 0: no time has passed, nothing may move."""
@@ -246,6 +257,7 @@ class Cycle:
         if self.reports.tracking_error.max() < FOLLOWING_ALARM or now - self._last_alarm < _ALARM_PERIOD:
             return
         self._last_alarm = now
+        self._suspect = True
         torque = shared_register(self._config, "torque_enable")
         statuses = self._bus.sync_read(self._config.ids, torque)
         for joint in self._config.joints:

@@ -37,7 +37,7 @@ except ImportError:
     PORT_ERRORS = (OSError,)
 
 
-class QuietPortHandler(PortHandler):  # type: ignore[misc]
+class QuietPortHandler(PortHandler):
     """One serial port for one process; counts its bytes.
 
     ``openPort`` raises what pyserial raises; ``describe_failure`` turns that into words.

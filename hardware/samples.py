@@ -14,7 +14,7 @@ SILENCE = 0.15
 """s without a sample after which a servo counts as lost; with the cycle in which that shows, under 250 ms."""
 
 SILENT_CYCLES = 3
-"""Cycles a servo must have missed as well: a stalled program is no fault of a servo."""
+"""Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""
 
 
 class Samples:
@@ -32,7 +32,6 @@ class Samples:
         self.q: Array = np.full(len(config.joints), np.nan)
         self.times: Array = np.full(len(config.joints), -np.inf)
         self._missed = [0] * len(config.joints)
-        self._asking_since = -np.inf
 
     def take(self, statuses: Mapping[int, Status], now: float) -> None:
         """Takes what a cycle brought; who is missing keeps its old sample."""
@@ -46,15 +45,10 @@ class Samples:
             self.q[k] = joint.to_radians(ticks)
             self.times[k] = now
 
-    def forgive(self, now: float) -> None:
-        """Starts counting silence anew: nobody was asked for a while."""
-        self._asking_since = now
-        self._missed = [0] * len(self._missed)
-
     def silent(self, now: float) -> list[str]:
         """Joints that have not answered for ``SILENCE`` and ``SILENT_CYCLES``."""
         return [
             joint.name
             for k, joint in enumerate(self._config.joints)
-            if self._missed[k] >= SILENT_CYCLES and now - max(self.times[k], self._asking_since) >= SILENCE
+            if self._missed[k] >= SILENT_CYCLES and now - self.times[k] >= SILENCE
         ]

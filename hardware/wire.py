@@ -26,6 +26,9 @@ SHORTEST_STATUS = 11
 """Bytes of a status packet without data: header 4, id 1, length 2, instruction 1, error 1, CRC 2."""
 
 
+OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
+"""What opening a port raises; ValueError: a name or rate the operating system does not take."""
+
 QUIET = 0.003
 """s without a byte after which a line is taken to be empty, when nothing worse than a repeat can follow."""
 
@@ -73,7 +76,7 @@ class Wire:
                 raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
             try:
                 handler.openPort()
-            except (*PORT_ERRORS, ValueError) as error:
+            except OPEN_ERRORS as error:
                 handler.closePort()
                 raise describe_failure(self.port, error) from error
             self._handler = handler

@@ -335,6 +335,44 @@ def test_after_a_pause_the_tripped_watchdog_is_cleared_and_the_arm_goes_on(arm):
     assert registers(arm, "bus_watchdog") == [10] * 6
 
 
+def test_a_read_after_a_pause_does_not_hide_the_tripped_watchdog(arm):
+    arm.enable()
+    arm.clock.sleep_until(arm.clock.now() + 5.0)
+    arm.read()
+    stream(arm, smooth(START, START + 0.1, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 0.05)
+    assert np.allclose(arm.read().q, START + 0.1, atol=0.01)
+
+
+def test_a_stall_inside_a_cycle_is_noticed_as_well(arm):
+    """The process is suspended after the arm has looked at the time and before its packet is out."""
+    arm.enable()
+    stream(arm, [START] * 3)
+    original = arm.bus.sync_write
+
+    def stalled(register, values):
+        arm.clock.sleep_until(arm.clock.now() + 0.3)
+        original(register, values)
+
+    arm.bus.sync_write = stalled
+    stream(arm, [START])
+    arm.bus.sync_write = original
+    stream(arm, [START])
+    assert registers(arm, "bus_watchdog") == [10] * 6
+    stream(arm, smooth(START, START + 0.1, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 0.05)
+    assert np.allclose(arm.read().q, START + 0.1, atol=0.01)
+
+
+def test_a_silent_servo_is_noticed_in_a_slow_loop_too(arm):
+    arm.enable()
+    arm.virtual_bus.servo(3).silent = True
+    with pytest.raises(MotorFaultError, match="joint3"):
+        for k in range(6):
+            arm.clock.sleep_until(arm.clock.now() + 0.2)
+            arm.send(START, 0.2 * k)
+
+
 def test_hold_stays_and_send_goes_on(arm):
     arm.enable()
     stream(arm, smooth(START, START + 0.4, 1.0)[:50])
