@@ -135,7 +135,7 @@ class VirtualBus:
         with self.lock:
             replies = [data] if self.faults.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
-                listeners = [s for s in self.servos if not s.silent and baud in (None, s.baud)]
+                listeners = [s for s in self.servos if not s.deaf and baud in (None, s.baud)]
                 for servo in listeners:
                     servo.hear()
                 replies += [self._wire.spoil(reply) for reply in self._answer(packet, listeners)]

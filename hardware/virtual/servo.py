@@ -9,8 +9,6 @@ stays where it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
     HARDWARE_ERRORS,
@@ -38,6 +36,7 @@ _OBEYED_MODES = {
 }
 _GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _GAINS = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
+_RESET_BY_MODE = (*_GAINS, "profile_acceleration", "profile_velocity")
 _DRIVE_BITS = REVERSE | TIME_BASED | TORQUE_BY_GOAL
 
 
@@ -56,6 +55,7 @@ class VirtualServo:
         stuck: The shaft does not move, whatever the goal; registers report where it really is.
         silent: Hears nothing and answers nothing, as without a cable.
         zero_offset_ticks: May be changed at any time.
+        reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class VirtualServo:
         self.memory = Memory(self.table)
         self.zero_offset_ticks = zero_offset_ticks
         self.silent = False
+        self.reboot_time = 0.0
         self._clock = clock
         self._registered: tuple[int, bytes] | None = None
         self._shaft = Shaft(self.memory, clock, float(position_ticks))
@@ -80,19 +81,11 @@ class VirtualServo:
         self.memory.set("id", id)
         self.memory.set("operating_mode", mode)
         self.memory.set("baud_rate", {rate: code for code, rate in BAUD_RATES.items()}[baud])
-        shaft = self._shaft
-        live: dict[str, Callable[[], int]] = {
+        live = {
+            **self._shaft.registers(),
             "realtime_tick": lambda: int((clock.now() - self._booted) * 1000.0) % 32768,
-            "moving": lambda: int(abs(shaft.velocity_register()) > self.memory.get("moving_threshold")),
-            "moving_status": shaft.moving_status,
-            "present_velocity": shaft.velocity_register,
-            "present_position": shaft.position_register,
-            "velocity_trajectory": shaft.velocity_trajectory,
-            "position_trajectory": shaft.position_trajectory,
         }
         self._live = [(self.table[name], value) for name, value in live.items()]
-        self._live_start = min(register.address for register, _ in self._live)
-        self._live_end = max(register.end for register, _ in self._live)
         self._power_on()
 
     @property
@@ -104,6 +97,11 @@ class VirtualServo:
     def baud(self) -> int:
         """Bits/s by the Baud Rate register."""
         return BAUD_RATES[self.memory.get("baud_rate")]
+
+    @property
+    def deaf(self) -> bool:
+        """Silent, or still starting up."""
+        return self.silent or self._clock.now() < self._booted + self.reboot_time
 
     @property
     def torque(self) -> bool:
@@ -157,10 +155,9 @@ class VirtualServo:
         """Bytes of the control table as they are now."""
         self._update()
         for first, end in self.memory.spans(address, length):
-            if first < self._live_end and end > self._live_start:
-                for register, value in self._live:
-                    if first < register.end and end > register.address:
-                        self.memory.set(register.name, value())
+            for register, value in self._live:
+                if first < register.end and end > register.address:
+                    self.memory.set(register.name, value())
         return self.memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> ErrorCode:
@@ -248,6 +245,7 @@ class VirtualServo:
     def _written(self, name: str, had_torque: bool) -> None:
         """What a write sets off."""
         memory = self.memory
+        turning = memory.get("operating_mode") == OperatingMode.VELOCITY
         if name == "torque_enable":
             if self._shut_down():
                 memory.set(name, 0)
@@ -256,20 +254,16 @@ class VirtualServo:
                 self._shaft.go()
             elif not on:
                 self._shaft.stop()
-        elif name == "goal_position" and memory.get("operating_mode") != OperatingMode.VELOCITY:
+        elif name == "goal_position" and not turning:
             if memory.get("drive_mode") & TORQUE_BY_GOAL and not self._shut_down():
                 memory.set("torque_enable", 1)
             if memory.get("torque_enable"):
                 self._shaft.go()
-        elif (
-            name == "goal_velocity" and memory.get("operating_mode") == OperatingMode.VELOCITY and had_torque
-        ):
+        elif name == "goal_velocity" and turning and had_torque:
             self._shaft.go()
         elif name == "operating_mode":
-            for gain in _GAINS:
-                memory.set(gain, self.table[gain].initial or 0)
-            memory.set("profile_acceleration", 0)
-            memory.set("profile_velocity", 0)
+            for register in _RESET_BY_MODE:
+                memory.set(register, self.table[register].initial or 0)
             self._power_on()
         elif name in ("homing_offset", "drive_mode"):
             self._shaft.fold()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
 from robot_ik.hardware.virtual.memory import Memory
@@ -67,6 +68,17 @@ class Shaft:
     def standing(self) -> bool:
         """It does not move at all."""
         return self._actual()[1] == 0.0
+
+    def registers(self) -> dict[str, Callable[[], int]]:
+        """Registers that follow the shaft, and how to ask for them."""
+        return {
+            "moving": lambda: int(abs(self.velocity_register()) > self._memory.get("moving_threshold")),
+            "moving_status": self.moving_status,
+            "present_velocity": self.velocity_register,
+            "present_position": self.position_register,
+            "velocity_trajectory": self.velocity_trajectory,
+            "position_trajectory": self.position_trajectory,
+        }
 
     def position_register(self) -> int:
         """Present Position."""

@@ -253,6 +253,16 @@ def test_any_instruction_on_the_wire_keeps_the_bus_watchdog_quiet(
     assert _answers(bus.handle(build(1, I.READ, _word(98) + _word(1))))[0].data == b"\xff"
 
 
+def test_a_servo_that_starts_up_is_deaf(bus: VirtualBus, clock: VirtualClock) -> None:
+    bus.servo(1).reboot_time = 0.3
+    clock.sleep_until(5.0)
+    assert bus.handle(build(1, I.REBOOT)) == build_status(1, 0)
+    clock.sleep_until(5.29)
+    assert bus.handle(build(1, I.PING)) == b""
+    clock.sleep_until(5.31)
+    assert bus.handle(build(1, I.PING)) != b""
+
+
 def test_several_packets_and_pieces_at_once(bus: VirtualBus) -> None:
     stream = build(1, I.PING) + b"\xff\x00noise" + build(2, I.PING)
     assert bus.handle(stream[:3]) == b""
