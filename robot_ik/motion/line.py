@@ -24,7 +24,6 @@ from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
-    from robot_ik.problem import Tolerance
     from robot_ik.robot import Robot
     from robot_ik.solvers.base import Solver
 
@@ -39,7 +38,9 @@ _AT_LIMIT = 0.02
 # Each round of slowing aims this much below the bound, so that few rounds are needed.
 _MARGIN = 1.002
 _ROUNDS = 12
-# m and rad, of each sample: at 100 Hz an error of 1e-7 rad is seen as 2e-3 rad/s^2.
+_SLOWEST = 64.0  # times the ideal duration: more is not a matter of sampling
+# m and rad, of each sample: at 100 Hz an error of 1e-7 rad is seen as 4e-3 rad/s^2, one of 1e-5 rad as
+# 0.4 rad/s^2, which no timing can remove.  Hence no choice of it.
 _TOLERANCE = 1e-7
 
 
@@ -86,7 +87,6 @@ def line_move(
     linear_speed: float = 0.25,
     angular_speed: float = 1.5,
     rate: float = 100.0,
-    tolerance: Tolerance | None = None,
     deviation: float = 1e-4,
     max_jump: float = 0.1,
     velocity: ArrayLike | None = None,
@@ -102,12 +102,11 @@ def line_move(
         start: (nq,) rad, m for slides; the line begins where the frame then is.
         goal_pose: In the world.
         frame: The frame that runs straight; None means the robot's default tool.
-        solver: A name of `SOLVERS` or a solver.
+        solver: A name of `SOLVERS` or a solver; it must converge to 1e-7 m and rad ("lm" does).
         speed: Part of the robot's velocity and acceleration limits to use, above 0 and up to 1.
         linear_speed: Most of the tool, m/s.
         angular_speed: Most of the tool, rad/s.
         rate: Samples a second, Hz; the duration is rounded up to whole periods.
-        tolerance: Of each sample; None means 1e-7 m and 1e-7 rad, below what a velocity would show.
         deviation: Largest distance of the tool from the line, m.
         max_jump: Largest change of one joint, rad or m, from one traced place to the next; where it
             is more even over a few micrometres, the joint jumps.
@@ -131,12 +130,9 @@ def line_move(
         require_positive(what, value, unit)
     name = robot.tool if frame is None else frame
     line = _Line.between(robot.forward(first, name), goal_pose)
-    from robot_ik.problem import Tolerance
-
-    tolerance = Tolerance(position=_TOLERANCE, angle=_TOLERANCE) if tolerance is None else tolerance
-    if line.length <= tolerance.position and line.angle <= tolerance.angle:
+    if line.length <= _TOLERANCE and line.angle <= _TOLERANCE:
         return Trajectory([0.0], [first], robot.joints)
-    tracer = _Tracer(robot, name, line, _nearest(robot, name, solver, tolerance), max_jump)
+    tracer = _Tracer(robot, name, line, _nearest(robot, name, solver), max_jump)
     knots, path = tracer.trace(first)
     with np.errstate(divide="ignore"):
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
@@ -144,16 +140,14 @@ def line_move(
     return _sampled(tracer, timing, path, top, push, rate, deviation)
 
 
-def _nearest(
-    robot: Robot, frame: str, solver: str | Solver, tolerance: Tolerance
-) -> Callable[[Pose, Array], Array | None]:
+def _nearest(robot: Robot, frame: str, solver: str | Solver) -> Callable[[Pose, Array], Array | None]:
     """The function that solves one pose of ``frame`` from a start, None where it did not converge."""
     # Here, because these load the compiler, which other parts of this package do without.
-    from robot_ik.problem import Problem
+    from robot_ik.problem import Problem, Tolerance
     from robot_ik.solvers import make_solver
 
     method = make_solver(solver)
-    problem = Problem(robot, PoseGoal.at(frame, Pose()), tolerance=tolerance)
+    problem = Problem(robot, PoseGoal.at(frame, Pose()), tolerance=Tolerance(_TOLERANCE, _TOLERANCE))
 
     def near(pose: Pose, start: Array) -> Array | None:
         problem.retarget(pose)
@@ -226,7 +220,7 @@ class _Tracer:
         k = int(np.argmax(np.abs(beyond - q)))
         return TrajectoryError(
             f"{self.frame!r} can follow only {reached}: there joint {self.robot.joints[k]!r} would jump by "
-            f"{abs(beyond[k] - q[k]):.3f}; at most {self.max_jump:g} is allowed",
+            f"{abs(beyond[k] - q[k]):.3f}; at most {self.max_jump:g} is allowed (rad, m for slides)",
             hint="a limit or a singularity is in the way: start from another configuration or use joint_move",
         )
 
@@ -248,6 +242,8 @@ def _sampled(
         )
         if excess <= 1.0:
             return trajectory
+        if duration > _SLOWEST * timing.duration + 1.0:
+            break
         duration = max(count + 1, np.ceil(count * min(excess * _MARGIN, 4.0))) / rate
     raise TrajectoryError(
         f"no timing of this line was found that keeps the limits ({excess:.2f} times exceeded)",

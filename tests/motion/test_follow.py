@@ -115,6 +115,17 @@ def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
     assert near < far
 
 
+def test_a_goal_behind_a_joint_limit_does_not_shake_the_arm(puma):
+    """Within arm's length, so nothing is proven, but the waist may not turn far enough."""
+    lower, upper = puma.lower.copy(), puma.upper.copy()
+    lower[:3], upper[:3] = puma.home[:3] - 0.2, puma.home[:3] + 0.2
+    narrow = puma.with_limits(lower, upper)
+    report, path = run(narrow, FixedGoal(beside(puma, (0.3, 0.6, 0.0))), duration=6.0)
+    assert report.solved == 0
+    assert np.abs(np.diff(path.q[-400:], axis=0)).max() <= 1e-3
+    assert (path.q >= lower - 1e-9).all() and (path.q <= upper + 1e-9).all()
+
+
 def test_until_ends_the_loop(puma):
     goal = FixedGoal(beside(puma, (0.02, 0.0, 0.0)))
     report, _ = run(
