@@ -110,7 +110,9 @@ def fit_pose(corners: CornerData, start: Pose) -> tuple[Pose, float]:
         normal = jacobian.T @ jacobian
         right = jacobian.T @ (corners.white @ corners.residual(pose).ravel())
         try:
-            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), right)
+            step = np.asarray(
+                -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), right), float
+            )
         except np.linalg.LinAlgError:
             break
         trial = _moved(pose, step)

@@ -14,7 +14,8 @@ from typing import Any
 import cv2
 
 from robot_ik.camera.opencv import quiet
-from robot_ik.camera.sources import ClosingSource, Frame, Image
+from robot_ik.camera.picture_files import Image
+from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
 DEFAULT_TIMEOUT = 2.0
@@ -116,7 +117,7 @@ class DeviceSource(ClosingSource):
 
     def _next_image(self) -> tuple[bool, Image | None]:
         try:
-            return self._capture.read()  # type: ignore[no-any-return]
+            return self._capture.read()
         except cv2.error:
             return False, None
 

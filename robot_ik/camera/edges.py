@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
-# Blur in px.  The pixel's own width alone gives 0.29, but a model sharper than a third has a minimum between any
-# two pixels (sharpened pictures show it); beyond 4 px no cell of a marker could be read.
+# Blur in px.  The pixel's own width alone gives 0.29, but a model sharper than a third has a minimum between
+# any two pixels (sharpened pictures show it); beyond 4 px no cell of a marker could be read.
 BLUR_START = 0.8
 _BLUR_RANGE = (0.33, 4.0)
 # Residuals beyond this many standard deviations lose weight (Cauchy's function): dirt, glare, occlusion.
@@ -70,15 +69,11 @@ def _erf(x: Array) -> tuple[Array, Array]:
     """Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26; numpy has none), and exp(-x^2)."""
     t = 1.0 / (1.0 + 0.3275911 * np.abs(x))
     bell = np.exp(-x * x)
-    series = t * (
-        0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))
-    )
+    series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
     return np.copysign(1.0 - series * bell, x), bell
 
 
-def fit_edges(
-    pixels: EdgePixels, start: Array, blur: Array, blur_spread: float, steps: int
-) -> EdgeFit:
+def fit_edges(pixels: EdgePixels, start: Array, blur: Array, blur_spread: float, steps: int) -> EdgeFit:
     """Fits all edges by Gauss-Newton with Cauchy weights.
 
     Args:

@@ -87,9 +87,7 @@ def detect_markers(detector: Any, gray: Image) -> list[tuple[int, Array]]:
     if ids is None or len(corners) == 0:
         return []
     numbers = np.asarray(ids).reshape(-1)
-    return [
-        (int(i), np.asarray(c, dtype=float).reshape(4, 2)) for i, c in zip(numbers, corners, strict=True)
-    ]
+    return [(int(i), np.asarray(c, dtype=float).reshape(4, 2)) for i, c in zip(numbers, corners, strict=True)]
 
 
 def square_poses(points: Array, ideal: Array) -> list[tuple[Array, Array]]:

@@ -16,15 +16,17 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.opencv import quiet
+from robot_ik.camera.picture_files import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    Image,
+    natural_sort,
+    neighbours,
+    read_image,
+)
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
-
-Image = NDArray[np.uint8]
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".ogv")
 
 # Films that do not tell their rate are taken for this one.
 _DEFAULT_RATE_HZ = 30.0
@@ -113,32 +115,6 @@ class ClosingSource:
             yield self.read()
 
 
-def read_image(path: Path | str) -> Image:
-    """A picture file as BGR (height, width, 3) uint8, in the sensor's own orientation.
-
-    The orientation mark of cameras (EXIF) is ignored: lens distortion belongs to the sensor's axes.
-
-    Raises:
-        CameraNotFoundError: The file is missing or no picture.
-    """
-    path = Path(path)
-    try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError as error:
-        raise CameraNotFoundError(
-            f"cannot read the picture {path}: {error.strerror}", hint=_neighbours(path)
-        ) from None
-    image = None
-    if data.size:
-        with quiet():
-            image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise CameraNotFoundError(
-            f"{path} is not a picture that OpenCV can read", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
-        )
-    return np.asarray(image, dtype=np.uint8)
-
-
 class ImageSource(ClosingSource):
     """One photograph: every ``read`` gives the same frame, with the same time and number."""
 
@@ -169,7 +145,7 @@ class FolderSource(ClosingSource):
     def __init__(self, path: Path | str, rate_hz: float = _DEFAULT_RATE_HZ) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
-            raise CameraNotFoundError(f"there is no folder {self.path}", hint=_neighbours(self.path))
+            raise CameraNotFoundError(f"there is no folder {self.path}", hint=neighbours(self.path))
         self.files = natural_sort(f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
         if not self.files:
             raise CameraNotFoundError(
@@ -199,12 +175,12 @@ class VideoSource(ClosingSource):
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_file():
-            raise CameraNotFoundError(f"there is no film {self.path}", hint=_neighbours(self.path))
+            raise CameraNotFoundError(f"there is no film {self.path}", hint=neighbours(self.path))
         with quiet():
             self._capture: Any = cv2.VideoCapture(str(self.path))
             opened = self._capture.isOpened()
             good, image = self._capture.read() if opened else (False, None)
-        if not good:
+        if not good or image is None:
             self._capture.release()
             raise CameraNotFoundError(
                 f"{self.path} is not a film that OpenCV can read",
@@ -215,7 +191,7 @@ class VideoSource(ClosingSource):
         self._start = time.monotonic()
         self._count = 0
         # One picture is read ahead: only so is the end known before it is asked for.
-        self._ahead: Image | None = image
+        self._ahead: Image | None = np.asarray(image, dtype=np.uint8)
         self.size = (int(image.shape[1]), int(image.shape[0]))
 
     @property
@@ -230,7 +206,7 @@ class VideoSource(ClosingSource):
         self._count += 1
         with quiet():
             good, following = self._capture.read()
-        self._ahead = following if good else None
+        self._ahead = np.asarray(following, dtype=np.uint8) if good else None
         return frame
 
     def close(self) -> None:
@@ -278,27 +254,6 @@ def _open_file(path: Path, text: str) -> ImageSource | FolderSource | VideoSourc
     if not path.exists():
         raise CameraNotFoundError(
             f"there is no camera, file or folder {text!r}",
-            hint=f"give a camera index (0), picture, film, folder of pictures or URL; {_neighbours(path)}",
+            hint=f"give a camera index (0), picture, film, folder of pictures or URL; {neighbours(path)}",
         )
     return VideoSource(path) if path.suffix.lower() in VIDEO_SUFFIXES else ImageSource(path)
-
-
-def natural_sort(paths: Any) -> list[Path]:
-    """Paths sorted as people count: numbers in names by their value."""
-
-    def key(path: Path) -> list[tuple[int, int, str]]:
-        parts = re.split(r"(\d+)", path.name.lower())
-        return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p]
-
-    return sorted(paths, key=lambda path: (key(path), path.name))
-
-
-def _neighbours(path: Path) -> str:
-    """What is there beside a path that is not: the pictures and films of its folder."""
-    folder = path.parent
-    if not folder.is_dir():
-        return f"the folder {folder} does not exist"
-    known = IMAGE_SUFFIXES + VIDEO_SUFFIXES
-    found = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
-    shown = ", ".join(f.name for f in found[:8]) + (", …" if len(found) > 8 else "")
-    return f"{folder} holds {shown}" if found else f"{folder} holds no pictures or films"

@@ -77,7 +77,7 @@ def _undistorted_grid(camera: CameraIntrinsics) -> tuple[Array, Array]:
     """Undistorted coordinates (h, w, 2) of all pixel centres and their derivative (h, w, 2, 2) by pixels."""
     x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     ideal = camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
-    slope = np.linalg.inv(camera.pixel_jacobian(ideal))
+    slope = np.asarray(np.linalg.inv(camera.pixel_jacobian(ideal)), dtype=float)
     return ideal.reshape(*x.shape, 2), slope.reshape(*x.shape, 2, 2)
 
 
@@ -98,7 +98,7 @@ def render_marker(
     if x1 > x0 and y1 > y0:
         _paint_paper(canvas, (x0, y0, x1, y1), camera, pose, size, marker_bits(dictionary, marker_id), look)
     if look.blur > 0:
-        canvas = cv2.GaussianBlur(canvas, (0, 0), look.blur)
+        canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), look.blur), dtype=float)
     way = rng.uniform(0, 2 * np.pi)
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, camera.width), np.linspace(-0.5, 0.5, camera.height))
     along = (x * np.cos(way) + y * np.sin(way)) / (abs(np.cos(way)) + abs(np.sin(way))) + 0.5

@@ -98,9 +98,7 @@ class MarkerTracker:
                 observations.append(observation)
         return observations
 
-    def observe_body(
-        self, frame: Frame, layout: Mapping[int, tuple[float, Pose]]
-    ) -> BodyObservation | None:
+    def observe_body(self, frame: Frame, layout: Mapping[int, tuple[float, Pose]]) -> BodyObservation | None:
         """A rigid body that carries several markers; see ``estimate_body``.
 
         Ids that come twice are left out: nobody knows which one belongs to the body.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.opencv import dictionary_names, dictionary_size, marker_bits
 from robot_ik.camera.pose import marker_points
@@ -40,7 +41,8 @@ def photographed(image: np.ndarray, rng: np.random.Generator, quality: int = 60)
 def test_corners_start_at_the_printed_upper_left(roll_deg: float) -> None:
     turn = rotation_exp([0, 0, np.deg2rad(roll_deg)])
     pose = Pose((0.02, -0.01, 0.4), quat_multiply(FACING, turn))
-    image = render_marker(STANDARD_CAMERA, pose, np.random.default_rng(3), marker_id=5, dictionary="DICT_5X5_50")
+    rng = np.random.default_rng(3)
+    image = render_marker(STANDARD_CAMERA, pose, rng, marker_id=5, dictionary="DICT_5X5_50")
     (found,) = MarkerDetector("DICT_5X5_50").detect(image)
     truth = STANDARD_CAMERA.project(pose.apply(marker_points(0.05)))
     assert found.id == 5
@@ -96,7 +98,7 @@ def test_a_blank_picture_is_empty() -> None:
 
 
 def test_an_unknown_dictionary_names_the_close_ones() -> None:
-    with pytest.raises(CameraError, match=r"unknown marker dictionary 'DICT_5X5_5'; did you mean 'DICT_5X5_50'"):
+    with pytest.raises(CameraError, match=r"unknown .* 'DICT_5X5_5'; did you mean 'DICT_5X5_50'"):
         MarkerDetector("DICT_5X5_5")
 
 

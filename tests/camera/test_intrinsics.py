@@ -11,6 +11,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, OutputError
 
@@ -50,7 +51,7 @@ def points_in_view(rng: np.random.Generator, count: int = 50) -> np.ndarray:
 def test_project_is_opencvs(camera: CameraIntrinsics, seed: int) -> None:
     points = points_in_view(np.random.default_rng(seed))
     expected, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion) if camera.distortion else None
+        points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion or (0.0,) * 5)
     )
     assert camera.project(points) == pytest.approx(expected.reshape(-1, 2), abs=1e-9)
 
@@ -99,7 +100,8 @@ def test_pixel_jacobian_is_the_derivative(camera: CameraIntrinsics) -> None:
     ideal = np.array([[0.0, 0.0], [0.2, -0.1], [-0.15, 0.25]])
     step = 1e-6
     slope = np.stack(
-        [(camera.distort(ideal + d) - camera.distort(ideal - d)) / (2 * step) for d in step * np.eye(2)], axis=2
+        [(camera.distort(ideal + d) - camera.distort(ideal - d)) / (2 * step) for d in step * np.eye(2)],
+        axis=2,
     )
     assert camera.pixel_jacobian(ideal) == pytest.approx(slope, rel=1e-6, abs=1e-4)
 
@@ -109,7 +111,8 @@ def test_equidistant_jacobian_and_inverse() -> None:
     ideal = np.array([[0.0, 0.0], [1e-5, 0.0], [0.4, -0.3], [-0.8, 0.7]])
     step = 1e-6
     slope = np.stack(
-        [(camera.distort(ideal + d) - camera.distort(ideal - d)) / (2 * step) for d in step * np.eye(2)], axis=2
+        [(camera.distort(ideal + d) - camera.distort(ideal - d)) / (2 * step) for d in step * np.eye(2)],
+        axis=2,
     )
     assert camera.pixel_jacobian(ideal) == pytest.approx(slope, rel=1e-5, abs=1e-3)
     assert camera.undistort(camera.distort(ideal)) == pytest.approx(ideal, abs=1e-9)
@@ -133,7 +136,9 @@ def test_scaling_to_another_aspect_ratio_is_refused() -> None:
         CAMERA.scaled(1280, 720)
 
 
-@pytest.mark.parametrize(("size", "hint"), [((1280, 960), r"scaled\(1280, 960\)"), ((1280, 720), "another aspect")])
+@pytest.mark.parametrize(
+    ("size", "hint"), [((1280, 960), r"scaled\(1280, 960\)"), ((1280, 720), "another aspect")]
+)
 def test_wrong_size_says_what_to_do(size: tuple[int, int], hint: str) -> None:
     with pytest.raises(CalibrationError, match=rf"640x480.*{size[0]}x{size[1]}(.|\n)*{hint}"):
         CAMERA.require_size(*size)
@@ -172,7 +177,9 @@ def test_impossible_cameras_are_refused(arguments: tuple, text: str) -> None:
 
 
 @given(cameras())
-def test_a_file_reads_back_bit_equal(tmp_path_factory: pytest.TempPathFactory, camera: CameraIntrinsics) -> None:
+def test_a_file_reads_back_bit_equal(
+    tmp_path_factory: pytest.TempPathFactory, camera: CameraIntrinsics
+) -> None:
     path = tmp_path_factory.mktemp("camera") / "camera.yaml"
     camera.save(path)
     back = CameraIntrinsics.load(path)
@@ -277,7 +284,7 @@ def test_plain_ros_files_are_read(tmp_path: Path, model: str, data: str, expecte
         (ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("600", "6"), "implausible"),
         (ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("[600, 0", "[600, 5"), "skew"),
         (ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("640", "big"), "whole number"),
-        (ROS.format(model="plumb_bob", data="0, 0", count=2).replace("camera_matrix", "x"), "camera_matrix or K"),
+        (ROS.format(model="plumb_bob", data="0, 0", count=2).replace("camera_matrix", "x"), "lacks"),
     ],
 )
 def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, text: str, message: str) -> None:
@@ -308,5 +315,5 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_folder_that_does_not_exist_is_told(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="no/camera.yaml"):
+    with pytest.raises(OutputError, match=r"no/camera\.yaml"):
         CAMERA.save(tmp_path / "no" / "camera.yaml")

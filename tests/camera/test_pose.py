@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from robot_ik.camera.corner_fit import CornerData
 from robot_ik.camera.pose import estimate_body, estimate_marker, marker_points
 from robot_ik.camera.refine import unrefined
@@ -140,7 +141,8 @@ def test_jacobian_is_the_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose, _ = random_pose(CAMERA, rng, 0.5)
     points = marker_points(0.05)
-    data = CornerData.of(points, unrefined(seen_by_opencv(pose, points) + rng.normal(0, 1, (4, 2)), CAMERA), CAMERA)
+    seen = seen_by_opencv(pose, points) + rng.normal(0, 1, (4, 2))
+    data = CornerData.of(points, unrefined(seen, CAMERA), CAMERA)
     step = 1e-6
 
     def residual(twist: np.ndarray) -> np.ndarray:

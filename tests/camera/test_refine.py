@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.opencv import marker_bits
@@ -90,7 +91,8 @@ def test_the_half_pixel_is_right() -> None:
     # The first dark pixel is column 200; its left edge is at 199.5 where centres are whole numbers.
     low, high = np.array([199.5, 119.5]), np.array([295.5, 215.5])
     truth = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-    corners, _ = refine_corners(image, truth + [[0.8, -1.0], [1.0, 0.6], [-0.7, 0.9], [0.5, 0.5]], STRAIGHT, cells=6)
+    rough = truth + np.array([[0.8, -1.0], [1.0, 0.6], [-0.7, 0.9], [0.5, 0.5]])
+    corners, _ = refine_corners(image, rough, STRAIGHT, cells=6)
     assert corners == pytest.approx(truth, abs=0.01)
 
 
@@ -142,7 +144,8 @@ def test_noise_has_no_edges() -> None:
 def test_many_markers_at_once_are_as_each_alone() -> None:
     rng = np.random.default_rng(6)
     image = np.minimum(crisp(100, 120), crisp(330, 200, 10))
-    image = np.clip(cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+    noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0, 3, image.shape)
+    image = np.clip(noisy, 0, 255).astype(np.uint8)
     found = [d.corners for d in MarkerDetector("DICT_4X4_50").detect(image)]
     assert len(found) == 2
     together = refine_markers(image, found, STRAIGHT, cells=6)

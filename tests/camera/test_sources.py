@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.sources import (
     FolderSource,
@@ -69,7 +70,8 @@ def test_grey_transparent_and_deep_pictures_become_bgr(tmp_path: Path) -> None:
 def test_the_orientation_mark_of_a_photograph_is_ignored(tmp_path: Path) -> None:
     data = cv2.imencode(".jpg", picture(100))[1].tobytes()
     # Smallest EXIF block that says "turn by 90 degrees" (tag 0x0112, value 6), after the start marker.
-    tiff = b"MM\x00*\x00\x00\x00\x08" + b"\x00\x01" + b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00" + b"\x00" * 4
+    entry = b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00"
+    tiff = b"MM\x00*\x00\x00\x00\x08" + b"\x00\x01" + entry + b"\x00" * 4
     body = b"Exif\x00\x00" + tiff
     path = tmp_path / "turned.jpg"
     path.write_bytes(data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + data[2:])
@@ -93,7 +95,8 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
 
 def test_natural_order_mixes_words_and_numbers() -> None:
     names = ["b", "a10", "10", "a9", "a", "9", "a9b", "A8"]
-    assert [p.name for p in natural_sort(Path(n) for n in names)] == ["9", "10", "a", "A8", "a9", "a9b", "a10", "b"]
+    ordered = [p.name for p in natural_sort(Path(n) for n in names)]
+    assert ordered == ["9", "10", "a", "A8", "a9", "a9b", "a10", "b"]
 
 
 def test_a_film_gives_every_picture_with_its_time(film: Path) -> None:
@@ -136,7 +139,11 @@ def test_truth_can_be_taken_off() -> None:
     ],
 )
 def test_what_cannot_be_opened_is_told(
-    tmp_path: Path, text: str, message: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    text: str,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "words.txt").write_text("hello")
@@ -157,7 +164,9 @@ def test_what_cannot_be_opened_is_told(
 class FakeCapture:
     """A camera: ``read`` blocks until a picture is put in front of it; or it runs by itself."""
 
-    def __init__(self, size: tuple[int, int] = (64, 48), *, dead: bool = False, running: bool = False) -> None:
+    def __init__(
+        self, size: tuple[int, int] = (64, 48), *, dead: bool = False, running: bool = False
+    ) -> None:
         self.size = size
         self.dead = dead
         self.running = running
