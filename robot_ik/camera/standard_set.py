@@ -141,11 +141,12 @@ def _paint_paper(
     kernel = np.ones((5, 5), np.uint8)
     mixed = cv2.dilate(one_ray, kernel) - cv2.erode(one_ray, kernel) > 0
     one_ray = np.where(one_ray < 0, wall, one_ray)
-    total = np.zeros(int(mixed.sum()))
+    some_centres, some_slopes, some_wall = centres[mixed], slopes[mixed], wall[mixed]
+    total = np.zeros(len(some_wall))
     for offset in _LATTICE:
         # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
-        ideal = centres[mixed] + slopes[mixed] @ offset
-        total += _paper_value(ideal, wall[mixed], to_paper, levels, look.white)
+        ideal = some_centres + some_slopes @ offset
+        total += _paper_value(ideal, some_wall, to_paper, levels, look.white)
     one_ray[mixed] = total / _RAYS
     canvas[y0:y1, x0:x1] = one_ray
 
