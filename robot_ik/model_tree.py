@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.geometry import Pose, matrix_to_quat, rotation_exp
-from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree, make_tree
+from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 
 Array = NDArray[np.float64]
 
@@ -162,8 +162,8 @@ def build_tree(
     builder = _Builder(model, active, where)
     for body in range(1, model.nbody):
         builder.body(body)
-    tree = make_tree(
-        builder.joint_ids, builder.kind, builder.parent, builder.qadr, builder.vadr,
+    tree = Tree(
+        tuple(builder.joint_ids), builder.kind, builder.parent, builder.qadr, builder.vadr,
         np.array(builder.constant).reshape(-1, 12), *_limits(model, builder), builder.nq, builder.nv,
     )  # fmt: skip
     return tree, tuple(builder.bodies)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import GoalError, InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
-from robot_ik.kernels import loop, residuals
+from robot_ik.kernels import residuals, work
 from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
 
@@ -131,9 +131,11 @@ class Problem:
         moves = np.array(
             [[int(k in chain) for k in _dof_nodes(robot)[self.dofs]] for chain in ancestors], dtype=np.int64
         ).reshape(count, len(self.dofs))
-        self.handle = residuals.new_goals(
-            self.kind, row, self.node, local, self.target, weight, tolerance, self.dofs, moves
-        )
+        self._goal_arrays = {
+            "kind": self.kind, "row": row, "node": self.node, "local": local, "target": self.target,
+            "weight": weight, "tolerance": tolerance, "dofs": self.dofs, "moves": moves,
+        }  # fmt: skip
+        self.handle = residuals.GOALS.pack(self._goal_arrays)
 
     def _length(self, goal: Goal) -> float:
         """Metres that count as much as one radian: scales position rows, so that all rows are angles."""
@@ -146,19 +148,18 @@ class Problem:
         robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
         nq, k = robot.nq, max(self.rows, len(self.dofs), 1)
         shapes: dict[str, Any] = {
-            "state": (loop.STATE_SIZE,), "value": (loop.VALUE_SIZE,), "start": (nq,), "q": (nq,), "best": (nq,),
+            "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,), "best": (nq,),
             "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
-            "free": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(loop.TRACE_COLUMNS)),
+            "free": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free") else float)
             for name, shape in shapes.items()
         }
-        self.arrays["seed"] = np.ones(1, dtype=np.uint64)
         self.arrays["nodes"] = self.nodes
-        self.work = loop.new_work(*(self.arrays[name] for name in loop.WORK_FIELDS))
+        self.work = work.WORK.pack(self.arrays)
 
     def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
         """Moves the target of one goal: a ``Pose``, a position (3,), or a goal of the same kind and frame.

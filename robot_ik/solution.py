@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
-from robot_ik.kernels import loop
+from robot_ik.kernels import work
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 class Status(enum.IntEnum):
     """How a solve ended; only CONVERGED means that every goal is within tolerance."""
 
-    CONVERGED = loop.CONVERGED
-    STALLED = loop.STALLED
-    ITERATION_LIMIT = loop.ITERATION_LIMIT
-    TIME_LIMIT = loop.TIME_LIMIT
-    UNREACHABLE = loop.UNREACHABLE
-    BLOCKED_BY_LIMITS = loop.BLOCKED
-    NUMERICAL = loop.NUMERICAL
+    CONVERGED = work.CONVERGED
+    STALLED = work.STALLED
+    ITERATION_LIMIT = work.ITERATION_LIMIT
+    TIME_LIMIT = work.TIME_LIMIT
+    UNREACHABLE = work.UNREACHABLE
+    BLOCKED_BY_LIMITS = work.BLOCKED
+    NUMERICAL = work.NUMERICAL
 
     @property
     def meaning(self) -> str:

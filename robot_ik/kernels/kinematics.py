@@ -1,14 +1,16 @@
 """Forward kinematics, geometric Jacobian and integration on a ``Tree``; equal to MuJoCo's to 1e-12.
 
 ``mj_kinematics`` and ``mj_jac`` are the judges in the tests.  Poses are rows of twelve numbers
-(position, rotation row by row); see ``tree.py`` for the arrays.
+(position, rotation row by row); see ``tree.py`` for the arrays.  ``tree`` is the open bundle of a tree throughout.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
+from numba import types
+
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
 
 @pure
@@ -47,8 +49,11 @@ def compose(a, i, b, j, out, o):
 
 
 @outlined
-def forward(kind, parent, qadr, constant, nodes, q, world, scratch):
+def forward(tree, nodes, q, world, scratch):
     """Poses in the world of the listed ``nodes`` (parents before children) into ``world`` (n, 12)."""
+    kind, parent, qadr, constant = tree.kind, tree.parent, tree.qadr, tree.constant
+    # Typed numbers: a bare 0 or 1 is a type of its own and would compile the callees once more.
+    before, turn = types.int64(0), types.int64(1)
     for index in range(nodes.shape[0]):
         k = nodes[index]
         a = qadr[k]
@@ -74,10 +79,10 @@ def forward(kind, parent, qadr, constant, nodes, q, world, scratch):
                 world[k, i] += world[k, 5 + 3 * i] * q[a]
         elif joint == BALL:
             for i in range(12):
-                scratch[0, i] = world[k, i]
-            scratch[1, 0] = scratch[1, 1] = scratch[1, 2] = 0.0
-            quat_rotation(q, a, scratch, 1)
-            compose(scratch, 0, scratch, 1, world, k)
+                scratch[before, i] = world[k, i]
+            scratch[turn, 0] = scratch[turn, 1] = scratch[turn, 2] = 0.0
+            quat_rotation(q, a, scratch, turn)
+            compose(scratch, before, scratch, turn, world, k)
 
 
 @pure
@@ -130,8 +135,9 @@ def turn_quat(q, a, x, y, z):
 
 
 @outlined
-def integrate(kind, qadr, vadr, nodes, q, dq):
+def integrate(tree, nodes, q, dq):
     """q = q ⊕ dq for the listed nodes, in place; the conventions of ``mj_integratePos``."""
+    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
     for index in range(nodes.shape[0]):
         k = nodes[index]
         a, v = qadr[k], vadr[k]
@@ -147,8 +153,9 @@ def integrate(kind, qadr, vadr, nodes, q, dq):
 
 
 @outlined
-def clip(kind, qadr, vadr, lower, upper, nodes, q):
+def clip(tree, nodes, q):
     """Puts q of the listed nodes inside the limits, in place; returns how many joints were outside."""
+    kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
     moved = 0
     for index in range(nodes.shape[0]):
         k = nodes[index]
@@ -176,35 +183,36 @@ def clip(kind, qadr, vadr, lower, upper, nodes, q):
 
 @kernel
 def tree_integrate(tree, nodes, q, dq):
-    """``integrate`` for a compiled tree."""
-    integrate(tree.kind, tree.qadr, tree.vadr, nodes, q, dq)
+    """``integrate`` for the table of a tree."""
+    integrate(open_tree(tree), nodes, q, dq)
 
 
 @kernel
 def tree_clip(tree, nodes, q):
-    """``clip`` for a compiled tree."""
-    return clip(tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper, nodes, q)
+    """``clip`` for the table of a tree."""
+    return clip(open_tree(tree), nodes, q)
 
 
 @kernel
 def tree_forward(tree, nodes, q, world, scratch):
-    """``forward`` for a compiled tree: fills ``world`` (n, 12)."""
-    forward(tree.kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
+    """``forward`` for the table of a tree: fills ``world`` (n, 12)."""
+    forward(open_tree(tree), nodes, q, world, scratch)
 
 
 @kernel
 def tree_frame(tree, nodes, node, local, q, world, scratch, out):
     """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
-    forward(tree.kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
-    frame_pose(world, node, local, 0, out)
+    forward(open_tree(tree), nodes, q, world, scratch)
+    frame_pose(world, node, local, types.int64(0), out)
 
 
 @kernel
 def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
+    tree = open_tree(tree)
     kind, vadr, dof_node = tree.kind, tree.vadr, tree.dof_node
-    forward(kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
-    frame_pose(world, node, local, 0, out)
+    forward(tree, nodes, q, world, scratch)
+    frame_pose(world, node, local, types.int64(0), out)
     jacobian[:, :] = 0.0
     for index in range(nodes.shape[0]):
         k = nodes[index]

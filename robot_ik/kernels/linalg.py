@@ -3,6 +3,8 @@
 
 import math
 
+from numba import types
+
 from robot_ik.kernels.jit import outlined, pure
 
 
@@ -74,7 +76,7 @@ def box_step(matrix, gradient, low, high, step, rhs, free, factor):
         when M is not positive definite.
     """
     n = gradient.shape[0]
-    size = 0
+    size = types.int64(0)
     pressed = 0
     for i in range(n):
         if (low[i] > -1e-12 and gradient[i] < 0.0) or (high[i] < 1e-12 and gradient[i] > 0.0):
@@ -87,7 +89,7 @@ def box_step(matrix, gradient, low, high, step, rhs, free, factor):
     while size > 0:
         if not cholesky_solve(matrix, rhs, free, size, factor, step):
             return -1
-        kept = 0
+        kept = types.int64(0)
         for a in range(size):
             i = free[a]
             if step[i] < low[i]:

@@ -7,72 +7,29 @@ and radians, and decides convergence.
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
-from collections import namedtuple
 
-from numba import types
-from numba.experimental import structref
-
+from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity
+from robot_ik.kernels.tree import open_tree
 
 POSITION, ORIENTATION, POSE = 0, 1, 2
 ROWS_OF = {POSITION: 3, ORIENTATION: 3, POSE: 6}
 
 
-@structref.register
-class _GoalsType(types.StructRef):  # type: ignore[misc]
-    def preprocess_fields(self, fields):
-        return tuple((name, types.unliteral(kind)) for name, kind in fields)
-
-
-class GoalsProxy(structref.StructRefProxy):  # type: ignore[misc]
-    """Handle of compiled goals: hand it to kernels, do not look inside."""
-
-
-structref.define_boxing(_GoalsType, GoalsProxy)
-_INTS = types.Array(types.int64, 1, "C")
-_TABLE = types.Array(types.float64, 2, "C")
-GOALS = _GoalsType(
-    (
-        ("kind", _INTS),  # (g,) POSITION, ORIENTATION, POSE
-        ("row", _INTS),  # (g,) first row of its residual
-        ("node", _INTS),  # (g,) node that carries its frame, -1 = world
-        ("local", _TABLE),  # (g, 12) frame seen from the node
-        ("target", _TABLE),  # (g, 12) wanted pose, world
-        ("weight", _TABLE),  # (g, 2) on metres (already over the length scale) and on radians
-        ("tolerance", _TABLE),  # (g, 2) metres, radians
-        ("dofs", _INTS),  # (nu,) degrees of freedom that move any goal
-        ("moves", types.Array(types.int64, 2, "C")),  # (g, nu) does this one move that goal
-    )
+GOALS = Layout(
+    "Goals",
+    kind="ints",  # (g,) POSITION, ORIENTATION, POSE
+    row="ints",  # (g,) first row of its residual
+    node="ints",  # (g,) node that carries its frame, -1 = world
+    local="table",  # (g, 12) frame seen from the node
+    target="table",  # (g, 12) wanted pose, world
+    weight="table",  # (g, 2) on metres (already over the length scale) and on radians
+    tolerance="table",  # (g, 2) metres, radians
+    dofs="ints",  # (nu,) degrees of freedom that move any goal
+    moves="int_table",  # (g, nu) does this one move that goal
 )
-
-GoalArrays = namedtuple(
-    "GoalArrays", ("kind", "row", "node", "local", "target", "weight", "tolerance", "dofs", "moves")
-)
-
-
-@kernel
-def new_goals(kind, row, node, local, target, weight, tolerance, dofs, moves):
-    goals = structref.new(GOALS)
-    goals.kind = kind
-    goals.row = row
-    goals.node = node
-    goals.local = local
-    goals.target = target
-    goals.weight = weight
-    goals.tolerance = tolerance
-    goals.dofs = dofs
-    goals.moves = moves
-    return goals
-
-
-@kernel
-def goal_arrays(goals):
-    """The fields as local values: read once per solve, not once per use."""
-    return GoalArrays(
-        goals.kind, goals.row, goals.node, goals.local, goals.target, goals.weight,
-        goals.tolerance, goals.dofs, goals.moves,
-    )  # fmt: skip
+open_goals = GOALS.open
 
 
 @outlined
@@ -117,33 +74,34 @@ def rotation_error(target, current, g, out, at):
 
 
 @outlined
-def evaluate(world, goal, frames, residual, miss):
+def evaluate(goal, world, frames, residual, miss):
     """Frames, residual and miss of all goals from the node poses; returns (½ |r|², all within tolerance)."""
     cost = 0.0
     within = True
-    target = goal.target
-    for g in range(goal.kind.shape[0]):
-        frame_pose(world, goal.node[g], goal.local, g, frames)
-        row = goal.row[g]
-        kind = goal.kind[g]
+    kinds, rows, nodes, local = goal.kind, goal.row, goal.node, goal.local
+    target, weight, tolerance = goal.target, goal.weight, goal.tolerance
+    for g in range(kinds.shape[0]):
+        frame_pose(world, nodes[g], local, g, frames)
+        row = rows[g]
+        kind = kinds[g]
         if kind != ORIENTATION:
             x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
-            w = goal.weight[g, 0]
+            w = weight[g, 0]
             square = x * x + y * y + z * z
             distance = math.sqrt(square)
             miss[g, 0] = distance
             cost += w * w * square
             residual[row], residual[row + 1], residual[row + 2] = w * x, w * y, w * z
             row += 3
-            within = within and distance <= goal.tolerance[g, 0]
+            within = within and distance <= tolerance[g, 0]
         if kind != POSITION:
-            w = goal.weight[g, 1]
+            w = weight[g, 1]
             angle = rotation_error(target, frames, g, residual, row)
             miss[g, 1] = angle
             cost += w * w * angle * angle
             for i in range(3):
                 residual[row + i] *= w
-            within = within and angle <= goal.tolerance[g, 1]
+            within = within and angle <= tolerance[g, 1]
     return 0.5 * cost, within
 
 
@@ -169,23 +127,25 @@ def inverse_right_jacobian(x, y, z, a, b, c):
 
 
 @outlined
-def goal_jacobian(kind, vadr, dof_node, world, goal, frames, residual, jacobian):
+def goal_jacobian(tree, goal, world, frames, residual, jacobian):
     """Weighted Jacobian (m, nu) with J dq ≈ r: minus the derivative of the residual, exact."""
-    for u in range(goal.dofs.shape[0]):
-        v = goal.dofs[u]
+    joint, vadr, dof_node = tree.kind, tree.vadr, tree.dof_node
+    kinds, rows, weight, dofs, moved = goal.kind, goal.row, goal.weight, goal.dofs, goal.moves
+    for u in range(dofs.shape[0]):
+        v = dofs[u]
         k = dof_node[v]
-        ax, ay, az, turn = dof_axis(kind, world, k, v - vadr[k])
-        for g in range(goal.kind.shape[0]):
-            row = goal.row[g]
-            what = goal.kind[g]
-            moves = float(goal.moves[g, u])
+        ax, ay, az, turn = dof_axis(joint, world, k, v - vadr[k])
+        for g in range(kinds.shape[0]):
+            row = rows[g]
+            what = kinds[g]
+            moves = float(moved[g, u])
             if what != ORIENTATION:
-                w = goal.weight[g, 0] * moves
+                w = weight[g, 0] * moves
                 x, y, z = point_velocity(world, k, ax, ay, az, turn, frames[g, 0], frames[g, 1], frames[g, 2])
                 jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
                 row += 3
             if what != POSITION:
-                w = goal.weight[g, 1]
+                w = weight[g, 1]
                 s = 1.0 / w if w != 0.0 else 0.0
                 x, y, z = inverse_right_jacobian(
                     s * residual[row], s * residual[row + 1], s * residual[row + 2], ax, ay, az
@@ -197,9 +157,8 @@ def goal_jacobian(kind, vadr, dof_node, world, goal, frames, residual, jacobian)
 @kernel
 def residual_and_jacobian(tree, goals, nodes, q, world, frames, scratch, residual, miss, jacobian):
     """For tests and diagnosis: fills residual (m,), miss (g, 2) and jacobian (m, nu) at q; returns the cost."""
-    kind, vadr = tree.kind, tree.vadr
-    goal = goal_arrays(goals)
-    forward(kind, tree.parent, tree.qadr, tree.constant, nodes, q, world, scratch)
-    cost, _ = evaluate(world, goal, frames, residual, miss)
-    goal_jacobian(kind, vadr, tree.dof_node, world, goal, frames, residual, jacobian)
+    tree, goal = open_tree(tree), open_goals(goals)
+    forward(tree, nodes, q, world, scratch)
+    cost, _ = evaluate(goal, world, frames, residual, miss)
+    goal_jacobian(tree, goal, world, frames, residual, jacobian)
     return cost

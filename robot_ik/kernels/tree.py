@@ -12,87 +12,54 @@ the rotation matrix row by row.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.experimental import structref
 from numpy.typing import NDArray
 
-from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.bundle import Layout
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 HINGE, SLIDE, BALL, FREE = 0, 1, 2, 3
-# What a degree of freedom does: turn about, or shift along, an axis.
-TURN, SHIFT = 0, 1
 
 Q_WIDTH = {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}
 V_WIDTH = {HINGE: 1, SLIDE: 1, BALL: 3, FREE: 6}
 
 
-@structref.register
-class _TreeType(types.StructRef):  # type: ignore[misc]
-    def preprocess_fields(self, fields: Any) -> Any:
-        return tuple((name, types.unliteral(kind)) for name, kind in fields)
-
-
-class TreeProxy(structref.StructRefProxy):  # type: ignore[misc]
-    """Handle of a compiled tree: hand it to kernels, do not look inside."""
-
-
-structref.define_boxing(_TreeType, TreeProxy)
-_INTS = types.Array(types.int64, 1, "C")
-_FLOATS = types.Array(types.float64, 1, "C")
-_TABLE = types.Array(types.float64, 2, "C")
-TREE = _TreeType(
-    (
-        ("kind", _INTS),  # (n,) HINGE, SLIDE, BALL, FREE
-        ("parent", _INTS),  # (n,) node, -1 = world; parents come first
-        ("qadr", _INTS),  # (n,) where the node's numbers start in q
-        ("vadr", _INTS),  # (n,) … and in dq
-        ("constant", _TABLE),  # (n, 12) C_k
-        ("lower", _FLOATS),  # (nv,) -inf where unlimited
-        ("upper", _FLOATS),  # (nv,) ball: cone angle in each of its three entries
-        ("low", _FLOATS),  # (nv,) finite range for drawing random starts
-        ("high", _FLOATS),  # (nv,)
-        ("dof_node", _INTS),  # (nv,)
-        ("dof_kind", _INTS),  # (nv,) TURN or SHIFT
-    )
+TREE = Layout(
+    "Tree",
+    kind="ints",  # (n,) HINGE, SLIDE, BALL, FREE
+    parent="ints",  # (n,) node, -1 = world; parents come first
+    qadr="ints",  # (n,) where the node's numbers start in q
+    vadr="ints",  # (n,) … and in dq
+    constant="table",  # (n, 12) C_k
+    lower="floats",  # (nv,) -inf where unlimited
+    upper="floats",  # (nv,) ball: cone angle in each of its three entries
+    low="floats",  # (nv,) finite range for drawing random starts
+    high="floats",  # (nv,)
+    dof_node="ints",  # (nv,) node of each degree of freedom
 )
-
-
-@kernel
-def _new_tree(kind, parent, qadr, vadr, constant, lower, upper, low, high, dof_node, dof_kind):  # type: ignore[no-untyped-def]
-    tree = structref.new(TREE)
-    tree.kind = kind
-    tree.parent = parent
-    tree.qadr = qadr
-    tree.vadr = vadr
-    tree.constant = constant
-    tree.lower = lower
-    tree.upper = upper
-    tree.low = low
-    tree.high = high
-    tree.dof_node = dof_node
-    tree.dof_kind = dof_kind
-    return tree
+open_tree = TREE.open
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Arrays of a kinematic tree, and ``handle``, the same for compiled code.
+    """Arrays of a kinematic tree, read-only, and ``handle``, the same for compiled code.
 
     Attributes:
         joint_ids: (n,) MuJoCo joint of each node, in the order of the nodes.
+        nq, nv: Length of q and of dq.
+        handle: Their packed table; holds addresses, so it is only good while this tree lives.
     """
 
     joint_ids: tuple[int, ...]
-    kind: NDArray[np.int64]
-    parent: NDArray[np.int64]
-    qadr: NDArray[np.int64]
-    vadr: NDArray[np.int64]
+    kind: Ints
+    parent: Ints
+    qadr: Ints
+    vadr: Ints
     constant: Array
     lower: Array
     upper: Array
@@ -100,7 +67,26 @@ class Tree:
     high: Array
     nq: int
     nv: int
-    handle: Any
+    dof_node: Ints = field(init=False)
+    handle: Ints = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        arrays: dict[str, NDArray[Any]] = {}
+        for name in ("kind", "parent", "qadr", "vadr"):
+            arrays[name] = np.array(getattr(self, name), dtype=np.int64)
+        arrays["constant"] = np.array(self.constant, dtype=float).reshape(-1, 12)
+        for name in ("lower", "upper", "low", "high"):
+            arrays[name] = np.array(getattr(self, name), dtype=float)
+        widths = [V_WIDTH[int(kind)] for kind in arrays["kind"]]
+        arrays["dof_node"] = np.repeat(np.arange(len(widths)), widths).astype(np.int64)
+        for name, array in arrays.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "handle", TREE.pack(arrays))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A copy has arrays of its own, and so needs a table of its own.
+        return Tree, tuple(getattr(self, item.name) for item in fields(self) if item.init)
 
     @property
     def size(self) -> int:
@@ -119,31 +105,4 @@ class Tree:
         """The same tree inside other limits (nv,)."""
         low = np.where(np.isfinite(lower), lower, self.low)
         high = np.where(np.isfinite(upper), upper, self.high)
-        return make_tree(
-            self.joint_ids, self.kind, self.parent, self.qadr, self.vadr, self.constant,
-            np.array(lower, dtype=float), np.array(upper, dtype=float), low, np.maximum(low, high),
-            self.nq, self.nv,
-        )  # fmt: skip
-
-
-def make_tree(
-    joint_ids: Any, kind: Any, parent: Any, qadr: Any, vadr: Any, constant: Array, lower: Array, upper: Array,
-    low: Array, high: Array, nq: int, nv: int,
-) -> Tree:  # fmt: skip
-    """A tree from its arrays; fields as in ``Tree``."""
-    ints = [np.ascontiguousarray(a, dtype=np.int64) for a in (kind, parent, qadr, vadr)]
-    constant = np.ascontiguousarray(constant, dtype=float).reshape(-1, 12)
-    dof_node, dof_kind = _degrees_of_freedom(ints[0], nv)
-    handle = _new_tree(*ints, constant, lower, upper, low, high, dof_node, dof_kind)
-    return Tree(
-        tuple(joint_ids), *ints, constant, lower, upper, low, high, nq, nv, handle
-    )  # fmt: skip
-
-
-def _degrees_of_freedom(kind: Any, nv: int) -> tuple[Any, Any]:
-    nodes, kinds = [], []
-    for node, joint in enumerate(kind):
-        joint = int(joint)
-        nodes += [node] * V_WIDTH[joint]
-        kinds += {HINGE: [TURN], SLIDE: [SHIFT], BALL: [TURN] * 3, FREE: [SHIFT] * 3 + [TURN] * 3}[joint]
-    return np.array(nodes, dtype=np.int64).reshape(nv), np.array(kinds, dtype=np.int64).reshape(nv)
+        return replace(self, lower=lower, upper=upper, low=low, high=np.maximum(low, high))

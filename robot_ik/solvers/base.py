@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.goals import GOALS, Goal
-from robot_ik.kernels import jit, loop
+from robot_ik.kernels import jit, work
 from robot_ik.problem import Problem
 from robot_ik.solution import Solution, Status
 
@@ -113,15 +113,15 @@ class IterativeSolver(Solver):
         else:
             self._in_slices(kernel, run, state, began + problem.budget.seconds)
         seconds = time.perf_counter() - began
-        status = Status(int(state[loop.STATUS]))
+        status = Status(int(state[work.STATUS]))
         if unreachable and status is not Status.CONVERGED:
             status = Status.UNREACHABLE
-        rows = int(state[loop.TRACE_ROWS])
+        rows = int(state[work.TRACE_ROWS])
         return Solution(
             q=arrays["best"].copy(),
             status=status,
-            iterations=int(state[loop.ITERATIONS]),
-            restarts=int(state[loop.RESTARTS]),
+            iterations=int(state[work.ITERATIONS]),
+            restarts=int(state[work.RESTARTS]),
             seconds=seconds,
             solver=self.name,
             robot=robot,
@@ -139,31 +139,31 @@ class IterativeSolver(Solver):
             restarts = 0  # the proof says that no start will help
         state, value = arrays["state"], arrays["value"]
         state[:] = 0
-        state[loop.MAX_ITERATIONS] = budget.iterations
-        state[loop.MAX_RESTARTS] = restarts
-        state[loop.FIRST_STEPS] = self.first_steps if restarts else _NO_LIMIT
-        state[loop.TRY_LIMIT] = self.try_steps
-        state[loop.PATIENCE] = self.patience
-        state[loop.SLICE_END] = _NO_LIMIT
+        state[work.MAX_ITERATIONS] = budget.iterations
+        state[work.MAX_RESTARTS] = restarts
+        state[work.FIRST_STEPS] = self.first_steps if restarts else _NO_LIMIT
+        state[work.TRY_LIMIT] = self.try_steps
+        state[work.PATIENCE] = self.patience
+        state[work.SLICE_END] = _NO_LIMIT
         value[:] = 0.0
-        value[loop.PROGRESS] = self.progress
+        value[work.PROGRESS] = self.progress
         arrays["start"][:] = q
         # Any seed, zero included, becomes a nonzero state of the generator.
-        arrays["seed"][0] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 64) or 1
+        state[work.SEED] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
         return unreachable
 
     @staticmethod
     def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:
         slice_steps = _FIRST_SLICE
         while True:
-            state[loop.SLICE_END] = state[loop.ITERATIONS] + slice_steps
+            state[work.SLICE_END] = state[work.ITERATIONS] + slice_steps
             began = time.perf_counter()
             kernel(*run)
             now = time.perf_counter()
-            if state[loop.STATUS] != loop.RUNNING:
+            if state[work.STATUS] != work.RUNNING:
                 return
             if now >= deadline:
-                state[loop.STATUS] = loop.TIME_LIMIT
+                state[work.STATUS] = work.TIME_LIMIT
                 return
             pace = slice_steps / max(now - began, 1e-6)
             slice_steps = max(1, int(pace * min(_SLICE_SECONDS, deadline - now)))

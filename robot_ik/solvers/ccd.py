@@ -17,9 +17,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import dof_axis, forward
-from robot_ik.kernels.loop import advance, apply_step, begin, proceed, room, unpack
-from robot_ik.kernels.residuals import ORIENTATION, POSITION, evaluate
+from robot_ik.kernels.kinematics import dof_axis
+from robot_ik.kernels.loop import advance, apply_step, begin, measure, proceed, room
+from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import IterativeSolver, option
 
 
@@ -110,51 +112,31 @@ def best_shift(x, y, z, goal, frames, u, low, high):
 @outlined
 def sweep(tree, goal, work):
     """Every degree of freedom once, the tip's first; leaves q moved and work.step zero."""
-    n = goal.dofs.shape[0]
+    dofs, step, low, high, world, frames = goal.dofs, work.step, work.low, work.high, work.world, work.frames
+    n = dofs.shape[0]
     for u in range(n):
-        work.step[u] = 0.0
+        step[u] = 0.0
     for back in range(n):
         u = n - 1 - back
-        v = goal.dofs[u]
+        v = dofs[u]
         k = tree.dof_node[v]
-        room(
-            tree.kind,
-            tree.qadr,
-            tree.dof_node,
-            tree.lower,
-            tree.upper,
-            goal.dofs,
-            work.q,
-            work.low,
-            work.high,
-        )
-        x, y, z, turn = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
+        room(tree, goal, work)
+        x, y, z, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
         if turn:
-            a, b = turn_terms(work.world, k, x, y, z, goal, work.frames, u)
-            work.step[u] = best_turn(a, b, work.low[u], work.high[u])
+            a, b = turn_terms(world, k, x, y, z, goal, frames, u)
+            step[u] = best_turn(a, b, low[u], high[u])
         else:
-            work.step[u] = best_shift(x, y, z, goal, work.frames, u, work.low[u], work.high[u])
-        apply_step(
-            tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.nodes,
-            work.step, work.dq, work.q,
-        )  # fmt: skip
-        work.step[u] = 0.0
-        forward(
-            tree.kind, tree.parent, tree.qadr, tree.constant, work.nodes, work.q, work.world, work.scratch
-        )
-        evaluate(work.world, goal, work.frames, work.residual, work.miss)
-
-
-@outlined
-def ccd_descend(tree, goal, work):
-    begin(tree, goal, work)
-    while proceed(tree, goal, work):
-        sweep(tree, goal, work)
-        advance(tree, goal, work)
+            step[u] = best_shift(x, y, z, goal, frames, u, low[u], high[u])
+        apply_step(tree, dofs, work.nodes, step, work.dq, work.q)
+        step[u] = 0.0
+        measure(tree, goal, work)
 
 
 @kernel
 def ccd(tree, goals, work, options):
     """Runs until ``proceed`` says stop; a step is a sweep over all joints."""
-    arrays, goal, space = unpack(tree, goals, work)
-    ccd_descend(arrays, goal, space)
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    begin(tree, goal, work)
+    while proceed(tree, goal, work):
+        sweep(tree, goal, work)
+        advance(tree, goal, work)

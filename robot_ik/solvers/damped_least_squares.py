@@ -14,8 +14,10 @@ from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import DAMPING, PRESSED, advance, begin, proceed, room, unpack
-from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.loop import advance, begin, proceed, room
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.work import DAMPING, PRESSED, open_work
 from robot_ik.solvers.base import IterativeSolver, option
 
 
@@ -41,48 +43,40 @@ class DampedLeastSquares(IterativeSolver):
         return (self.damping, self.clamp, self.max_step)
 
 
-@pure
+@outlined
 def dls_step(tree, goal, work, options):
     """work.step from the clamped residual; joints at a limit do not hold the others back."""
     damping, clamp, max_step = options[0], options[1], options[2]
     work.value[DAMPING] = damping
-    n = work.step.shape[0]
-    goal_jacobian(
-        tree.kind, tree.vadr, tree.dof_node, work.world, goal, work.frames, work.residual, work.jacobian
-    )
+    residual, jacobian, normal, step = work.residual, work.jacobian, work.normal, work.step
+    n = step.shape[0]
+    goal_jacobian(tree, goal, work.world, work.frames, residual, jacobian)
     norm = 0.0
-    for r in range(work.residual.shape[0]):
-        norm += work.residual[r] * work.residual[r]
+    for r in range(residual.shape[0]):
+        norm += residual[r] * residual[r]
     norm = math.sqrt(norm)
     if norm > clamp:  # measured again after the step, so it may be scaled in place
-        for r in range(work.residual.shape[0]):
-            work.residual[r] *= clamp / norm
-    normal_equations(work.jacobian, work.residual, work.normal, work.gradient)
+        for r in range(residual.shape[0]):
+            residual[r] *= clamp / norm
+    normal_equations(jacobian, residual, normal, work.gradient)
     for i in range(n):
-        work.normal[i, i] += damping * damping
-    room(tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high)
-    pressed = box_step(
-        work.normal, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.factor
-    )
+        normal[i, i] += damping * damping
+    room(tree, goal, work)
+    pressed = box_step(normal, work.gradient, work.low, work.high, step, work.rhs, work.free, work.factor)
     work.state[PRESSED] = max(pressed, 0)
     largest = 0.0
     for i in range(n):
-        largest = max(largest, abs(work.step[i]))
+        largest = max(largest, abs(step[i]))
     if largest > max_step:
         for i in range(n):
-            work.step[i] *= max_step / largest
-
-
-@outlined
-def dls_descend(tree, goal, work, options):
-    begin(tree, goal, work)
-    while proceed(tree, goal, work):
-        dls_step(tree, goal, work, options)
-        advance(tree, goal, work)
+            step[i] *= max_step / largest
 
 
 @kernel
 def dls(tree, goals, work, options):
     """Runs until ``proceed`` says stop; options: damping, clamp, max_step."""
-    arrays, goal, space = unpack(tree, goals, work)
-    dls_descend(arrays, goal, space, options)
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    begin(tree, goal, work)
+    while proceed(tree, goal, work):
+        dls_step(tree, goal, work, options)
+        advance(tree, goal, work)

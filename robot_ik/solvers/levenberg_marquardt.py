@@ -15,19 +15,10 @@ from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import (
-    ACCEPTED,
-    COST,
-    DAMPING,
-    PRESSED,
-    TRY_STEPS,
-    advance,
-    begin,
-    proceed,
-    room,
-    unpack,
-)
-from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.loop import advance, begin, copy, proceed, room
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.work import ACCEPTED, COST, DAMPING, PRESSED, TRY_STEPS, open_work
 from robot_ik.solvers.base import IterativeSolver, option
 
 
@@ -52,53 +43,44 @@ class LevenbergMarquardt(IterativeSolver):
         return (self.floor, self.damping, self.increase, self.decrease, self.least)
 
 
-@pure
+@outlined
 def lm_step(tree, goal, work, options):
     """One damped Gauss-Newton step inside the limits; a step that made things worse is taken back first."""
-    state, value = work.state, work.value
+    state, value, normal, damped = work.state, work.value, work.normal, work.damped
+    floor, first, increase, decrease, least = options[0], options[1], options[2], options[3], options[4]
     n = work.gradient.shape[0]
     if value[COST] < value[ACCEPTED]:
-        value[DAMPING] = options[1] if state[TRY_STEPS] == 0 else max(value[DAMPING] * options[3], options[4])
+        value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
-        for i in range(work.q.shape[0]):
-            work.accepted[i] = work.q[i]
-        goal_jacobian(
-            tree.kind, tree.vadr, tree.dof_node, work.world, goal, work.frames, work.residual,
-            work.jacobian,
-        )  # fmt: skip
-        normal_equations(work.jacobian, work.residual, work.normal, work.gradient)
+        copy(work.q, work.accepted)
+        goal_jacobian(tree, goal, work.world, work.frames, work.residual, work.jacobian)
+        normal_equations(work.jacobian, work.residual, normal, work.gradient)
     else:
-        value[DAMPING] *= options[2]
+        value[DAMPING] *= increase
         value[COST] = value[ACCEPTED]
-        for i in range(work.q.shape[0]):
-            work.q[i] = work.accepted[i]
-    damping = value[DAMPING] * value[COST] + options[0]
+        copy(work.accepted, work.q)
+    damping = value[DAMPING] * value[COST] + floor
     for i in range(n):
         for j in range(i):
-            work.damped[i, j] = work.normal[i, j]
-        work.damped[i, i] = work.normal[i, i] + damping
-    room(tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper, goal.dofs, work.q, work.low, work.high)
+            damped[i, j] = normal[i, j]
+        damped[i, i] = normal[i, i] + damping
+    room(tree, goal, work)
     pressed = box_step(
-        work.damped, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.factor
+        damped, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.factor
     )
     if pressed < 0:  # not positive definite to working precision: more damping
-        value[DAMPING] = value[DAMPING] * options[2] + 1e-9
+        value[DAMPING] = value[DAMPING] * increase + 1e-9
         for i in range(n):
             work.step[i] = 0.0
     else:
         state[PRESSED] = pressed
 
 
-@outlined
-def descend(tree, goal, work, options):
+@kernel
+def lm(tree, goals, work, options):
+    """Runs until ``proceed`` says stop; options: floor, start, increase, decrease, least."""
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         lm_step(tree, goal, work, options)
         advance(tree, goal, work)
-
-
-@kernel
-def lm(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: floor, start, increase, decrease, least."""
-    arrays, goal, space = unpack(tree, goals, work)
-    descend(arrays, goal, space, options)

@@ -1,0 +1,123 @@
+"""``Bundle``: many arrays handed to compiled code under their names, as one table of addresses.
+
+    LAYOUT = Layout("Tree", kind="ints", constant="table")
+    table = LAYOUT.pack(arrays)            # Python: one row (address, rows, columns) for each array
+    open_layout = LAYOUT.open              # a global of its own: compiled code sees no Layout
+    tree = open_layout(table)              # compiled: tree.kind, tree.constant are the arrays
+
+Why not a tuple or a structref: a tuple of 25 arrays is 175 machine words that LLVM copies at each use,
+which makes a solver compile four times longer; a structref counts references at each use, and the
+first of its type costs 0.2 s in every process.  A bundle is one pointer.  It does not keep its arrays
+alive: whoever packs a table owns the arrays and outlives it (``Tree`` and ``Problem`` do).
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.imputils import lower_getattr_generic
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import intrinsic, models, register_model
+from numba.np.arrayobj import make_array, populate_array
+from numpy.typing import NDArray
+
+# What a field may be: C-contiguous, in numba's and in NumPy's words.
+_ARRAY_OF: dict[str, tuple[Any, Any]] = {
+    "ints": (types.Array(types.int64, 1, "C"), np.int64),
+    "floats": (types.Array(types.float64, 1, "C"), np.float64),
+    "table": (types.Array(types.float64, 2, "C"), np.float64),
+    "int_table": (types.Array(types.int64, 2, "C"), np.int64),
+}
+_COLUMNS = 3  # address, rows, columns
+_WORD = ir.IntType(64)
+
+
+class BundleType(types.Type):  # type: ignore[misc]
+    """numba's type of an open bundle; equal layouts are equal types."""
+
+    def __init__(self, title: str, fields: tuple[tuple[str, str], ...]) -> None:
+        self.fields = fields
+        self.place = {name: row for row, (name, _) in enumerate(fields)}
+        super().__init__(name=f"Bundle({title}: {' '.join(f'{n}={k}' for n, k in fields)})")
+
+
+@register_model(BundleType)
+class _BundleModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _WORD.as_pointer())
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):  # type: ignore[misc]
+    key = BundleType
+
+    def generic_resolve(self, kind: BundleType, name: str) -> Any:
+        row = kind.place.get(name)
+        return None if row is None else _ARRAY_OF[kind.fields[row][1]][0]
+
+
+@lower_getattr_generic(BundleType)
+def _lower_field(context: Any, builder: Any, kind: BundleType, pointer: Any, name: str) -> Any:
+    row = kind.place[name]
+    array_type = _ARRAY_OF[kind.fields[row][1]][0]
+
+    def word(column: int) -> Any:
+        place = builder.gep(pointer, [ir.Constant(_WORD, row * _COLUMNS + column)])
+        value = builder.load(place)
+        # Tables do not change while a kernel runs: lets LLVM read them once.
+        value.set_metadata("invariant.load", builder.module.add_metadata([]))
+        return value
+
+    itemsize = ir.Constant(_WORD, 8)
+    shape = [word(1), word(2)][: array_type.ndim]
+    strides = [builder.mul(shape[1], itemsize), itemsize] if array_type.ndim == 2 else [itemsize]
+    array = make_array(array_type)(context, builder)
+    populate_array(
+        array, data=builder.inttoptr(word(0), array.data.type), shape=shape, strides=strides,
+        itemsize=itemsize, meminfo=None,
+    )  # fmt: skip
+    return array._getvalue()
+
+
+class Layout:
+    """Names and kinds of the arrays of one bundle; ``open`` is called in compiled code only."""
+
+    def __init__(self, title: str, **fields: str) -> None:
+        self.title = title
+        self.fields = fields
+        self.open = _opener(BundleType(title, tuple(fields.items())))
+
+    def pack(self, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+        """The table of addresses (fields, 3) of ``arrays``, which must stay alive as long as it is used.
+
+        Raises:
+            TypeError: An array has the wrong type or number of dimensions, or is not C-contiguous.
+        """
+        table = np.ones((len(self.fields), _COLUMNS), dtype=np.int64)
+        for row, (name, kind) in enumerate(self.fields.items()):
+            array = arrays[name]
+            array_type, dtype = _ARRAY_OF[kind]
+            fits = array.dtype == dtype and array.ndim == array_type.ndim and array.flags.c_contiguous
+            if not fits:
+                raise TypeError(f"{self.title}.{name} must be {array_type}, not {array.dtype} {array.shape}")
+            table[row, 0] = array.__array_interface__["data"][0]
+            table[row, 1 : 1 + array.ndim] = array.shape
+        return table
+
+
+def _opener(kind: BundleType) -> Callable[[Any], Any]:
+    @intrinsic  # type: ignore[untyped-decorator]
+    def open_bundle(_typing: Any, table: Any) -> Any:
+        """The bundle of a table of addresses."""
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return make_array(signature.args[0])(context, builder, value=arguments[0]).data
+
+        return kind(table), build
+
+    return open_bundle  # type: ignore[no-any-return]

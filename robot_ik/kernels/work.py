@@ -1,0 +1,49 @@
+"""The work space of a solve: what changes while it runs, and where each number stands."""
+
+from __future__ import annotations
+
+from robot_ik.kernels.bundle import Layout
+
+# Status; ``solution.Status`` gives them their names.
+FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BLOCKED, NUMERICAL = range(9)
+
+# Entries of work.state (int64).
+(
+    STATUS, ITERATIONS, RESTARTS, TRY_STEPS, STALLS, PRESSED, POLISHING, TRACE_ROWS,
+    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STATE_SIZE,
+) = range(16)  # fmt: skip
+
+# Entries of work.value (float64).
+COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, VALUE_SIZE = range(8)
+
+# Columns of a trace row.
+TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
+
+WORK = Layout(
+    "Work",
+    state="ints",  # (STATE_SIZE,)
+    value="floats",  # (VALUE_SIZE,)
+    start="floats",  # (nq,)
+    q="floats",  # (nq,) where the solver is
+    best="floats",  # (nq,) best so far
+    accepted="floats",  # (nq,) free for a solver that may reject a step
+    nodes="ints",  # joints that move any goal, parents first
+    world="table",  # (n, 12) node poses
+    scratch="table",  # (2, 12)
+    frames="table",  # (g, 12) goal frames
+    residual="floats",  # (m,)
+    miss="table",  # (g, 2) metres, radians
+    jacobian="table",  # (m, nu)
+    normal="table",  # (nu, nu)
+    damped="table",  # (nu, nu)
+    factor="table",  # (k, k), k = max(m, nu)
+    gradient="floats",  # (nu,)
+    step="floats",  # (nu,) the step to take
+    low="floats",  # (nu,) room of the step
+    high="floats",  # (nu,)
+    rhs="floats",  # (k,)
+    free="ints",  # (k,)
+    dq="floats",  # (nv,)
+    trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
+)
+open_work = WORK.open
