@@ -1,0 +1,1 @@
+"""Whole jobs built from the parts: what the commands run."""

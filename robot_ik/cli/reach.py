@@ -1,0 +1,312 @@
+"""``robot-ik reach``: the main job on the terminal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.text import Text
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.cli.solve_command import make_goal
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import ConfigError, InvalidGoalError
+
+if TYPE_CHECKING:
+    from robot_ik.geometry import Pose
+    from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal
+
+
+@dataclass(frozen=True)
+class RehearseOptions:
+    """What shall go wrong, to see that it is noticed (simulated servos, synthetic camera)."""
+
+    zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    """Servos whose shaft is some degrees ahead of what their registers say, e.g. joint2=2."""
+    stuck: Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")] = ()
+    """Servos whose shaft does not move."""
+    cover_gripper: bool = False
+    """Hide the gripper's markers when the camera looks again."""
+    blank_marker: bool = False
+    """Leave the target's paper white."""
+    marker_at: Annotated[tuple[float, ...], arg(metavar="X Y Z [YAW_DEG]", help_behavior_hint="")] = ()
+    """Put the printed marker elsewhere: metres in the world, and degrees about the vertical."""
+
+
+@dataclass(frozen=True)
+class ReachOptions:
+    """Sees a marker, moves the arm's gripper above it, and lets a camera judge how far off it is.
+
+    With no options everything is simulated, on real parts: a synthetic camera with exact optics, the PUMA
+    560, and six virtual servos that the real Dynamixel SDK drives through a real serial line (a pty).
+
+    Exit code 0: servos and camera agree that the goal is reached. 1: it is not reached, or not proven.
+    2: wrong input or environment; nothing was sent to a servo.
+    """
+
+    robot: Annotated[str, arg(metavar="NAME|PATH")] = "puma560"
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
+    """Method: see `robot-ik solvers`."""
+    goal: Annotated[tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: by camera)")] = ()
+    """Go there instead of to a marker: metres in the world, and an orientation as a quaternion."""
+    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
+    """What shall get there: a tool, site or body of the robot."""
+    camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
+    """Where the pictures come from."""
+    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
+    """Calibration of a real camera: OpenCV or ROS YAML."""
+    camera_pose: Annotated[
+        tuple[float, ...], arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)")
+    ] = ()
+    """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
+    marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
+    """Which marker to reach; no other ever becomes a goal."""
+    marker_size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: the scene's)")] = None
+    """Side of its black square, metres; needed for a real camera."""
+    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the scene's)")] = ""
+    """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
+    bus: Annotated[str, arg(metavar="pty|sim|none|PORT")] = "pty"
+    """pty: virtual servos on a real serial line; sim: in process, virtual time; none: no servos; else a port."""
+    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
+    """Servo ids, signs, zeros and limits."""
+    speed: float = 1.0
+    """Share of the joints' speed limits, above 0 and up to 1."""
+    line: bool = False
+    """Move the tool on a straight line."""
+    follow: bool = False
+    """Then go on following the marker (the synthetic one is pushed about)."""
+    seconds: float = 10.0
+    """How long to follow."""
+    view: bool = False
+    """Mirror the motion in MuJoCo's window."""
+    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-reach)")] = ""
+    """Where reach.png, trajectory.csv and summary.json go."""
+    seed: int = 0
+    """Of random restarts and of the synthetic camera's noise."""
+    json: bool = False
+    """Print the summary as JSON on stdout instead of the table."""
+    rehearse: RehearseOptions = field(default_factory=RehearseOptions)
+
+
+def run(options: ReachOptions) -> int:
+    """Runs the job; 0 reached, 1 not."""
+    import_mujoco()
+    request = make_request(options)
+    from robot_ik.jobs.reach import run_reach
+    from robot_ik.jobs.reach_files import reach_summary, run_folder, save_reach
+
+    folder = run_folder(Path(options.out) if options.out else None, "reach")
+    try:
+        with console.progress() as bar:
+            task = bar.add_task("opening", total=1.0, note="")
+
+            def progress(stage: str, share: float) -> None:
+                bar.update(task, description=stage, completed=share)
+
+            report = run_reach(request, progress)
+    except BaseException:
+        if not any(folder.iterdir()):
+            folder.rmdir()  # nothing came of it: leave no empty folder behind
+        raise
+    files = save_reach(report, folder)
+    if options.json:
+        console.print_json({**reach_summary(report), "folder": str(folder)})
+    else:
+        print_report(report)
+        console.out().print(Text("files    " + "  ".join(str(file) for file in files)), soft_wrap=True)
+    if report.problem is not None:
+        console.show_error(report.problem)
+    return console.DONE if report.reached else console.NOT_ACHIEVED
+
+
+def make_request(options: ReachOptions) -> ReachRequest:
+    """The job's request; everything that can be wrong without looking is found here.
+
+    Raises:
+        InvalidGoalError, ConfigError: A malformed option.
+    """
+    from robot_ik.jobs.reach import ReachRequest
+
+    if not 0.0 < options.speed <= 1.0:
+        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+    if options.follow and not options.seconds > 0.0:
+        raise _wrong("--seconds", f"{options.seconds:g} s", "above 0")
+    return ReachRequest(
+        robot=options.robot,
+        solver=options.solver,
+        goal=make_goal(options.goal, options.frame) if options.goal else None,
+        frame=options.frame or None,
+        camera=options.camera,
+        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        pose_world_camera=_camera_pose(options.camera_pose),
+        marker_id=options.marker,
+        marker_size=options.marker_size,
+        dictionary=options.dictionary or None,
+        bus=options.bus,
+        arm_file=Path(options.arm) if options.arm else None,
+        speed=options.speed,
+        line=options.line,
+        follow=options.seconds if options.follow else 0.0,
+        view=options.view,
+        seed=options.seed,
+        rehearsal=_rehearsal(options.rehearse),
+    )
+
+
+def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
+    return ConfigError(problem, file="command line", key=key, allowed=allowed)
+
+
+def _camera_pose(numbers: tuple[float, ...]) -> Pose | None:
+    from robot_ik.geometry import Pose
+
+    if not numbers:
+        return None
+    if len(numbers) != 7:
+        raise _wrong("--camera-pose", f"{len(numbers)} numbers", "7: x y z in metres, then w x y z")
+    try:
+        return Pose(numbers[:3], numbers[3:])
+    except ValueError as error:
+        raise InvalidGoalError(f"--camera-pose: {error}") from error
+
+
+def _rehearsal(options: RehearseOptions) -> Rehearsal:
+    from robot_ik.jobs.reach import Rehearsal
+
+    offsets = {}
+    for item in options.zero_offset:
+        joint, _, degrees = item.partition("=")
+        try:
+            offsets[joint] = float(degrees)
+        except ValueError:
+            raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2") from None
+    place = options.marker_at
+    if place and len(place) not in (3, 4):
+        raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", "3 or 4: x y z in metres, yaw in degrees")
+    marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
+    return Rehearsal(
+        zero_offset_deg=offsets,
+        stuck=options.stuck,
+        cover_gripper=options.cover_gripper,
+        blank_marker=options.blank_marker,
+        marker_at=marker_at,
+    )
+
+
+# ------------------------------------------------------------------------------------ the table
+
+
+def print_report(report: ReachReport) -> None:
+    """The compact table of a reach."""
+    screen = console.out()
+    _print_limits(report, screen)
+    rows = console.table("reach", report.robot.file.title or report.robot.name)
+    for name, text in _rows(report):
+        rows.add_row(name, Text(text))
+    verdict = ("REACHED" if report.reached else "NOT REACHED", "bold green" if report.reached else "bold red")
+    rows.add_row("result", Text.assemble(verdict, f"  {report.verdict}" if report.verdict else ""))
+    screen.print(rows)
+
+
+def _rows(report: ReachReport) -> list[tuple[str, str]]:
+    return [*_goal_rows(report), *_solve_rows(report), *_motion_rows(report), *_judgement_rows(report)]
+
+
+def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
+    rows = []
+    seen = report.seen
+    if seen is not None:
+        rows.append((f"marker {seen.observation.id}", f"seen at {_mm(seen.pose_world_marker.position)} mm"))
+        if seen.true_pose is not None:
+            metres, radians = seen.pose_world_marker.distance(seen.true_pose)
+            text = f"true at {_mm(seen.true_pose.position)} mm; seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            rows.append(("", text))
+        elif report.eyes is not None:
+            pose = seen.observation.pose
+            quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
+            rows.append(("", f"in the camera's frame {_mm(pose.position)} mm, wxyz {quaternion}"))
+    if report.target is not None:
+        rows.append(("goal", f"{report.frame} at {_mm(report.target.position)} mm"))
+    return rows
+
+
+def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
+    solution = report.solution
+    if solution is None:
+        return []
+    steps = f"{solution.iterations} iteration{'s' if solution.iterations != 1 else ''}"
+    restarts = f", {solution.restarts} restarts" if solution.restarts else ""
+    took = f", {report.microseconds:.0f} µs" if report.microseconds is not None else ""
+    miss = solution.miss
+    return [
+        ("solver", f"{solution.solver}: {solution.status.name.lower()}, {steps}{restarts}{took}"),
+        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (MuJoCo's forward pass)"),
+    ]
+
+
+def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
+    rows = []
+    run, following = report.execution, report.following
+    if run is not None:
+        text = f"{run.duration:.2f} s"
+        if run.tracking_error is not None:
+            worst = int(run.tracking_error.argmax())
+            error = math.degrees(float(run.tracking_error[worst]))
+            text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
+        rows.append(("motion", text))
+    if following is not None:
+        text = f"{following.duration:.1f} s, {following.ticks} ticks: {following.solved} solved, {following.held} held"
+        rows.append(("following", text))
+    if report.counters:
+        count = report.counters
+        rate = f"{run.rate:.1f} Hz; " if run is not None else ""
+        rows.append(
+            (
+                f"bus {report.request.bus}",
+                f"{rate}{count['cycles']} cycles, {count['timeouts']} timeouts, {count['corrupt']} corrupt, "
+                f"{count['retries']} retries, {count['alerts']} alerts",
+            )
+        )
+    return rows
+
+
+def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
+    rows = []
+    if report.read_back is not None:
+        judged = report.read_back
+        rows.append(("read back", f"{_miss(judged)}  allowed {_bound(judged)} (servo ticks)"))
+    if report.by_camera is not None:
+        judged = report.by_camera
+        sigma = f"σ {1e3 * judged.sigma.position:.2f} mm, {math.degrees(judged.sigma.angle):.2f}°"
+        rows.append(("camera", f"{_miss(judged)}  allowed {_bound(judged)} (3 σ + ticks; {sigma})"))
+    return rows
+
+
+def _print_limits(report: ReachReport, screen: Any) -> None:
+    rows = console.table("joint", "model", "servo and map", "used")
+    for limit in report.limbs.limits:
+        servo = "-" if limit.servo is None else _range(limit.servo)
+        rows.add_row(limit.joint, _range(limit.model), servo, _range(limit.used))
+    screen.print(Text("joint limits, degrees (metres for slides)", style="dim"))
+    screen.print(rows)
+    screen.print()
+
+
+def _range(pair: tuple[float, float]) -> str:
+    return " … ".join("free" if math.isinf(v) else f"{math.degrees(v):.1f}" for v in pair)
+
+
+def _mm(position: Any) -> str:
+    return " ".join(f"{1e3 * float(v):.1f}" for v in position)
+
+
+def _miss(judged: Any) -> str:
+    return f"{1e3 * judged.position:.2f} mm, {math.degrees(judged.angle):.2f}°"
+
+
+def _bound(judged: Any) -> str:
+    return f"{1e3 * judged.allowed.position:.2f} mm, {math.degrees(judged.allowed.angle):.2f}°"

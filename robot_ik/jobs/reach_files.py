@@ -1,0 +1,248 @@
+"""What a reach leaves behind: ``reach.png``, ``trajectory.csv`` and ``summary.json`` in one folder."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from robot_ik.camera.overlay import before_after, draw_axes, draw_marker_outline, draw_robot
+from robot_ik.files import make_folder, write_atomically
+from robot_ik.geometry import Pose
+from robot_ik.jobs.reach import ReachReport
+from robot_ik.jobs.verdict import Judgement
+
+#: Version of summary.json; raised when a field changes its meaning.
+SCHEMA = 1
+_AXES_PER_HOVER = 0.6
+
+
+def run_folder(out: Path | None, job: str) -> Path:
+    """The folder for a run: as asked, or ``runs/<time>-<job>``.
+
+    Raises:
+        OutputError: It cannot be made or written.
+    """
+    if out is not None:
+        return make_folder(out)
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    base, k = Path("runs") / f"{stamp}-{job}", 1
+    folder = base
+    while folder.exists():
+        k += 1
+        folder = base.with_name(f"{base.name}-{k}")
+    return make_folder(folder)
+
+
+def save_reach(report: ReachReport, folder: Path) -> list[Path]:
+    """Writes what there is of a report; returns the files.
+
+    Raises:
+        OutputError: The folder went away or is full.
+    """
+    written = []
+    picture = reach_picture(report)
+    if picture is not None:
+        ok, data = cv2.imencode(".png", picture)
+        assert ok
+        write_atomically(folder / "reach.png", data.tobytes())
+        written.append(folder / "reach.png")
+    if report.execution is not None:
+        write_atomically(folder / "trajectory.csv", _table(report))
+        written.append(folder / "trajectory.csv")
+    text = json.dumps(plain(reach_summary(report)), indent=2, allow_nan=False, ensure_ascii=False)
+    write_atomically(folder / "summary.json", text + "\n")
+    return [*written, folder / "summary.json"]
+
+
+def reach_picture(report: ReachReport) -> Any:
+    """The camera's views before and after with the robot drawn registered over them (BGR), or None."""
+    eyes = report.eyes
+    if eyes is None or report.before is None:
+        return None
+    start = report.robot.home if report.q_start is None else report.q_start
+    before = _drawn(report, report.before, start)
+    if report.seen is not None:
+        label = f"marker {report.seen.observation.id}"
+        before = draw_marker_outline(before, report.seen.observation.corners, label=label)
+    captions = ["Before: " + _sight(report)]
+    end = report.q_end
+    if end is None and report.solution is not None:
+        end = report.solution.q
+    if end is None:
+        return before
+    after = _drawn(report, report.before if report.after is None else report.after, end)
+    captions.append(("After: " if report.q_end is not None else "Nearest found, not moved: ") + _outcome(report))
+    # Drawn without the hand of a designer, but captions and colours say what is measured and what is model.
+    return before_after(
+        before, after, captions,
+        title=f"{report.robot.file.title or report.robot.name}: {report.frame} to the goal",
+        footer="blue: the robot's model at the joint angles read back, drawn over the camera's picture; "
+        "axes: the goal",
+    )  # fmt: skip
+
+
+def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
+    eyes, robot = report.eyes, report.robot
+    assert eyes is not None
+    drawn = draw_robot(
+        image, robot.model, robot.qpos(q), eyes.intrinsics, eyes.pose_world_camera,
+        alpha=0.22, tint=(240, 150, 30), style="registered", line_colour=(255, 190, 70),
+    )  # fmt: skip
+    if report.target is None:
+        return drawn
+    pose = eyes.pose_world_camera.inverse().compose(report.target)
+    if pose.position[2] <= 0.01:
+        return drawn  # the goal is behind the camera
+    return draw_axes(drawn, pose, _AXES_PER_HOVER * eyes.stage.hover, eyes.intrinsics, label="goal")
+
+
+def _sight(report: ReachReport) -> str:
+    if report.seen is None:
+        return "the marker was not found" if report.goal is None else "the goal was given"
+    text = f"marker {report.seen.observation.id} seen"
+    if report.seen.true_pose is not None:
+        metres, radians = report.seen.pose_world_marker.distance(report.seen.true_pose)
+        text += f"\n{1e3 * metres:.2f} mm and {math.degrees(radians):.2f}° from where it truly is"
+    return text
+
+
+def _outcome(report: ReachReport) -> str:
+    if report.by_camera is not None:
+        judged = report.by_camera
+        return (
+            f"{'reached' if report.reached else 'NOT reached'}\nthe camera sees the {report.frame} "
+            f"{1e3 * judged.position:.2f} mm from the goal, {1e3 * judged.allowed.position:.2f} mm allowed"
+        )
+    if report.problem is not None:
+        return "NOT reached"
+    return f"{'reached' if report.reached else 'NOT reached'} by the servos' own account\n{report.verdict}"
+
+
+def _table(report: ReachReport) -> str:
+    run = report.execution
+    assert run is not None
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    head = ["time_s", *(f"{joint}_commanded" for joint in run.joints)]
+    columns = [run.times[:, None], run.commanded]
+    if run.measured is not None:
+        head += [f"{joint}_measured" for joint in run.joints]
+        columns.append(run.measured)
+    writer.writerow(head)
+    writer.writerows([[f"{value:.9g}" for value in row] for row in np.hstack(columns).tolist()])
+    return stream.getvalue()
+
+
+def reach_summary(report: ReachReport) -> dict[str, Any]:
+    """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says otherwise."""
+    request, limbs, run = report.request, report.limbs, report.execution
+    return {
+        "schema": SCHEMA,
+        "job": "reach",
+        "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "reached": report.reached,
+        "problem": None if report.problem is None else str(report.problem),
+        "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
+        "bus": request.bus,
+        "camera": request.camera if report.eyes is not None else None,
+        "marker": _marker_facts(report),
+        "goal": None if report.target is None or report.goal is None else {
+            **_pose(report.target), "position_asked": report.goal.has_position, "angle_asked": report.goal.has_angle,
+        },
+        "limits": [asdict(limit) for limit in limbs.limits],
+        "solution": _solution_facts(report),
+        "motion": None if run is None else {
+            "duration_s": run.duration,
+            "rate_hz": run.rate,
+            "overruns": run.overruns,
+            "tracking_error_rad": run.tracking_error,
+            "samples": len(run.times),
+        },
+        "following": None if report.following is None else {
+            "ticks": report.following.ticks,
+            "solved": report.following.solved,
+            "held": report.following.held,
+            "capped": report.following.capped,
+            "rate_hz": report.following.rate,
+            "tracking_error_rad": report.following.tracking_error,
+        },
+        "q": report.q_end,
+        "read_back": _judgement(report.read_back),
+        "by_camera": _judgement(report.by_camera),
+        "verdict": report.verdict,
+        "bus_counters": report.counters,
+    }  # fmt: skip
+
+
+def _marker_facts(report: ReachReport) -> dict[str, Any] | None:
+    if report.seen is None:
+        return None
+    seen = report.seen
+    return {
+        "id": seen.observation.id,
+        "camera": _pose(seen.observation.pose),
+        "world": _pose(seen.pose_world_marker),
+        "true_world": None if seen.true_pose is None else _pose(seen.true_pose),
+        "corners_px": seen.observation.corners,
+        "reprojection_error_px": seen.observation.reprojection_error,
+        "ambiguity": seen.observation.ambiguity,
+        "covariance": seen.observation.covariance,
+    }
+
+
+def _solution_facts(report: ReachReport) -> dict[str, Any] | None:
+    solution = report.solution
+    if solution is None:
+        return None
+    return {
+        "solver": solution.solver,
+        "status": solution.status.name.lower(),
+        "q": solution.q,
+        "iterations": solution.iterations,
+        "restarts": solution.restarts,
+        "microseconds": report.microseconds,
+        "miss_position_m": solution.miss.position,
+        "miss_angle_rad": solution.miss.angle,
+    }
+
+
+def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
+    if judged is None:
+        return None
+    return {
+        "passed": judged.passed,
+        "position_m": judged.position,
+        "angle_rad": judged.angle,
+        "allowed_position_m": judged.allowed.position,
+        "allowed_angle_rad": judged.allowed.angle,
+        "sigma_position_m": judged.sigma.position,
+        "sigma_angle_rad": judged.sigma.angle,
+        "tool": _pose(judged.pose),
+    }
+
+
+def _pose(pose: Pose) -> dict[str, Any]:
+    return {"position": pose.position, "wxyz": pose.wxyz}
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON can hold it: arrays become lists, numbers that are not finite become null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return value

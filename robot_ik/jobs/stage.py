@@ -1,0 +1,244 @@
+"""What stands round the robot in `robot-ik reach`: table, printed markers, camera.
+
+A robot's ``robot.toml`` says so under ``[reach]``; for any other model a stage is made up from its own
+kinematics: a goal that it can reach, a marker in front of that, and a camera that sees both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.stage import Table
+from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, look_at
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose, rotation_exp
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+# The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
+FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
+
+# Proportions of a made-up stage, in reaches of the robot.
+_MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
+_CUBE_PER_MARKER = 1.2  # paper margin round the markers on the cube
+_MADE_UP_IDS = (20, 21, 22, 23)
+_TRIES = 60
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What stands round the robot.
+
+    Attributes:
+        intrinsics, pose_world_camera: The camera.
+        marker_id, dictionary, marker_size: The printed marker to reach.
+        pose_world_marker: Where it lies at first.
+        hover: How far from the paper the tool stops, metres.
+        cube_frame: Robot frame that carries the tool's markers.
+        cube_offset: The cube seen from that frame.
+        cube: Marker id -> (side, ``pose_cube_marker``).
+        table: Where the marker lies, or None.
+        made_up: True when no ``robot.toml`` describes it.
+    """
+
+    intrinsics: CameraIntrinsics
+    pose_world_camera: Pose
+    marker_id: int
+    dictionary: str
+    marker_size: float
+    pose_world_marker: Pose
+    hover: float
+    cube_frame: str
+    cube_offset: Pose
+    cube: Mapping[int, tuple[float, Pose]]
+    table: Table | None = None
+    made_up: bool = False
+
+    @property
+    def pose_marker_tool(self) -> Pose:
+        """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
+        return Pose((0.0, 0.0, self.hover)).compose(FACING)
+
+    def scene(self, robot: Robot, pose_world_marker: Pose | Callable[[float], Pose] | None = None) -> SyntheticScene:
+        """The scene for the synthetic camera."""
+        target = SyntheticMarker(
+            self.marker_id,
+            self.marker_size,
+            self.pose_world_marker if pose_world_marker is None else pose_world_marker,
+            dictionary=self.dictionary,
+        )
+        carried = tuple(
+            SyntheticMarker(
+                id, side, self.cube_offset.compose(pose), frame=self.cube_frame, dictionary=self.dictionary
+            )
+            for id, (side, pose) in self.cube.items()
+        )
+        return SyntheticScene(
+            robot, self.intrinsics, self.pose_world_camera, (target, *carried), table=self.table
+        )
+
+
+def stage_for(robot: Robot, frame: str | None = None) -> Stage:
+    """The stage of ``robot.toml``, or one made up from the kinematics of ``frame`` (default: the tool)."""
+    return _described(robot) if robot.file.reach is not None else _made_up(robot, frame or robot.tool)
+
+
+def _described(robot: Robot) -> Stage:
+    reach = robot.file.reach
+    assert reach is not None
+    place, marker, tool = reach.camera, reach.marker, reach.tool_marker
+    centre = ((place.width - 1) / 2, (place.height - 1) / 2)
+    intrinsics = CameraIntrinsics(
+        place.width, place.height, place.focal, place.focal, *centre, distortion=place.distortion
+    )
+    yaw = rotation_exp([0.0, 0.0, np.deg2rad(marker.yaw_deg)])
+    cube_pose = robot.forward(robot.home, tool.site)
+    cube = {
+        id: (tool.size, cube_pose.inverse().compose(robot.forward(robot.home, f"marker_{id}")))
+        if f"marker_{id}" in robot.frames
+        else (tool.size, _cube_side(k, tool.cube))
+        for k, id in enumerate(tool.ids)
+    }
+    table = None if reach.table is None else Table(reach.table.height, reach.table.x, reach.table.y)
+    return Stage(
+        intrinsics=intrinsics,
+        pose_world_camera=look_at(place.position, place.look_at),
+        marker_id=marker.id,
+        dictionary=marker.dictionary,
+        marker_size=marker.size,
+        pose_world_marker=Pose(marker.position, yaw),
+        hover=reach.hover,
+        cube_frame=tool.site,
+        cube_offset=Pose(),
+        cube=cube,
+        table=table,
+    )
+
+
+def _cube_side(k: int, edge: float) -> Pose:
+    """``pose_cube_marker`` of the k-th side (+x, +y, -x, -y): z outwards, y along the cube's z."""
+    angle = k * np.pi / 2
+    out = np.array([np.cos(angle), np.sin(angle), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    return Pose.from_rotation(np.column_stack([np.cross(up, out), up, out]), out * edge / 2)
+
+
+def _made_up(robot: Robot, frame: str) -> Stage:
+    ball = robot.reach(frame)
+    reach = 1.0 if ball is None else max(ball[1], 1e-3)
+    side = _TOOL_MARKER_SIDE * reach
+    cube = {id: (side, _cube_side(k, side * _CUBE_PER_MARKER)) for k, id in enumerate(_MADE_UP_IDS)}
+    focal = 1100.0
+    stage = Stage(
+        intrinsics=CameraIntrinsics(1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)),
+        pose_world_camera=Pose(),
+        marker_id=7,
+        dictionary="DICT_5X5_50",
+        marker_size=_MARKER_SIDE * reach,
+        pose_world_marker=Pose(),
+        hover=_HOVER * reach,
+        cube_frame=frame,
+        # Held in front of the tool, so that whatever the tool is made of does not hide it.
+        cube_offset=Pose((0.0, 0.0, 0.6 * side * _CUBE_PER_MARKER)),
+        cube=cube,
+        made_up=True,
+    )
+    return _best_view(robot, frame, stage, reach)
+
+
+def _best_view(robot: Robot, frame: str, stage: Stage, reach: float) -> Stage:
+    """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
+    rng = np.random.default_rng(0)
+    best, best_score = None, 0.0
+    home = robot.forward(robot.home, frame)
+    for attempt in range(_TRIES):
+        # From a quarter of the range towards all of it, should nothing near home do.
+        share = 0.25 + 0.75 * attempt / _TRIES
+        q = robot.clip(_between(robot, robot.home, robot.sample(rng), share))
+        tool = robot.forward(q, frame)
+        if not 0.05 * reach < tool.distance(home)[0]:
+            continue
+        marker = tool.compose(stage.pose_marker_tool.inverse())
+        placed = replace(stage, pose_world_marker=marker)
+        for pose in _cameras(marker.position, tool.position, reach):
+            score = _visibility(robot, replace(placed, pose_world_camera=pose), q)
+            if score > best_score:
+                best, best_score = replace(placed, pose_world_camera=pose), score
+        if best_score > 0.35:
+            break
+    if best is None:
+        raise CameraError(
+            f"no camera place shows a goal of frame {frame!r} of {robot.name}: the robot hides it everywhere",
+            hint="give a goal yourself (--goal X Y Z), or another frame (--frame), "
+            "or describe the scene in a robot.toml beside the model ([reach])",
+        )
+    return best
+
+
+def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:
+    """A configuration on the way from a to b; b itself where q is no vector space (ball and free joints)."""
+    return a + share * (b - a) if robot.nq == robot.nv else b
+
+
+def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
+    middle = 0.5 * (marker + tool)
+    found = []
+    for elevation in np.deg2rad([20.0, 40.0, 60.0]):
+        for azimuth in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
+            direction = np.array(
+                [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+            )
+            found.append(look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
+    return found
+
+
+def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
+    """0 when marker or cube cannot be seen, towards 1 when both face the camera squarely."""
+    at_home = _facing(robot, stage, robot.home, [stage.pose_world_marker], [stage.marker_size])
+    if at_home <= 0.0:
+        return 0.0
+    cube = robot.forward(q_goal, stage.cube_frame).compose(stage.cube_offset)
+    sides = [cube.compose(pose) for _, pose in stage.cube.values()]
+    return min(at_home, _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()]))
+
+
+def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> float:
+    """Cosine between view and paper of the marker that is seen best and whole; 0 when none is."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_kinematics(robot.model, data)
+    eye = stage.pose_world_camera.position
+    width, height = stage.intrinsics.size
+    best = 0.0
+    for pose, side in zip(markers, sides, strict=True):
+        h = 0.6 * side
+        points = pose.apply([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]])
+        view = eye - pose.position
+        cosine = float(pose.rotation[:, 2] @ view / np.linalg.norm(view))
+        if cosine <= max(best, 0.25):
+            continue
+        pixels = stage.intrinsics.project(stage.pose_world_camera.inverse().apply(points))
+        if not ((pixels > 20).all() and (pixels < [width - 20, height - 20]).all()):
+            continue
+        if all(_clear(robot.model, data, eye, point) for point in points):
+            best = cosine
+    return best
+
+
+def _clear(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array) -> bool:
+    """Whether no geom stands between ``eye`` and ``point``."""
+    ray = point - eye
+    length = float(np.linalg.norm(ray))
+    geom = np.zeros(1, dtype=np.int32)
+    hit = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, geom, None)
+    return hit < 0 or hit > length - 1e-4

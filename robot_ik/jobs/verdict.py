@@ -1,0 +1,139 @@
+"""Did the arm reach its goal?  Two answers that know nothing of each other.
+
+The servos' registers say where the joints are (through MuJoCo's forward pass); a camera says where the
+tool really is.  A servo with a slipped horn passes the first and fails the second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.pose import BodyObservation
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Tolerance
+    from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+# However uncertain the camera, a larger miss than this is no success.
+LARGEST_MISS = 0.005  # metres
+LARGEST_ANGLE = np.deg2rad(1.0)
+# Standard deviations within which a measurement is believed.
+SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Largest miss that is explained: metres and radians."""
+
+    position: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A measured miss and what was allowed.
+
+    Attributes:
+        position, angle: Metres, radians; 0 for the part that the goal leaves free.
+        allowed: The bound.
+        sigma: Standard deviation of the measurement, metres and radians; zeros where it is exact.
+        pose: Where the tool was measured, world.
+    """
+
+    position: float
+    angle: float
+    allowed: Bound
+    sigma: Bound
+    pose: Pose
+
+    @property
+    def passed(self) -> bool:
+        """Whether the miss is within the bound."""
+        return self.position <= self.allowed.position and self.angle <= self.allowed.angle
+
+
+def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, tolerance: Tolerance) -> Bound:
+    """How far the tool may be off although every servo is right to a tick.
+
+    Half a tick of each joint for rounding the command, half for rounding what is read back, all in the
+    worst direction at once: Σ ‖J_j‖ · tick_j, plus the tolerance of the solve.
+
+    Args:
+        robot: At ``q`` (nq,).
+        q: See ``robot``.
+        resolution: (nv,) rad per tick of each joint; zeros without servos.
+        frame: The tool.
+        tolerance: Of the solve.
+    """
+    jacobian = robot.jacobian(q, frame)
+    return Bound(
+        float(np.linalg.norm(jacobian[:3], axis=0) @ resolution) + tolerance.position,
+        float(np.linalg.norm(jacobian[3:], axis=0) @ resolution) + tolerance.angle,
+    )
+
+
+def distance(pose: Pose, goal: Goal, target: Pose) -> tuple[float, float]:
+    """Metres and radians from ``pose`` to the goal's target; 0 for the part it leaves free."""
+    metres, radians = pose.distance(target)
+    return metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0
+
+
+def judge_read_back(robot: Robot, q: Array, goal: Goal, target: Pose, frame: str, bound: Bound) -> Judgement:
+    """The miss at the joint angles read back (nq,), by MuJoCo's own forward pass."""
+    pose = robot.measure(q, frame)
+    metres, radians = distance(pose, goal, target)
+    return Judgement(metres, radians, bound, Bound(0.0, 0.0), pose)
+
+
+def judge_by_camera(
+    seen: BodyObservation,
+    pose_world_camera: Pose,
+    pose_body_tool: Pose,
+    goal: Goal,
+    target: Pose,
+    bound: Bound,
+) -> Judgement:
+    """The miss as a camera sees it: the tool carries markers.
+
+    Allowed is three standard deviations of the measurement plus the quantisation of the servos, and never
+    more than 5 mm and 1 degree.
+
+    Args:
+        seen: The marker body in the picture.
+        pose_world_camera: Where the camera is.
+        pose_body_tool: The tool seen from the marker body.
+        goal: What was wanted, at ``target`` in the world.
+        target: See ``goal``.
+        bound: From ``quantisation``.
+    """
+    pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
+    metres, radians = distance(pose, goal, target)
+    sigma = _sigma_at(seen, seen.pose_camera_body.rotation @ pose_body_tool.position)
+    allowed = Bound(
+        min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
+        min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
+    )
+    return Judgement(metres, radians, allowed, sigma, pose)
+
+
+def _sigma_at(seen: BodyObservation, lever: Array) -> Bound:
+    """Standard deviation in the worst direction, at a point ``lever`` (3,) away from the body's origin.
+
+    A small turn ω of the body moves that point by ω × lever; lever and covariance along camera axes.
+    """
+    x, y, z = lever
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    jacobian = np.hstack([np.eye(3), -cross])
+    at_point = jacobian @ seen.covariance @ jacobian.T
+    return Bound(
+        float(np.sqrt(np.linalg.eigvalsh(at_point)[-1])),
+        float(np.sqrt(np.linalg.eigvalsh(seen.covariance[3:, 3:])[-1])),
+    )
