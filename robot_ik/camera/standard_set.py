@@ -145,7 +145,7 @@ def _paint_paper(
     total = np.zeros(len(some_wall))
     for offset in _LATTICE:
         # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
-        ideal = some_centres + some_slopes @ offset
+        ideal = some_centres + some_slopes[..., 0] * offset[0] + some_slopes[..., 1] * offset[1]
         total += _paper_value(ideal, some_wall, to_paper, levels, look.white)
     one_ray[mixed] = total / _RAYS
     canvas[y0:y1, x0:x1] = one_ray
