@@ -145,13 +145,13 @@ class Cycle:
             BusTimeoutError: All are.
             BusDisconnectedError: The port went away.
         """
-        self.stay_alive()
+        # The time before the packet, and before the last look at the clock: this process may be stalled
+        # anywhere between, and the next look must see that.
         start = self._clock.now()
+        self.stay_alive()
         statuses = self._bus.sync_read(self._config.ids, self._present)
-        now = self._clock.now()
-        # From before the last cycle's packet to after this one's: this process may have been stalled between.
-        self._suspect = self._suspect or now - self._last_traffic >= self._trust
         self._last_traffic = start
+        now = self._clock.now()
         self.samples.take(statuses, now)
         for joint in self._config.joints:
             if statuses[joint.id].alert:

@@ -277,6 +277,7 @@ def test_an_exception_anywhere_in_a_transaction_leaves_the_port_usable(bus, meth
     for action in (lambda: bus.read(99 if method == "isPacketTimeout" else 2, POSITION),):
         with pytest.raises(Interrupt):
             action()
+    assert not handler.is_using  # or the next packet, torque off perhaps, would be dropped
     bus.write(2, XM["torque_enable"], 1)
     bus.write(2, XM["torque_enable"], 0)
     assert bus.read(2, XM["torque_enable"]).data == 0
