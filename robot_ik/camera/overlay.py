@@ -129,7 +129,7 @@ def draw_path(
     colour: Colour = ORANGE,
     width: int = 2,
 ) -> Image:
-    """Draws a line through points (n, 3) of the camera frame, metres, with a dark rim that shows on any ground."""
+    """Draws a line with a dark rim through points (n, 3) of the camera frame, metres."""
     result = image.copy()
     runs = _runs(np.asarray(points_camera, dtype=float).reshape(-1, 3), intrinsics)
     cv2.polylines(result, runs, False, DARK, width + 2, cv2.LINE_AA, _SHIFT)

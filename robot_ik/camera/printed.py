@@ -225,31 +225,39 @@ def paint_marker(
     tone, area = tone.reshape(u.shape), area.reshape(u.shape)
     uniform = _uniform(tone, area)
     hidden, partly = _hidden(centre, depth, usable & (area > 0), blocked)
-    hits = np.where(hidden, 0.0, area)
-    tones = np.where(hidden, 0.0, tone)
-    fine = np.flatnonzero(usable & (~uniform | (partly & (area > 0))))
-    whole = area.copy()
-    if fine.size:
-        rows, columns = np.unravel_index(fine, u.shape)
-        shift = (np.arange(_SUB) + 0.5) / _SUB - 0.5
-        dx, dy = (d.ravel() for d in np.meshgrid(shift, shift))
-        pixels = np.stack([(x[columns][:, None] + dx).ravel(), (y[rows][:, None] + dy).ravel()], axis=1)
-        rays = field.points(pixels)
-        su, sv, sd = plane.map(rays)
-        hu, hv = (np.repeat(c.ravel()[fine] / _SUB, _SUB * _SUB) for c in (half_u, half_v))
-        t, a = sheet.integrate(su, sv, hu, hv)
-        whole.ravel()[fine] = a.reshape(-1, _SUB * _SUB).mean(axis=1)
-        ask = np.flatnonzero(np.repeat((partly | hidden).ravel()[fine], _SUB * _SUB) & (a > 0))
-        if blocked is not None and ask.size:
-            gone = ask[blocked(rays[ask], sd[ask])]
-            t[gone], a[gone] = 0.0, 0.0
-        hits.ravel()[fine] = a.reshape(-1, _SUB * _SUB).mean(axis=1)
-        tones.ravel()[fine] = t.reshape(-1, _SUB * _SUB).mean(axis=1)
-    hits = np.clip(hits, 0.0, 1.0)
-    visible = float(hits.sum() / max(whole.sum(), 1e-9))
-    return PaintedMarker(
-        box, hits, np.where(hits > 1e-9, tones / np.maximum(hits, 1e-9), PAPER), visible, depth
-    )
+    shown, tones, whole = np.where(hidden, 0.0, area), np.where(hidden, 0.0, tone), area.copy()
+    fine = np.nonzero(usable & (~uniform | (partly & (area > 0))))
+    if len(fine[0]):
+        pixels = np.stack([x[fine[1]], y[fine[0]]], axis=1)
+        cell = np.stack([half_u[fine], half_v[fine]], axis=1)
+        asks = blocked if (partly | hidden)[fine].any() else None
+        whole[fine], shown[fine], tones[fine] = _subpixels(sheet, plane, field, pixels, cell, asks)
+    shown = np.clip(shown, 0.0, 1.0)
+    visible = float(shown.sum() / max(whole.sum(), 1e-9))
+    tones = np.where(shown > 1e-9, tones / np.maximum(shown, 1e-9), PAPER)
+    return PaintedMarker(box, shown, tones, visible, depth)
+
+
+def _subpixels(
+    sheet: Sheet, plane: _Plane, field: RayField, pixels: Array, cell: Array, blocked: Blocker | None
+) -> tuple[Array, Array, Array]:
+    """Paper in each of ``pixels`` (n, 2), the part of it that is seen, and its reflectance times that part.
+
+    ``cell`` (n, 2) are half widths of a pixel in cells; each result is (n,).
+    """
+    shift = (np.arange(_SUB) + 0.5) / _SUB - 0.5
+    offsets = np.stack(np.meshgrid(shift, shift), axis=-1).reshape(-1, 2)
+    count = len(offsets)
+    rays = field.points((pixels[:, None] + offsets).reshape(-1, 2))
+    u, v, depth = plane.map(rays)
+    half = np.repeat(cell / _SUB, count, axis=0)
+    tone, area = sheet.integrate(u, v, half[:, 0], half[:, 1])
+    whole = area.reshape(-1, count).mean(axis=1)
+    if blocked is not None:
+        ask = np.flatnonzero(area > 0)
+        gone = ask[blocked(rays[ask], depth[ask])]
+        tone[gone], area[gone] = 0.0, 0.0
+    return whole, area.reshape(-1, count).mean(axis=1), tone.reshape(-1, count).mean(axis=1)
 
 
 def _uniform(tone: Array, area: Array) -> NDArray[np.bool_]:

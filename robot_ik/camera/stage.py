@@ -13,18 +13,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.raycast import Caster, ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.lights import Lights
+from robot_ik.camera.raycast import Caster, ray_field
+from robot_ik.camera.texture import noise, wood
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 # Colours as BGR reflectance.
-_WOOD_LIGHT, _WOOD_DARK = np.array([0.46, 0.62, 0.77]), np.array([0.29, 0.43, 0.58])
 _LEG = np.array([0.20, 0.19, 0.18])
-_FLOOR = np.array([0.66, 0.645, 0.625])
-_BACKDROP_LOW, _BACKDROP_HIGH = np.array([0.70, 0.685, 0.665]), np.array([0.90, 0.875, 0.845])
+_FLOOR = np.array([0.60, 0.585, 0.57])
+_BACKDROP_LOW, _BACKDROP_HIGH = np.array([0.54, 0.525, 0.51]), np.array([0.70, 0.675, 0.65])
 # The floor fades into the backdrop between these distances from the subject, metres.
 _FADE = (1.6, 4.2)
 _TABLE_THICKNESS = 0.03
@@ -53,87 +54,6 @@ class Table:
         if self.floor is not None:
             return self.floor
         return 0.0 if self.height > 0.2 else self.height - 0.7
-
-
-@dataclass(frozen=True)
-class Lights:
-    """One large lamp, a bright ceiling, a window behind the camera, and light from everywhere.
-
-    Attributes:
-        lamp: Position (3,) of the lamp, metres, world.
-        lamp_radius: Its radius: how soft its shadows are.
-        ceiling: Centre (3,) of the bright ceiling; ``ceiling_radius`` its radius.
-        ceiling_radius: See ``ceiling``.
-        window: Where the window (3,) is; it throws no shadows.
-        strength: Of lamp, ceiling, window, ambient from above, ambient from below; they add up to about 1
-            on a level sheet of paper.
-    """
-
-    lamp: Array
-    lamp_radius: float
-    ceiling: Array
-    ceiling_radius: float
-    window: Array
-    strength: tuple[float, float, float, float, float] = (0.32, 0.19, 0.26, 0.28, 0.28)
-
-    @classmethod
-    def beside(cls, pose_world_camera: Pose, distance: float) -> Lights:
-        """A lamp above and to the left of the camera, a ceiling above what it looks at."""
-        turn, eye = pose_world_camera.rotation, pose_world_camera.position
-        subject = eye + turn[:, 2] * distance
-        lamp = eye - 0.55 * distance * turn[:, 0] + np.array([0.0, 0.0, 0.9 * distance])
-        overhead = subject + np.array([0.0, 0.0, 1.6 * distance])
-        return cls(lamp, 0.10 * distance, overhead, 0.8 * distance, eye)
-
-    def terms(self, points: Array, normals: Array) -> tuple[Array, Array, Array]:
-        """Light (n,) that ``points`` (n, 3) with ``normals`` (n, 3) get: lamp, ceiling, ambient."""
-        lamp, ceiling, window, above, below = self.strength
-
-        def facing(source: Array) -> Array:
-            way = source - points
-            return np.asarray(
-                np.maximum(np.einsum("ij,ij->i", way, normals) / np.maximum(np.linalg.norm(way, axis=1), 1e-9), 0.0)
-            )
-
-        up = 0.5 + 0.5 * normals[:, 2]
-        ambient = below + (above - below) * up + window * facing(self.window)
-        return lamp * facing(self.lamp), ceiling * facing(self.ceiling), ambient
-
-    def spots(self, source: str, count: int) -> Array:
-        """``count`` points (count, 3) on the level disc of the ``"lamp"`` or the ``"ceiling"``."""
-        centre, radius = (
-            (self.lamp, self.lamp_radius) if source == "lamp" else (self.ceiling, self.ceiling_radius)
-        )
-        k = np.arange(count)
-        # a sunflower fills a disc evenly with any number of points
-        r, angle = radius * np.sqrt((k + 0.5) / count), k * np.pi * (3.0 - np.sqrt(5.0))
-        return np.asarray(centre + np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], axis=1))
-
-
-def _noise(x: Array, y: Array, seed: int) -> Array:
-    """Smooth noise in -1..1 with unit cells at (x, y): value noise on a hashed lattice."""
-    table = np.random.default_rng(seed).uniform(-1.0, 1.0, (64, 64))
-    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    u, v = x - i, y - j
-    u, v = u * u * (3 - 2 * u), v * v * (3 - 2 * v)
-    a, b = table[j & 63, i & 63], table[j & 63, (i + 1) & 63]
-    c, d = table[(j + 1) & 63, i & 63], table[(j + 1) & 63, (i + 1) & 63]
-    return np.asarray((a + (b - a) * u) * (1 - v) + (c + (d - c) * u) * v)
-
-
-def wood(x: Array, y: Array) -> Array:
-    """BGR reflectance (n, 3) of planks along y at places (x, y) in metres."""
-    width = 0.115
-    plank = np.floor(x / width)
-    across, along = x / width - plank, y + 0.37 * plank
-    own = _noise(plank * 7.3 + 0.5, plank * 0 + 0.5, 5)
-    wave = _noise(along * 2.2 + 13 * plank, across * 1.3 + 3 * plank, 1)
-    rings = np.sin(2 * np.pi * (5.0 * across + 1.1 * wave + 0.5 * _noise(along * 6, across * 5 + plank, 2)))
-    fibre = _noise(along * 14 + 31 * plank, x * 900, 3) + 0.6 * _noise(along * 45, x * 1900, 4)
-    dark = 0.42 + 0.17 * own + 0.16 * rings + 0.10 * fibre
-    gap = np.minimum(across, 1 - across) * width
-    tone = _WOOD_LIGHT + (_WOOD_DARK - _WOOD_LIGHT) * np.clip(dark, 0, 1)[:, None]
-    return np.asarray(tone * (1 - 0.45 * np.exp(-((gap / 0.0011) ** 2)))[:, None])
 
 
 def _environment(table: Table | None, floor: float) -> mujoco.MjModel:
@@ -201,12 +121,12 @@ class Stage:
         return np.asarray(_BACKDROP_LOW + (_BACKDROP_HIGH - _BACKDROP_LOW) * blend)
 
     def _floor_albedo(self, points: Array, rays: Array) -> tuple[Array, Array]:
-        """Reflectance (n, 3) of the floor, and the part of it (n,) that is backdrop, which shines by itself."""
+        """Reflectance (n, 3) of the floor, and the part of it (n,) that is backdrop and shines by itself."""
         far = np.linalg.norm(points[:, :2] - self._subject[:2], axis=1)
         t = np.clip((far - _FADE[0]) / (_FADE[1] - _FADE[0]), 0, 1)
         t = t * t * (3 - 2 * t)
         x, y = points[:, 0], points[:, 1]
-        speck = 1 + 0.05 * _noise(x * 3, y * 3, 8) + 0.03 * _noise(x * 60, y * 60, 9)
+        speck = 1 + 0.05 * noise(x * 3, y * 3, 8) + 0.03 * noise(x * 60, y * 60, 9)
         return _FLOOR * (speck * (1 - t))[:, None] + self._backdrop(rays) * t[:, None], t
 
     def _light(self, points: Array, normals: Array) -> Array:
@@ -294,7 +214,7 @@ class Stage:
             for k in range(3):
                 parts[k][rows, columns] = tone * light[:, k : k + 1]
         self._exact_where(parts, geom, hits.depth.reshape(h, w))
-        return StillPicture(*parts, hits.depth.reshape(h, w).astype(np.float32))
+        return StillPicture(parts[0], parts[1], parts[2], hits.depth.reshape(h, w).astype(np.float32))
 
     def _exact_where(self, parts: list[Float32], geom: NDArray[np.int32], depth: Array) -> None:
         """Legs and table sides pixel by pixel, and edges with four rays a pixel."""

@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.photograph import QUALITIES, Photographer, PlacedSheet
+from robot_ik.camera.lights import Lights
+from robot_ik.camera.photograph import Photographer, PlacedSheet
 from robot_ik.camera.printed import Condition, PaintedMarker, make_sheet
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.stage import Lights, Table
+from robot_ik.camera.stage import Table
+from robot_ik.camera.view import QUALITIES
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock
@@ -54,9 +56,9 @@ class SceneRobot(Protocol):
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
-    """``pose_world_camera`` of a camera at ``position`` that looks at ``target``, ``up`` upwards in the picture.
+    """Where a camera is that looks from ``position`` at ``target``: ``pose_world_camera``.
 
-    OpenCV camera axes: x right, y down, z forward.
+    OpenCV camera axes: x right, y down, z forward; ``up`` is upwards in the picture.
 
     Raises:
         CameraError: Position and target coincide, or ``up`` is along the view.
@@ -66,7 +68,7 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1
     right = np.cross(forward, np.asarray(up, dtype=float))
     if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
         raise CameraError(
-            f"a camera at {position} cannot look at {target} with {up} upwards",
+            f"a camera at {position!r} cannot look at {target!r} with {up!r} upwards",
             hint="choose another target, or an up direction that is not along the view",
         )
     forward /= np.linalg.norm(forward)
@@ -201,7 +203,7 @@ class SyntheticSource(ClosingSource):
         self._vignette: NDArray[np.float32] | None = None
 
     def read(self) -> Frame:
-        """Takes the next picture, with ``truth``: a dict of
+        """Takes the next picture; its ``truth`` is a dict.
 
         * ``q`` (nq,), ``pose_world_camera``,
         * ``pose_camera_marker`` and ``pose_world_marker``: by id, of the markers that are seen,
@@ -236,7 +238,7 @@ class SyntheticSource(ClosingSource):
             self._vignette = (255.0 * (1 - _VIGNETTE * 0.5 * (x[None, :] ** 2 + y[:, None] ** 2)))[..., None]
         picture = light * self._vignette
         if self._blur > 0:
-            picture = cv2.GaussianBlur(picture, (0, 0), self._blur)
+            picture = cv2.GaussianBlur(picture, (0, 0), self._blur).astype(np.float32, copy=False)
         if self._noise > 0:
             rng = np.random.default_rng([self._seed, self._sequence])
             picture += np.float32(self._noise) * rng.standard_normal(picture.shape, dtype=np.float32)
@@ -280,7 +282,7 @@ def _subject_distance(scene: SyntheticScene) -> float:
     """How far from the lens the things of interest are: the table, else the robot's middle, metres."""
     inverse = scene.pose_world_camera.inverse()
     if scene.table is not None:
-        centre = [np.mean(scene.table.x), np.mean(scene.table.y), scene.table.height]
+        centre = np.array([np.mean(scene.table.x), np.mean(scene.table.y), scene.table.height])
     else:
-        centre = list(np.asarray(scene.robot.model.stat.center))
+        centre = np.array(scene.robot.model.stat.center, dtype=float)
     return float(max(inverse.apply(centre)[2], 0.3))

@@ -35,7 +35,7 @@ def text_size(text: str, size: int, *, bold: bool = False) -> tuple[int, int]:
     if font is None:
         (width, _), _ = cv2.getTextSize(text.translate(_PLAIN), _HERSHEY, size / _HERSHEY_EM, 1)
         return int(width), round(0.72 * size)
-    box = cv2.getTextSize((4096, 4096), text, (0, 0), font, size, 700 if bold else 400)  # type: ignore[call-overload]
+    box = cv2.getTextSize((4096, 4096), text, (0, 0), font, size, 700 if bold else 400)
     return int(box[2]), round(0.72 * size)
 
 
@@ -48,10 +48,10 @@ def write(
     *,
     bold: bool = False,
 ) -> None:
-    """Writes into ``image``; ``origin`` (x, y) is the left end of the base line, ``size`` the em in pixels."""
+    """Writes into ``image`` from ``origin`` (x, y) on the base line, in letters of ``size`` px."""
     font = _outline_font()
     if font is None:
         scale, width = size / _HERSHEY_EM, 2 if bold and size > 16 else 1
         cv2.putText(image, text.translate(_PLAIN), origin, _HERSHEY, scale, colour, width, cv2.LINE_AA)
         return
-    cv2.putText(image, text, origin, colour, font, size, 700 if bold else 400)  # type: ignore[call-overload]
+    cv2.putText(image, text, origin, colour, font, size, 700 if bold else 400)

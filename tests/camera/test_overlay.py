@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from robot_ik.camera import overlay, text
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.mesh import build_mesh, geom_rgba, triangulate
+from robot_ik.camera.mesh import build_mesh, geom_rgba
 from robot_ik.camera.painter import bounding_box, paint, paint_mask, visible_polygons
+from robot_ik.camera.primitives import triangulate
 from robot_ik.camera.synthetic import look_at
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, rotation_exp
@@ -125,7 +126,7 @@ def test_a_mesh_geom_is_painted_and_a_fine_one_is_thinned() -> None:
 
 def test_the_arm_is_painted_where_rays_see_it_and_nearer_parts_hide_farther_ones() -> None:
     robot = load_robot("puma560")
-    for q in (robot.home, robot.home + [-0.12, 0.05, 0.47, 0.3, 0.2, -1.0], robot.home * 0.3):
+    for q in (robot.home, robot.home + np.array([-0.12, 0.05, 0.47, 0.3, 0.2, -1.0]), robot.home * 0.3):
         polygons = visible_polygons(robot.model, robot.qpos(q), WIDE, VIEW)
         geom = seen_by_rays(robot.model, robot.qpos(q), WIDE, VIEW)
         mask = paint_mask((720, 1280), polygons) > 127
@@ -258,7 +259,8 @@ def test_hidden_lines_are_left_out() -> None:
 def test_floors_and_invisible_geoms_are_left_out() -> None:
     model = model_of(
         "<geom type='plane' size='0 0 .1' pos='0 0 2' euler='180 0 0'/>"
-        "<geom type='sphere' size='.1' pos='0 0 1' group='3'/><geom type='sphere' size='.1' pos='0 0 1' rgba='1 1 1 0'/>"
+        "<geom type='sphere' size='.1' pos='0 0 1' group='3'/>"
+        "<geom type='sphere' size='.1' pos='0 0 1' rgba='1 1 1 0'/>"
     )
     assert bounding_box(visible_polygons(model, [], LENS, Pose()), 640, 480) == (0, 0, 0, 0)
     assert len(visible_polygons(model, [], LENS, Pose(), planes=True).quads) > 0

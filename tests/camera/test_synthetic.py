@@ -66,10 +66,9 @@ def marker_grid() -> tuple[SyntheticMarker, ...]:
     rng = np.random.default_rng(11)
     poses = []
     for k in range(9):
-        place = np.array([(k % 3 - 1) * 0.13, (k // 3 - 1) * 0.10, 0.04]) + [
-            *rng.uniform(-0.01, 0.01, 2),
-            0.003 * k,
-        ]
+        place = np.array([(k % 3 - 1) * 0.13, (k // 3 - 1) * 0.10, 0.04]) + np.array(
+            [*rng.uniform(-0.01, 0.01, 2), 0.003 * k]
+        )
         tilt = Pose(place, rotation_exp([0, 0, rng.uniform(-3, 3)])).compose(
             Pose(wxyz=rotation_exp([*rng.uniform(-0.4, 0.4, 2), 0]))
         )
@@ -129,7 +128,7 @@ def test_something_in_front_hides_part_of_a_marker_along_its_exact_outline() -> 
     assert isinstance(frame.truth, dict)
     assert frame.truth["visible"][3] == pytest.approx(0.5, abs=0.002)
     free = photograph(desk(marker, camera=above), blur=0.0, noise=0.0).read()
-    x = int(round(LENS.project(above.inverse().apply([0.0, 0.0, 0.0]))[0]))
+    x = round(LENS.project(above.inverse().apply([0.0, 0.0, 0.0]))[0])
     y = slice(150, 320)
     assert (frame.image[y, x - 20 : x - 1, 1] > frame.image[y, x - 20 : x - 1, 2] + 40).all(), "green box"
     # right of the box the print is untouched but for the box's shadow
@@ -208,7 +207,7 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
     source = SyntheticSource(scene, lambda: where[0])
     detector = MarkerDetector("DICT_5X5_50")
     for turn in (0.0, 0.15):
-        where[0] = robot.home + [turn, 0, 0, 0, 0, turn]
+        where[0] = robot.home + np.array([turn, 0, 0, 0, 0, turn])
         frame = source.read()
         assert isinstance(frame.truth, dict)
         assert frame.truth["q"] == pytest.approx(where[0])
@@ -267,7 +266,7 @@ def test_look_at_puts_the_target_in_the_middle_and_up_upwards(
     assume(np.linalg.norm(away) > 0.05 and np.linalg.norm(away[:2]) > 0.02)
     inverse = look_at(eye, target).inverse()
     assert inverse.apply(target) == pytest.approx([0, 0, np.linalg.norm(away)], abs=1e-9)
-    raised = inverse.apply(np.array(target) + [0, 0, 0.01])
+    raised = inverse.apply(np.array(target) + np.array([0, 0, 0.01]))
     assert raised[1] < 0 and raised[0] == pytest.approx(0, abs=1e-9), "image y points down"
 
 
