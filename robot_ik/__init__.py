@@ -46,7 +46,35 @@ _HOME = {
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
-__all__ = sorted([*_MODULE_OF, "__version__"])
+__all__ = [
+    "SOLVERS",
+    "Budget",
+    "Goal",
+    "Miss",
+    "NotConvergedError",
+    "OrientationGoal",
+    "Pose",
+    "PoseGoal",
+    "PositionGoal",
+    "Problem",
+    "RealClock",
+    "Robot",
+    "RobotIkError",
+    "Solution",
+    "Status",
+    "Tolerance",
+    "Trajectory",
+    "VirtualClock",
+    "__version__",
+    "catalogue",
+    "execute",
+    "follow",
+    "joint_move",
+    "line_move",
+    "load_robot",
+    "make_solver",
+    "solve",
+]
 
 if not TYPE_CHECKING:
 

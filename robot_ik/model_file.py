@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.catalogue import RobotFile
-from robot_ik.errors import ModelError, UnknownFrameError
+from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
 from robot_ik.geometry import Pose
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, V_WIDTH, Tree
 
 Array = NDArray[np.float64]
 
@@ -20,6 +22,11 @@ Array = NDArray[np.float64]
 _TOOL_NAMES = (
     "gripper", "tool", "tcp", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange", "tip",
 )  # fmt: skip
+
+
+# Motion limits of a joint whose robot.toml names none: slow enough to watch.
+_DEFAULT_SPEED = {HINGE: 1.5, SLIDE: 0.25, BALL: 1.5, FREE: 0.5}  # rad/s or m/s
+_SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,11 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
 
 
 def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
+    """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts.
+
+    Raises:
+        UnknownFrameError: A tool names a site or body that the model does not have.
+    """
     sites: dict[str, Frame] = {}
     for s in range(model.nsite):
         name = model.site(s).name
@@ -99,3 +111,35 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
     if not frames:
         raise ModelError("the model has neither a named site nor a named body, so nothing to aim")
     return list(frames)[-1]
+
+
+def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
+    """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all.
+
+    Raises:
+        UnknownJointError: With the close names.
+    """
+    if isinstance(joints, str):
+        if joints not in file.groups:
+            raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
+        wanted: Sequence[str] = file.groups[joints]
+    elif joints is not None:
+        wanted = joints
+    else:
+        wanted = file.groups.get("arm", names)
+    for joint in wanted:
+        if joint not in names:
+            raise UnknownJointError(joint, names)
+    return [j for j, joint in enumerate(names) if joint in set(wanted)]
+
+
+def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[Array, Array]:
+    """Velocity and acceleration (nv,): from robot.toml where it names the joint, else by joint kind."""
+    speed, acceleration = np.empty(tree.nv), np.empty(tree.nv)
+    for k, joint in enumerate(joints):
+        kind, v = int(tree.kind[k]), int(tree.vadr[k])
+        width = V_WIDTH[kind]
+        fastest = file.velocity.get(joint, _DEFAULT_SPEED[kind])
+        speed[v : v + width] = fastest
+        acceleration[v : v + width] = file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
+    return speed, acceleration

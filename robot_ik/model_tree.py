@@ -162,8 +162,11 @@ def build_tree(
     builder = _Builder(model, active, where)
     for body in range(1, model.nbody):
         builder.body(body)
+    kind, parent, qadr, vadr = (
+        np.array(a, dtype=np.int64) for a in (builder.kind, builder.parent, builder.qadr, builder.vadr)
+    )
     tree = Tree(
-        tuple(builder.joint_ids), builder.kind, builder.parent, builder.qadr, builder.vadr,
+        tuple(builder.joint_ids), kind, parent, qadr, vadr,
         np.array(builder.constant).reshape(-1, 12), *_limits(model, builder), builder.nq, builder.nv,
     )  # fmt: skip
     return tree, tuple(builder.bodies)

@@ -148,8 +148,9 @@ class Problem:
         robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
         nq, k = robot.nq, max(self.rows, len(self.dofs), 1)
         shapes: dict[str, Any] = {
-            "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,), "best": (nq,),
-            "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
+            "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
+            "best": (nq,), "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12),
+            "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
             "free": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),

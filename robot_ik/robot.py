@@ -17,18 +17,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.catalogue import RobotFile, find_robot
-from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError, UnsupportedJointError
+from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
-from robot_ik.model_file import Frame, guess_tool, home_qpos, model_frames, read_model
+from robot_ik.kernels.tree import FREE, HINGE, Q_WIDTH, SLIDE, Tree
+from robot_ik.model_file import (
+    Frame,
+    active_joints,
+    guess_tool,
+    home_qpos,
+    model_frames,
+    motion_limits,
+    read_model,
+)
 from robot_ik.model_tree import Attachment, build_tree, pose_row, row_pose
 
 Array = NDArray[np.float64]
-
-# Motion limits of a joint whose robot.toml names none: slow enough to watch.
-_DEFAULT_SPEED = {HINGE: 1.5, SLIDE: 0.25, BALL: 1.5, FREE: 0.5}  # rad/s or m/s
-_SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +250,8 @@ class Robot:
 
     @property
     def _addresses(self) -> NDArray[np.int64]:
-        model, found = self.model, []
+        model = self.model
+        found: list[int] = []
         for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
             start = int(model.jnt_qposadr[joint])
             found += range(start, start + Q_WIDTH[int(kind)])
@@ -272,7 +277,7 @@ def load_robot(
     path, file = find_robot(name)
     model = read_model(path)
     names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
-    active = _active_joints(names, joints, file)
+    active = active_joints(names, joints, file)
     rest = home_qpos(model, path, file)
     tree, bodies = build_tree(model, active, rest)
     if tree.nv == 0:
@@ -298,33 +303,6 @@ def load_robot(
         _frames=frames,
         _bodies=bodies,
     )
-    speed, acceleration = _motion_limits(robot)
+    speed, acceleration = motion_limits(robot.tree, robot.joints, file)
     home = robot.clip(rest[robot._addresses])
     return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
-
-
-def _active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
-    if isinstance(joints, str):
-        if joints not in file.groups:
-            raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
-        wanted: Sequence[str] = file.groups[joints]
-    elif joints is not None:
-        wanted = joints
-    else:
-        wanted = file.groups.get("arm", names)
-    for joint in wanted:
-        if joint not in names:
-            raise UnknownJointError(joint, names)
-    return [j for j, joint in enumerate(names) if joint in set(wanted)]
-
-
-def _motion_limits(robot: Robot) -> tuple[Array, Array]:
-    """Velocity and acceleration (nv,): from robot.toml where it names the joint, else defaults by joint kind."""
-    speed, acceleration = np.empty(robot.nv), np.empty(robot.nv)
-    for k, joint in enumerate(robot.joints):
-        kind, v = int(robot.tree.kind[k]), int(robot.tree.vadr[k])
-        width = V_WIDTH[kind]
-        fastest = robot.file.velocity.get(joint, _DEFAULT_SPEED[kind])
-        speed[v : v + width] = fastest
-        acceleration[v : v + width] = robot.file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
-    return speed, acceleration

@@ -53,15 +53,15 @@ class _BundleModel(models.PrimitiveModel):  # type: ignore[misc]
 
 
 @infer_getattr
-class _Fields(AttributeTemplate):  # type: ignore[misc]
+class _Fields(AttributeTemplate):
     key = BundleType
 
-    def generic_resolve(self, kind: BundleType, name: str) -> Any:
+    def generic_resolve(self, kind: BundleType, name: str) -> Any:  # type: ignore[override]
         row = kind.place.get(name)
         return None if row is None else _ARRAY_OF[kind.fields[row][1]][0]
 
 
-@lower_getattr_generic(BundleType)
+@lower_getattr_generic(BundleType)  # type: ignore[untyped-decorator]
 def _lower_field(context: Any, builder: Any, kind: BundleType, pointer: Any, name: str) -> Any:
     row = kind.place[name]
     array_type = _ARRAY_OF[kind.fields[row][1]][0]
@@ -111,7 +111,7 @@ class Layout:
 
 
 def _opener(kind: BundleType) -> Callable[[Any], Any]:
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def open_bundle(_typing: Any, table: Any) -> Any:
         """The bundle of a table of addresses."""
 
@@ -120,4 +120,4 @@ def _opener(kind: BundleType) -> Callable[[Any], Any]:
 
         return kind(table), build
 
-    return open_bundle  # type: ignore[no-any-return]
+    return open_bundle  # type: ignore[return-value]

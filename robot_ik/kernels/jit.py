@@ -7,6 +7,7 @@ has changed.  Here the cache folder is named after a hash of every compiled sour
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import logging
@@ -18,7 +19,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import config as numba_config
+
+# Made while numba is imported, from the environment: no type checker can see what is in it.
+numba_config: Any = numba.core.config
 
 logger = logging.getLogger("robot_ik.kernels")
 
@@ -52,10 +55,8 @@ def cache_folder() -> Path:
         digest.update(source.read_bytes())
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
     candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
-    try:
+    with contextlib.suppress(RuntimeError):  # no home folder at all
         candidates.insert(0, _user_cache())
-    except RuntimeError:  # no home folder at all
-        pass
     for base in candidates:
         folder = base / name
         try:
@@ -76,7 +77,7 @@ def _compile(function: F, **options: Any) -> F:
         )
     finally:
         numba_config.CACHE_DIR = previous
-    return compiled  # type: ignore[no-any-return]
+    return compiled
 
 
 def kernel(function: F) -> F:
@@ -97,7 +98,7 @@ def pure(function: F) -> F:
 
 
 def outlined(function: F) -> F:
-    """Like ``pure`` but compiled on its own: for the large loops, so that entry points stay quick to compile."""
+    """Like ``pure`` but compiled on its own: what is large or called twice, so that it is optimised once."""
     return _compile(function, _nrt=False)
 
 

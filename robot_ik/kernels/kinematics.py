@@ -1,7 +1,7 @@
 """Forward kinematics, geometric Jacobian and integration on a ``Tree``; equal to MuJoCo's to 1e-12.
 
 ``mj_kinematics`` and ``mj_jac`` are the judges in the tests.  Poses are rows of twelve numbers
-(position, rotation row by row); see ``tree.py`` for the arrays.  ``tree`` is the open bundle of a tree throughout.
+(position, rotation row by row); ``tree`` is the open bundle of a tree (``tree.py``) throughout.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -106,7 +106,7 @@ def dof_axis(kind, world, node, index):
             1.0 if index == 2 else 0.0,
             False,
         )
-    column = 2 if joint == HINGE or joint == SLIDE else index % 3
+    column = 2 if joint in (HINGE, SLIDE) else index % 3
     return world[node, 3 + column], world[node, 6 + column], world[node, 9 + column], joint != SLIDE
 
 
@@ -142,7 +142,7 @@ def integrate(tree, nodes, q, dq):
         k = nodes[index]
         a, v = qadr[k], vadr[k]
         joint = kind[k]
-        if joint == HINGE or joint == SLIDE:
+        if joint in (HINGE, SLIDE):
             q[a] += dq[v]
         elif joint == BALL:
             turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
@@ -161,7 +161,7 @@ def clip(tree, nodes, q):
         k = nodes[index]
         a, v = qadr[k], vadr[k]
         joint = kind[k]
-        if joint == HINGE or joint == SLIDE:
+        if joint in (HINGE, SLIDE):
             if q[a] < lower[v]:
                 q[a] = lower[v]
                 moved += 1

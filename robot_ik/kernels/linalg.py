@@ -10,7 +10,7 @@ from robot_ik.kernels.jit import outlined, pure
 
 @pure
 def cholesky_solve(matrix, rhs, index, size, factor, x):
-    """Solves M[I, I] x[I] = rhs[I] for the first ``size`` entries I of ``index``, M symmetric positive definite.
+    """Solves M[I, I] x[I] = rhs[I], M symmetric positive definite, I the first ``size`` entries of ``index``.
 
     Only the lower triangle of ``matrix`` is read.  ``factor`` is work space.  Returns False when M[I, I]
     is not positive definite to working precision (``x`` is then garbage).
@@ -67,9 +67,12 @@ def box_step(matrix, gradient, low, high, step, rhs, free, factor):
     Args:
         matrix: (n, n) M, symmetric positive definite; lower triangle read.
         gradient: (n,) g, the direction of descent.
-        low, high: (n,) bounds of the step, low <= 0 <= high.
+        low: (n,) lower bounds of the step, low <= 0.
+        high: (n,) upper bounds, high >= 0.
         step: (n,) result.
-        rhs, free, factor: work space (n,), (n,) int, (n, n).
+        rhs: (n,) work space.
+        free: (n,) work space, int.
+        factor: (n, n) work space.
 
     Returns:
         Joints pressed against a bound at which they already stood (the Kuhn-Tucker active set), or -1

@@ -85,6 +85,7 @@ def measure(tree, goal, work):
 
 @pure
 def copy(source, target):
+    """target = source, number by number."""
     for i in range(source.shape[0]):
         target[i] = source[i]
 
@@ -190,7 +191,7 @@ def proceed(tree, goal, work):
 
 @outlined
 def apply_step(tree, dofs, nodes, step, dq, q):
-    """q = q ⊕ step for the degrees of freedom ``dofs``, then inside the limits; ``dq`` (nv,) is work space."""
+    """q = q ⊕ step for the degrees of freedom ``dofs``, then inside the limits; ``dq`` is work space."""
     kind, qadr, vadr, dof_node, lower, upper = (
         tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
     )  # fmt: skip

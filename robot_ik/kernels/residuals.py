@@ -156,7 +156,7 @@ def goal_jacobian(tree, goal, world, frames, residual, jacobian):
 
 @kernel
 def residual_and_jacobian(tree, goals, nodes, q, world, frames, scratch, residual, miss, jacobian):
-    """For tests and diagnosis: fills residual (m,), miss (g, 2) and jacobian (m, nu) at q; returns the cost."""
+    """For tests: fills residual (m,), miss (g, 2) and jacobian (m, nu) at q; returns the cost."""
     tree, goal = open_tree(tree), open_goals(goals)
     forward(tree, nodes, q, world, scratch)
     cost, _ = evaluate(goal, world, frames, residual, miss)

@@ -73,7 +73,7 @@ class Solver(ABC):
 
     @abstractmethod
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        """Solves from ``start`` (nq,), default the robot's home.  No solution is a result, never an exception."""
+        """Solves from ``start`` (nq,), default home.  No solution is a result, never an exception."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import box_step, normal_equations
 from robot_ik.kernels.loop import advance, begin, proceed, room
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
