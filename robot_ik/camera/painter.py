@@ -186,13 +186,12 @@ def visible_polygons(
     slant = _turned(rotation, mesh.vertex_normals, mesh.vertex_geom)[:, :2]
     fixed = _fixed(pixels - inset * slant)
     clipped = {}
-    for k in np.flatnonzero(~corners[order].reshape(len(order), -1).all(axis=1)):
+    within: Mask = np.logical_and.reduce(inside, axis=1)
+    for k in np.flatnonzero(~np.logical_and.reduce(within[mesh.faces[order]], axis=1)):
         cut = _clip(points[mesh.faces[order[k]]], view)
         clipped[int(k)] = _fixed(_project(cut, intrinsics)) if len(cut) >= 3 else np.zeros((0, 2), np.int32)
     shade = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals[order] @ _LIGHT, 0.0)
-    segments = (
-        _face_lines(mesh, front, order, _fixed(pixels), np.asarray(inside.all(axis=1))) if lines else []
-    )
+    segments = _face_lines(mesh, front, order, _fixed(pixels), within) if lines else []
     return Polygons(fixed[mesh.faces[order]], clipped, shade, mesh.geoms[mesh.face_geom[order]], segments)
 
 
