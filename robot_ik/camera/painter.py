@@ -178,7 +178,8 @@ def visible_polygons(
     view = _view_planes(intrinsics)
     inside = points @ view[:, :3].T + view[:, 3] >= 0.0
     corners = inside[mesh.faces]
-    drawn = np.flatnonzero(front & corners.any(axis=1).all(axis=1))
+    touching = np.logical_and.reduce(np.logical_or.reduce(corners, axis=1), axis=1)
+    drawn = np.flatnonzero(front & touching)
     distance = _drawing_distance(mesh, centres, front)
     order = drawn[np.argsort(-distance[drawn], kind="stable")]
 
