@@ -27,13 +27,16 @@ VERSION: tuple[int, int] = tuple(int(v) for v in re.findall(r"\d+", cv2.__versio
 # Whoever has set it keeps what he set.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
+_SILENT = 0
+
 
 @contextmanager
 def quiet() -> Iterator[None]:
     """OpenCV's own messages on stderr off for a while: failures are told by our errors."""
-    log = cv2.utils.logging
+    # Releases before 4.11 have the same two functions under another name.
+    log = getattr(cv2.utils, "logging", cv2)
     before = log.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    log.setLogLevel(_SILENT)
     try:
         yield
     finally:

@@ -39,9 +39,13 @@ class Measured:
 
     @property
     def flipped(self) -> bool:
-        """The other branch was the right one."""
+        """The other branch was the right one, and taking the wrong one cost more than 5 degrees.
+
+        Seen squarely the two branches differ by less than the noise, and neither is wrong.
+        """
         other = self.seen.alternative
-        return other is not None and other.distance(self.view.pose)[1] < self.angle_error
+        wrong = other is not None and other.distance(self.view.pose)[1] < self.angle_error
+        return wrong and self.angle_error > np.deg2rad(5.0)
 
     @property
     def pose_error(self) -> Array:
