@@ -47,6 +47,7 @@ class Stage:
         cube_frame: Robot frame that carries the tool's markers.
         cube_offset: The cube seen from that frame.
         cube: Marker id -> (side, ``pose_cube_marker``).
+        cube_margin: White paper round each of them, metres: as much as the cube's side leaves.
         table: Where the marker lies, or None.
         made_up: True when no ``robot.toml`` describes it.
     """
@@ -61,6 +62,7 @@ class Stage:
     cube_frame: str
     cube_offset: Pose
     cube: Mapping[int, tuple[float, Pose]]
+    cube_margin: float
     table: Table | None = None
     made_up: bool = False
 
@@ -78,8 +80,14 @@ class Stage:
             dictionary=self.dictionary,
         )
         carried = tuple(
+            # Wider paper would stick out and hide the edge of the marker round the corner.
             SyntheticMarker(
-                id, side, self.cube_offset.compose(pose), frame=self.cube_frame, dictionary=self.dictionary
+                id,
+                side,
+                self.cube_offset.compose(pose),
+                frame=self.cube_frame,
+                dictionary=self.dictionary,
+                margin=self.cube_margin,
             )
             for id, (side, pose) in self.cube.items()
         )
@@ -121,6 +129,7 @@ def _described(robot: Robot) -> Stage:
         cube_frame=tool.site,
         cube_offset=Pose(),
         cube=cube,
+        cube_margin=0.5 * (tool.cube - tool.size),
         table=table,
     )
 
@@ -151,6 +160,7 @@ def _made_up(robot: Robot, frame: str) -> Stage:
         # Held in front of the tool, so that whatever the tool is made of does not hide it.
         cube_offset=Pose((0.0, 0.0, 0.6 * side * _CUBE_PER_MARKER)),
         cube=cube,
+        cube_margin=0.5 * (_CUBE_PER_MARKER - 1.0) * side,
         made_up=True,
     )
     return _best_view(robot, frame, stage, reach)
