@@ -200,8 +200,34 @@ def test_no_sink_can_bend_the_command(puma):
         def send(self, q, now):
             q[0] = 1e3
 
-    with pytest.raises(ValueError, match="read-only"):
-        follow(ManualSource(), puma, "lm", [Bender()], clock=VirtualClock(), start=puma.home, duration=1.0)
+    class LateBender(Bender):
+        def send(self, q, now):
+            if now > 0.5:
+                super().send(q, now)
+
+    goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
+    for source, sink in ((ManualSource(), Bender()), (goal, LateBender())):
+        with pytest.raises(ValueError, match="read-only"):
+            follow(source, puma, "lm", [sink], clock=VirtualClock(), start=puma.home, duration=1.0)
+
+
+def test_it_stays_on_the_branch_where_the_arm_is(puma):
+    """From the flipped wrist: solving from anywhere but the last command would flip it back."""
+    start = puma.home + np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.2])
+    start[3:] = start[3] - np.pi, -start[4], start[5] - np.pi
+    goal = PoseGoal.at("gripper", puma.forward(puma.home + np.array([0.1, -0.1, 0.1, 0.2, 0.0, 0.2])))
+    report, path = run(puma, FixedGoal(goal), start=start, duration=2.0)
+    assert report.last.converged and (path.q[:, 4] < 0.0).all() and (path.q[:, 3] < -1.5).all()
+
+
+def test_a_problem_is_built_once_for_goals_of_one_kind(puma, monkeypatch):
+    from robot_ik import problem
+
+    built, build = [], problem.Problem.__init__
+    monkeypatch.setattr(problem.Problem, "__init__", lambda *a, **k: built.append(1) or build(*a, **k))
+    circle = CurveSource.circle("gripper", puma.forward(puma.home).position, 0.02, 1.0)
+    run(puma, circle)
+    assert len(built) == 1
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,9 @@ def check_straight(robot, trajectory, begin, end, site, allowed=1e-4):
     way = end.position - begin.position
     along = np.clip((positions - begin.position) @ way / (way @ way), 0.0, 1.0)
     assert np.linalg.norm(positions - begin.position - along[:, None] * way, axis=1).max() <= allowed
+    exact, _ = tool_poses(robot, trajectory, trajectory.times, site)
+    share = np.clip((exact - begin.position) @ way / (way @ way), 0.0, 1.0)
+    assert np.linalg.norm(exact - begin.position - share[:, None] * way, axis=1).max() <= 1e-6  # samples
     full = rotation_log(quat_multiply(begin.inverse().wxyz, end.wxyz))
     for share, quat in zip(along, quats, strict=True):
         wanted = Pose((0, 0, 0), quat_multiply(begin.wxyz, rotation_exp(share * full)))
@@ -102,6 +105,12 @@ def test_coarse_sampling_slows_down_rather_than_bulge(puma):
     begin, end = goal_beside(puma, puma.home, (0.1, -0.2, 0.0))
     path = line_move(puma, puma.home, end, linear_speed=1.0, rate=10.0)
     check_straight(puma, path, begin, end, "gripper")
+
+
+@pytest.mark.parametrize("solver", ["auto", "dls"])
+def test_any_method_that_converges_will_do(puma, solver):
+    begin, end = goal_beside(puma, puma.home, (0.05, -0.1, 0.05))
+    check_straight(puma, line_move(puma, puma.home, end, solver=solver), begin, end, "gripper")
 
 
 def test_other_frames_run_straight_too(puma):
