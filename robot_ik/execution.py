@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 START_TOLERANCE = 0.02
 """rad or m: how far the arm may be from a trajectory's first sample; a servo holding a load sags by less."""
 
-# Steps a tick may take: from the last command a few are enough; restarts find the way out of a dead end;
-# the rest of a period of 10 ms is left to the bus.
+# Steps a tick may take: a few are enough from the last command; the rest is for restarts out of a dead end.
 _TICK_ITERATIONS = 1000
 
 
@@ -191,9 +190,11 @@ def follow(
     """
     clock = RealClock() if clock is None else clock
     require_positive("rate", rate, "Hz")
-    if start is None and source is None:
-        raise TrajectoryError("follow does not know where the arm is", hint="give start=q or source=arm")
-    first = joint_vector(robot, cast(JointSource, source).read().q if start is None else start, "start")
+    if start is None:
+        if source is None:
+            raise TrajectoryError("follow does not know where the arm is", hint="give start=q or source=arm")
+        start = source.read().q
+    first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
     chase = _Chase(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
     schedule = _Schedule(clock)
@@ -243,7 +244,7 @@ class _Chase:
         solution = self.solver.solve(self._aim(goal), self.q)
         self.solution = self._last = solution
         self._statuses[solution.status.name] += 1
-        way = np.asarray(solution.q) - self.q
+        way = solution.q - self.q
         if not np.isfinite(way).all():  # NUMERICAL: nothing to go to
             return False
         excess = float(np.max(np.abs(way) / self._largest_allowed))
