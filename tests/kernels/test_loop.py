@@ -1,0 +1,60 @@
+"""Random starts: inside the limits, spread over them, the same for the same seed."""
+
+import numpy as np
+from numba import njit
+
+from robot_ik.kernels.loop import draw
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.work import SEED, STATE_SIZE
+
+MIXED = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
+ <geom size="0.1"/>
+ <body name="b"><joint name="ball" type="ball" range="0 0.7" limited="true"/><geom size="0.1"/>
+  <body name="c"><joint name="still" range="-1 1"/><joint name="endless"/><geom size="0.1"/></body></body></body>
+<body name="f"><freejoint name="free"/><geom size="0.1"/></body>
+</worldbody></mujoco>"""
+
+
+@njit
+def draw_many(tree, nodes, start, state, out):
+    for i in range(out.shape[0]):
+        draw(open_tree(tree), nodes, start, state, out[i])
+
+
+def starts(robot, seed, count=2000, nodes=None):
+    state = np.zeros(STATE_SIZE, dtype=np.int64)
+    state[SEED] = seed
+    start = np.zeros(robot.nq)
+    start[-7:] = [1, 2, 3, 1, 0, 0, 0]
+    out = np.tile(start, (count, 1))
+    draw_many(robot.tree.handle, robot.tree.every if nodes is None else nodes, start, state, out)
+    return out
+
+
+def test_starts_are_inside_the_limits_and_fill_them(load_xml):
+    robot = load_xml(MIXED)
+    out = starts(robot, 12345)
+    for q in out[:300]:
+        np.testing.assert_allclose(robot.clip(q), q, atol=1e-12)
+    for column, low, high in [(0, 0.2, 0.9), (1, -0.3, 0.1), (6, -1, 1), (7, -np.pi, np.pi), (8, 0, 2), (10, 2, 4)]:
+        spread = (out[:, column] - low) / (high - low)
+        assert 0.0 <= spread.min() < 0.01 and 0.99 < spread.max() <= 1.0, column
+        assert abs(spread.mean() - 0.5) < 0.04 and abs(spread.std() - 12**-0.5) < 0.02, column
+    cone = 2 * np.arccos(np.clip(out[:, 2], -1, 1))
+    assert cone.max() <= 0.7 + 1e-9 and cone.max() > 0.69
+    np.testing.assert_allclose(np.linalg.norm(out[:, 2:6], axis=1), 1.0, atol=1e-12)
+    assert np.abs(out[:, 3:6].mean(axis=0)).max() < 0.02  # no direction is preferred
+
+
+def test_the_same_seed_gives_the_same_bits_and_others_do_not(load_xml):
+    robot = load_xml(MIXED)
+    assert np.array_equal(starts(robot, 7, 50), starts(robot, 7, 50))
+    assert not np.array_equal(starts(robot, 7, 50), starts(robot, 8, 50))
+
+
+def test_joints_that_do_not_matter_are_left_alone(load_xml):
+    robot = load_xml(MIXED)
+    out = starts(robot, 3, 20, nodes=np.array([0, 2]))
+    assert not out[:, [1, 6, 7]].any() and np.array_equal(out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1)))
+    assert out[:, 0].std() > 0 and out[:, 3].std() > 0

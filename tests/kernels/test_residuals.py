@@ -1,0 +1,116 @@
+"""Residual rows: zero at the goal, derivative exact, miss unweighted; for every kind, near 0 and near pi."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+from robot_ik.goals import GOALS, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.kernels.residuals import residual_and_jacobian, rotation_error
+from robot_ik.model_tree import pose_row
+from robot_ik.problem import Problem
+
+
+def evaluate(problem, q):
+    """(cost, residual, miss, jacobian) of a problem at q, in arrays of their own."""
+    a = problem.arrays
+    cost = residual_and_jacobian(
+        problem.robot.tree.handle, problem.handle, problem.nodes, np.array(q), a["world"], a["frames"],
+        a["scratch"], a["residual"], a["miss"], a["jacobian"],
+    )  # fmt: skip
+    return cost, a["residual"].copy(), a["miss"].copy(), a["jacobian"].copy()
+
+
+def make_goal(kind, frame, pose, weights):
+    if kind is PositionGoal:
+        return PositionGoal(frame, pose.position, weight=weights[0])
+    if kind is OrientationGoal:
+        return OrientationGoal(frame, pose.wxyz, weight=weights[1])
+    return PoseGoal(
+        frame, pose.position, pose.wxyz, position_weight=weights[0], angle_weight=weights[1]
+    )
+
+
+def differences(problem, q, step=1e-6):
+    """-d residual / d dq by central differences, columns as in the problem."""
+    robot = problem.robot
+    columns = []
+    for v in problem.dofs:
+        dq = np.zeros(robot.nv)
+        dq[v] = step
+        ahead, behind = evaluate(problem, robot.integrate(q, dq))[1], evaluate(problem, robot.integrate(q, -dq))[1]
+        columns.append((behind - ahead) / (2 * step))
+    return np.array(columns).T.reshape(problem.rows, len(problem.dofs))
+
+
+WEIGHT = st.sampled_from([0.0, 0.3, 1.0, 5.0])
+
+
+@settings(max_examples=100)
+@given(data=st.data(), seed=st.integers(0, 2**32))
+def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, data, seed):
+    drawn = data.draw(any_model)
+    robot = load_xml(drawn.xml, drawn.joints)
+    rng = np.random.default_rng(seed)
+    there, here = robot.sample(rng), robot.sample(rng)
+    frames = data.draw(st.lists(st.sampled_from(robot.frames), min_size=1, max_size=3))
+    goals = [
+        make_goal(data.draw(st.sampled_from(GOALS)), f, robot.forward(there, f), data.draw(st.tuples(WEIGHT, WEIGHT)))
+        for f in frames
+    ]  # fmt: skip
+    problem = Problem(robot, goals)
+    cost, residual, miss, _ = evaluate(problem, there)
+    assert cost < 1e-20 and np.abs(residual).max() < 1e-10 and np.abs(miss).max() < 1e-10
+
+    cost, residual, miss, jacobian = evaluate(problem, here)
+    assert cost == pytest.approx(0.5 * residual @ residual, rel=1e-12)
+    for goal, row in zip(goals, miss, strict=True):
+        metres, radians = robot.forward(here, goal.frame).distance(goal.target)
+        assert row[0] == pytest.approx(metres if goal.has_position else 0.0, abs=1e-12)
+        assert row[1] == pytest.approx(radians if goal.has_angle else 0.0, abs=1e-9)
+        if goal.has_angle and radians > np.pi - 1e-3:
+            return  # within a step of pi the residual jumps, and differences say nothing; see below
+    np.testing.assert_allclose(jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max()))
+
+
+ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
+<site name="tip" pos="0.3 0.1 0.2"/></body></worldbody></mujoco>"""
+
+
+@settings(max_examples=60)
+@given(
+    axis=st.tuples(*[st.integers(-5, 5)] * 3).filter(any),
+    angle=st.sampled_from([0.0, 1e-12, 1e-8, 1e-5, 1e-3, 0.1, 2.0, 2.69, 2.7, 3.0, 3.14, np.pi - 1e-4]),
+)
+def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, angle):
+    robot = load_xml(ONE_BALL)
+    vector = angle * np.array(axis) / np.linalg.norm(axis)
+    problem = Problem(robot, OrientationGoal(None, rotation_exp(vector)))
+    start = np.array([1.0, 0, 0, 0])
+    _, residual, miss, jacobian = evaluate(problem, start)
+    np.testing.assert_allclose(residual, vector, atol=2e-12)
+    assert miss[0, 1] == pytest.approx(angle, abs=1e-12)
+    np.testing.assert_allclose(jacobian, differences(problem, start), atol=1e-5)
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 2, -3), (-1, 1e-9, 0)])
+@pytest.mark.parametrize("short", [0.0, 1e-15, 1e-12, 1e-9, 1e-6])
+def test_half_a_turn_has_a_finite_axis_and_the_whole_angle(axis, short):
+    vector = (np.pi - short) * np.array(axis, dtype=float) / np.linalg.norm(axis)
+    current = Pose((0, 0, 0), (0.4, -0.3, 0.8, 0.2))
+    target = Pose((0, 0, 0), quat_multiply(rotation_exp(vector), current.wxyz))
+    out = np.zeros(3)
+    angle = rotation_error(pose_row(target)[None], pose_row(current)[None], 0, out, 0)
+    assert angle == pytest.approx(np.pi - short, abs=1e-9)
+    assert min(np.abs(out - vector).max(), np.abs(out + vector).max()) < 1e-7
+    if short >= 1e-6:
+        np.testing.assert_allclose(out, vector, atol=1e-7)
+
+
+def test_a_part_that_weighs_nothing_is_not_asked_for(load_xml):
+    robot = load_xml(ONE_BALL)
+    far = PoseGoal(None, (9, 9, 9), (1, 0, 0, 0), position_weight=0.0)
+    problem = Problem(robot, far)
+    cost, residual, _, _ = evaluate(problem, [1.0, 0, 0, 0])
+    assert cost == 0.0 and not residual.any() and not problem.out_of_reach()
