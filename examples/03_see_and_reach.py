@@ -1,0 +1,61 @@
+"""Sees a printed marker, moves the servos so that the gripper is above it, and lets the camera judge.
+
+    python examples/03_see_and_reach.py          a healthy arm: REACHED
+    python examples/03_see_and_reach.py 2        a hidden zero offset of 2 degrees in joint2: NOT REACHED
+
+Camera and servos are simulated; nothing below looks at what they really know.  Prints the goal and its distance
+from the gripper twice: by the servos' registers, which know nothing of the offset, and by the camera, which sees
+the markers on the gripper.
+"""
+
+import sys
+
+import robot_ik as rik
+from robot_ik.camera.goals import MarkerGoalSource
+from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.track import MarkerTracker
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.jobs.stage import stage_for
+
+
+def main(offset_deg: float = 0.0) -> None:
+    robot = rik.load_robot("puma560")
+    config = ArmConfig.load(robot.arm_file)
+    faults = Faults.for_joints(config, zero_offset_deg={"joint2": offset_deg})
+    servos = VirtualBus.from_config(config, rik.VirtualClock(), robot.home, faults)
+    arm = open_arm(config, "sim", virtual_bus=servos)
+
+    stage = stage_for(robot)  # where table, marker and camera stand: [reach] of robot.toml
+    camera = SyntheticSource(stage.scene(robot), lambda: servos.true_angles(config), clock=arm.clock)
+    lens, paper = stage.intrinsics, stage.dictionary
+    table = MarkerTracker(lens, paper, {stage.marker_id: stage.marker_size})
+    cube = MarkerTracker(lens, paper, {id: side for id, (side, _) in stage.cube.items()})
+    goals = MarkerGoalSource(
+        camera, table, stage.pose_world_camera, stage.marker_id, stage.pose_marker_tool, robot.tool
+    )
+
+    with camera, arm:
+        goal = goals.poll(arm.clock.now())
+        if goal is None:
+            sys.exit("the marker was not found")
+        print("goal:", goal.target)
+        arm.enable()
+        start = arm.read().q
+        move = rik.joint_move(robot, start, rik.solve(robot, goal, start=start).require().q)
+        rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
+        q, seen = arm.read().q, cube.observe_body(camera.read(), stage.cube)
+
+    print(f"servos say: {1e3 * robot.measure(q).distance(goal.target)[0]:.2f} mm from the goal")
+    if seen is None:
+        sys.exit("the gripper's markers are not in view")
+    pose_cube_gripper = robot.forward(q, stage.cube_frame).inverse() @ robot.forward(q)
+    gripper = stage.pose_world_camera @ seen.pose_camera_body @ pose_cube_gripper
+    miss = gripper.distance(goal.target)[0]
+    print(f"camera says: {1e3 * miss:.2f} mm from the goal: {'REACHED' if miss < 0.005 else 'NOT REACHED'}")
+
+
+if __name__ == "__main__":
+    main(*map(float, sys.argv[1:]))
