@@ -3,9 +3,8 @@
     python examples/03_see_and_reach.py          a healthy arm: REACHED
     python examples/03_see_and_reach.py 2        a hidden zero offset of 2 degrees in joint2: NOT REACHED
 
-Camera and servos are simulated; nothing below looks at what they really know.  Prints the goal and its distance
-from the gripper twice: by the servos' registers, which know nothing of the offset, and by the camera, which sees
-the markers on the gripper.
+Camera and servos are simulated; nothing below looks at what they really know.  Prints the goal and how far
+the gripper is from it: by the servos' registers, which know nothing of the offset, and by the camera.
 """
 
 import sys
@@ -33,9 +32,8 @@ def main(offset_deg: float = 0.0) -> None:
     lens, paper = stage.intrinsics, stage.dictionary
     table = MarkerTracker(lens, paper, {stage.marker_id: stage.marker_size})
     cube = MarkerTracker(lens, paper, {id: side for id, (side, _) in stage.cube.items()})
-    goals = MarkerGoalSource(
-        camera, table, stage.pose_world_camera, stage.marker_id, stage.pose_marker_tool, robot.tool
-    )
+    eye = stage.pose_world_camera
+    goals = MarkerGoalSource(camera, table, eye, stage.marker_id, stage.pose_marker_tool, robot.tool)
 
     with camera, arm:
         goal = goals.poll(arm.clock.now())
@@ -52,7 +50,7 @@ def main(offset_deg: float = 0.0) -> None:
     if seen is None:
         sys.exit("the gripper's markers are not in view")
     pose_cube_gripper = robot.forward(q, stage.cube_frame).inverse() @ robot.forward(q)
-    gripper = stage.pose_world_camera @ seen.pose_camera_body @ pose_cube_gripper
+    gripper = eye @ seen.pose_camera_body @ pose_cube_gripper
     miss = gripper.distance(goal.target)[0]
     print(f"camera says: {1e3 * miss:.2f} mm from the goal: {'REACHED' if miss < 0.005 else 'NOT REACHED'}")
 
