@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError
-from robot_ik.hardware.config_file import ArmFile, arm_file_text, dump_arm_file, parse_arm_file
+from robot_ik.files import write_atomically
+from robot_ik.hardware.config_file import ArmFile, arm_file_text, parse_arm_file
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode, control_table
 from robot_ik.hardware.joint_map import MODE_TICKS, MODES, JointMap
 
@@ -112,7 +113,7 @@ class ArmConfig:
 
     def save(self, path: Path | str) -> None:
         """Writes the arm file whole or not at all (beside it first, then renamed over it)."""
-        dump_arm_file(self.to_toml(), Path(path))
+        write_atomically(Path(path), self.to_toml())
 
     def to_toml(self) -> str:
         """Text of the arm file; ``parse`` reads the same arm back (angles to 1e-12 degrees)."""

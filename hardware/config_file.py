@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import tempfile
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from robot_ik.errors import ConfigError, OutputError, close_matches
+from robot_ik.errors import ConfigError, close_matches
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
 
 if TYPE_CHECKING:
@@ -194,22 +192,3 @@ def arm_file_text(config: ArmConfig) -> str:
 def _degrees(angle: float) -> float:
     """Degrees without the tail of a binary conversion (160.00000000000003)."""
     return round(math.degrees(angle), 12)
-
-
-def dump_arm_file(text: str, path: Path) -> None:
-    """Writes beside ``path`` and renames, so that a reader never sees half a file.
-
-    Raises:
-        OutputError: The folder is missing or not writable.
-    """
-    temporary = ""
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
-        raise OutputError(f"the arm file {path} cannot be written: {error}") from error

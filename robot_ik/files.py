@@ -23,6 +23,8 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
         os.chmod(name, 0o644)  # mkstemp makes private files; a result is to be read by others
         os.replace(name, path)
     except OSError as error:

@@ -7,7 +7,6 @@ which FileStorage needs and the others ignore.  Read: that, FileStorage's own (`
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -19,7 +18,8 @@ from numpy.typing import NDArray
 
 from robot_ik.camera import lens
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.errors import CalibrationError, OutputError
+from robot_ik.errors import CalibrationError
+from robot_ik.files import write_atomically
 
 Array = NDArray[np.float64]
 
@@ -211,21 +211,9 @@ def _text(camera: CameraIntrinsics) -> str:
 def save_intrinsics(camera: CameraIntrinsics, path: Path | str) -> None:
     """Writes a calibration file; see ``CameraIntrinsics.save``.
 
-    The text goes to a temporary file beside the target, which is then renamed: readers see the old file
-    or the new one, never half of it.
+    The file appears whole or not at all.
+
+    Raises:
+        OutputError: The folder is missing or not writable.
     """
-    path = Path(path)
-    text = _text(camera)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OutputError(
-            f"cannot write the camera calibration {path}: {error.strerror}",
-            hint="choose a folder that exists and is writable",
-        ) from None
+    write_atomically(Path(path), _text(camera))

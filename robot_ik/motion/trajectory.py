@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
-import tempfile
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import ConfigError, OutputError, TrajectoryError
+from robot_ik.errors import ConfigError, TrajectoryError
+from robot_ik.files import write_atomically
 from robot_ik.motion.limits import joint_vector, motion_limits, require_inside, require_positive
 from robot_ik.motion.profiles import PROFILES
 from robot_ik.ports import Array
@@ -138,23 +138,12 @@ class Trajectory:
         Raises:
             OutputError: The folder is missing or not writable.
         """
-        target = Path(path)
-        try:
-            handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        except OSError as error:
-            raise _unwritable(target, error) from error
-        try:
-            with os.fdopen(handle, "w", newline="", encoding="utf-8") as stream:
-                writer = csv.writer(stream, lineterminator="\n")
-                writer.writerow([_TIME_COLUMN, *self.joints])
-                rows = np.column_stack([self.times, self.q]).tolist()
-                writer.writerows([[repr(value) for value in row] for row in rows])
-            os.chmod(name, 0o644)  # mkstemp makes private files; a result is to be read by others
-            os.replace(name, target)
-        except OSError as error:
-            raise _unwritable(target, error) from error
-        finally:
-            Path(name).unlink(missing_ok=True)
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([_TIME_COLUMN, *self.joints])
+        rows = np.column_stack([self.times, self.q]).tolist()
+        writer.writerows([[repr(value) for value in row] for row in rows])
+        write_atomically(Path(path), stream.getvalue())
 
     @classmethod
     def load_csv(cls, path: Path | str) -> Trajectory:
@@ -180,10 +169,6 @@ class Trajectory:
             return cls(table[:, 0], table[:, 1:], head[1:])
         except TrajectoryError as error:
             raise ConfigError(str(error), file=source) from error
-
-
-def _unwritable(target: Path, error: OSError) -> OutputError:
-    return OutputError(f"cannot write {target}: {error.strerror}", hint="give a file in a writable folder")
 
 
 def _numbers(row: list[str], count: int, file: Path, line: int) -> list[float]:
