@@ -153,7 +153,7 @@ class Pose:
         conjugate = self.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
         return Pose(-(quat_to_matrix(conjugate) @ self.position), conjugate)
 
-    def __matmul__(self, other: Pose | ArrayLike) -> Pose | Array:  # type: ignore[override]
+    def __matmul__(self, other: Pose | ArrayLike) -> Pose | Array:
         if isinstance(other, Pose):
             return self.compose(other)
         return self.apply(other)

@@ -45,8 +45,8 @@ def _quaternion(values: ArrayLike, what: str) -> Array:
 
 
 def _weight(value: float, what: str) -> float:
-    if not (np.isfinite(value) and value >= 0.0):
-        raise InvalidGoalError(f"{what} must be zero or more and finite, not {value}")
+    if not isinstance(value, (int, float, np.number)) or not (np.isfinite(value) and value >= 0.0):
+        raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
     return float(value)
 
 
@@ -72,7 +72,7 @@ class Goal:
 
     @property
     def weights(self) -> tuple[float, float]:
-        """Importance of the metres and of the radians."""
+        """Importance of the metres and of the radians; a part that weighs 0 is not asked for."""
         return 1.0, 1.0
 
     def moved_to(self, target: Pose) -> Goal:

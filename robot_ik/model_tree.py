@@ -144,6 +144,15 @@ def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Arr
     return lower, upper, low, high
 
 
+def qpos_addresses(model: mujoco.MjModel, tree: Tree) -> NDArray[np.int64]:
+    """(nq,): where the numbers of q stand in the model's whole qpos."""
+    found: list[int] = []
+    for joint, kind in zip(tree.joint_ids, tree.kind, strict=True):
+        start = int(model.jnt_qposadr[joint])
+        found += range(start, start + Q_WIDTH[int(kind)])
+    return np.array(found, dtype=np.int64)
+
+
 def build_tree(
     model: mujoco.MjModel, joints: list[int] | None = None, qpos: Array | None = None
 ) -> tuple[Tree, tuple[Attachment, ...]]:

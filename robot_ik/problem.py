@@ -14,10 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import GoalError, InvalidGoalError
+from robot_ik.errors import GoalError, InvalidGoalError, UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels import residuals, work
@@ -88,6 +89,7 @@ class Problem:
         Raises:
             GoalError: No goal at all, or something that is not a goal.
             UnknownFrameError: A goal names a frame that the robot does not have.
+            UnsupportedJointError: An equality of the model ties a joint that the goals would move.
         """
         self.robot = robot
         self.goals: list[Goal] = [goals] if isinstance(goals, Goal) else list(goals)
@@ -97,9 +99,10 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self._compile_goals()
+        _refuse_coupled(robot, self.nodes)
         self._reach: list[tuple[int, float, float, float, float]] = []
         for g, goal in enumerate(self.goals):
-            ball = robot.reach(goal.frame) if goal.has_position else None
+            ball = robot.reach(goal.frame) if goal.weights[0] > 0.0 else None
             if ball is not None:
                 self._reach.append((g, *ball[0].tolist(), ball[1] + self.tolerance.position))
         self._make_work(self.budget.iterations + 1 if trace else 0)
@@ -123,13 +126,14 @@ class Problem:
             self.node[g] = node
             self.target[g] = pose_row(goal.target)
             weight[g] = goal.weights
+            tolerance[g, weight[g] == 0.0] = np.inf  # what weighs nothing is not asked for
             weight[g, 0] /= self._length(goal)
             ancestors.append(tree.ancestors(node))
         self.nodes = np.array(sorted({k for chain in ancestors for k in chain}), dtype=np.int64)
-        used = np.isin(_dof_nodes(robot), self.nodes)
+        used = np.isin(tree.dof_node, self.nodes)
         self.dofs = np.flatnonzero(used).astype(np.int64)
         moves = np.array(
-            [[int(k in chain) for k in _dof_nodes(robot)[self.dofs]] for chain in ancestors], dtype=np.int64
+            [[int(k in chain) for k in tree.dof_node[self.dofs]] for chain in ancestors], dtype=np.int64
         ).reshape(count, len(self.dofs))
         self._goal_arrays = {
             "kind": self.kind, "row": row, "node": self.node, "local": local, "target": self.target,
@@ -153,10 +157,10 @@ class Problem:
             "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
-            "free": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),
+            "free": (k,), "side": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
-            name: np.zeros(shape, dtype=np.int64 if name in ("state", "free") else float)
+            name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
             for name, shape in shapes.items()
         }
         self.arrays["nodes"] = self.nodes
@@ -175,16 +179,21 @@ class Problem:
             return
         if isinstance(target, Goal):
             mine = self.goals[index]
-            if type(target) is not type(mine) or target.frame not in (mine.frame, None):
+            tool = self.robot.tool
+            same_frame = (target.frame or tool) == (mine.frame or tool)
+            if type(target) is not type(mine) or target.weights != mine.weights or not same_frame:
                 raise InvalidGoalError(
-                    f"this problem was built for a {mine.name} of {mine.frame or self.robot.tool!r}",
-                    hint="another kind of goal or frame needs a new Problem",
+                    f"this problem was built for a {mine.name} of {mine.frame or tool!r}, "
+                    f"not for a {target.name} of {target.frame or tool!r} or for other weights",
+                    hint="another kind of goal, frame or weight needs a new Problem",
                 )
             self.target[index] = pose_row(target.target)
             return
         position = np.asarray(target, dtype=float)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise InvalidGoalError(f"a target is a Pose or a finite position (3,), not {target!r}")
+        if not self.goals[index].has_position:
+            raise InvalidGoalError(f"a {self.goals[index].name} has no position to move")
         self.target[index, :3] = position
 
     def target_pose(self, index: int = 0) -> Pose:
@@ -201,13 +210,28 @@ class Problem:
         return False
 
 
+def _refuse_coupled(robot: Robot, nodes: NDArray[np.int64]) -> None:
+    """Raises ``UnsupportedJointError`` if an equality of the model ties one of the moved joints."""
+    model = robot.model
+    moved = {robot.tree.joint_ids[k] for k in nodes}
+    joint_equality = int(mujoco.mjtEq.mjEQ_JOINT)
+    for e in range(model.neq):
+        if int(model.eq_type[e]) != joint_equality or not model.eq_active0[e]:
+            continue
+        tied = [int(j) for j in (model.eq_obj1id[e], model.eq_obj2id[e]) if j >= 0]
+        if moved.isdisjoint(tied):
+            continue
+        names = [repr(model.joint(j).name or f"joint_{j}") for j in tied]
+        what = f"joints {names[0]} and {names[1]}" if len(names) == 2 else f"joint {names[0]}"
+        raise UnsupportedJointError(
+            f"{robot.path.name} ties {what} by an equality constraint, which a solve would break",
+            path=robot.path,
+            hint="freeze them with load_robot(…, joints=[…]), or aim at a frame that they do not move",
+        )
+
+
 def goal_kind(goal: Goal) -> int:
     """The kernel's code for a goal."""
     if goal.has_position and goal.has_angle:
         return residuals.POSE
     return residuals.POSITION if goal.has_position else residuals.ORIENTATION
-
-
-def _dof_nodes(robot: Robot) -> NDArray[np.int64]:
-    widths = np.array([1, 1, 3, 6])[robot.tree.kind]
-    return np.repeat(np.arange(robot.tree.size), widths)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import mujoco
@@ -30,7 +31,7 @@ from robot_ik.model_file import (
     motion_limits,
     read_model,
 )
-from robot_ik.model_tree import Attachment, build_tree, pose_row, row_pose
+from robot_ik.model_tree import Attachment, build_tree, pose_row, qpos_addresses, row_pose
 
 Array = NDArray[np.float64]
 
@@ -207,7 +208,7 @@ class Robot:
         return q
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
-        """The same robot inside the intersection of its limits and these (nv,).
+        """The same robot inside the intersection of its limits and these (nv,); home moves inside.
 
         Raises:
             ModelError: No room is left for some joint.
@@ -223,8 +224,8 @@ class Robot:
                     f"the other side {np.asarray(lower)[v]:.4f} … {np.asarray(upper)[v]:.4f}",
                     hint="check sign, zero and range of the joint in the arm file",
                 )
-        tree = self.tree.with_limits(low, high)
-        return dataclasses.replace(self, tree=tree, lower=low, upper=high)
+        narrowed = dataclasses.replace(self, tree=self.tree.with_limits(low, high), lower=low, upper=high)
+        return dataclasses.replace(narrowed, home=narrowed.clip(self.home))
 
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
         """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
@@ -233,29 +234,15 @@ class Robot:
         their longest.  None where the base floats or a slide is unlimited.
         """
         node, local = self.attachment(frame)
-        chain = self.tree.ancestors(node)
-        if not chain or self.tree.kind[chain[0]] in (FREE, SLIDE):
-            return None
-        radius = float(np.linalg.norm(local[:3]))
-        for k in chain[1:]:
-            radius += float(np.linalg.norm(self.tree.constant[k, :3]))
-            if self.tree.kind[k] == SLIDE:
-                v = self.tree.vadr[k]
-                radius += float(np.max(np.abs([self.lower[v], self.upper[v]])))
-        return (self.tree.constant[chain[0], :3].copy(), radius) if np.isfinite(radius) else None
+        return self.tree.reach(node, local)
 
     def _work(self, node: int) -> tuple[NDArray[np.int64], Array, Array]:
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
         return nodes, np.empty((self.tree.size, 12)), np.empty((2, 12))
 
-    @property
+    @cached_property
     def _addresses(self) -> NDArray[np.int64]:
-        model = self.model
-        found: list[int] = []
-        for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
-            start = int(model.jnt_qposadr[joint])
-            found += range(start, start + Q_WIDTH[int(kind)])
-        return np.array(found, dtype=np.int64)
+        return qpos_addresses(self.model, self.tree)
 
 
 def load_robot(

@@ -137,7 +137,8 @@ class Solution:
     def _measure(self, goal: Goal, row: Array) -> Miss:
         pose = self.robot.measure(self.q, goal.frame)
         metres, radians = pose.distance(Pose.from_rotation(row[3:].reshape(3, 3), row[:3]))
-        return Miss(metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0)
+        asked = goal.weights
+        return Miss(metres if asked[0] > 0.0 else 0.0, radians if asked[1] > 0.0 else 0.0)
 
     def __repr__(self) -> str:
         return (

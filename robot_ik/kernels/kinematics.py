@@ -12,12 +12,18 @@ from numba import types
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
+# A quaternion shorter than this is taken for the identity, as in MuJoCo (mjMINVAL).
+_ZERO_QUATERNION = 1e-15
+
 
 @pure
 def quat_rotation(q, a, out, o):
-    """Rotation matrix of the quaternion q[a:a+4] (normalised here) into out[o, 3:12]."""
+    """Rotation matrix of the quaternion q[a:a+4] (normalised here; zero turns nothing) into out[o, 3:12]."""
     w, x, y, z = q[a], q[a + 1], q[a + 2], q[a + 3]
-    s = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if norm < _ZERO_QUATERNION:
+        w, norm = 1.0, 1.0
+    s = 1.0 / norm
     w, x, y, z = w * s, x * s, y * s, z * s
     out[o, 3] = 1 - 2 * (y * y + z * z)
     out[o, 4] = 2 * (x * y - w * z)
@@ -130,7 +136,10 @@ def turn_quat(q, a, x, y, z):
     i = aw * bx + ax * bw + ay * bz - az * by
     j = aw * by - ax * bz + ay * bw + az * bx
     k = aw * bz + ax * by - ay * bx + az * bw
-    n = 1.0 / math.sqrt(w * w + i * i + j * j + k * k)
+    norm = math.sqrt(w * w + i * i + j * j + k * k)
+    if norm < _ZERO_QUATERNION:
+        w, norm = 1.0, 1.0
+    n = 1.0 / norm
     q[a], q[a + 1], q[a + 2], q[a + 3] = w * n, i * n, j * n, k * n
 
 

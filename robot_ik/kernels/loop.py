@@ -113,7 +113,7 @@ def begin(tree, goal, work):
     if work.state[STATUS] != FRESH:
         return
     copy(work.start, work.q)
-    clip(tree, work.nodes, work.q)
+    clip(tree, tree.every, work.q)
     within = measure(tree, goal, work)
     work.state[STATUS] = CONVERGED if within else RUNNING
     keep_best(work)

@@ -41,6 +41,7 @@ TREE = Layout(
     low="floats",  # (nv,) finite range for drawing random starts
     high="floats",  # (nv,)
     dof_node="ints",  # (nv,) node of each degree of freedom
+    every="ints",  # (n,) 0, 1, …: the list of all nodes
 )
 open_tree = TREE.open
 
@@ -68,6 +69,7 @@ class Tree:
     nq: int
     nv: int
     dof_node: Ints = field(init=False)
+    every: Ints = field(init=False)
     handle: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -79,6 +81,7 @@ class Tree:
             arrays[name] = np.array(getattr(self, name), dtype=float)
         widths = [V_WIDTH[int(kind)] for kind in arrays["kind"]]
         arrays["dof_node"] = np.repeat(np.arange(len(widths)), widths).astype(np.int64)
+        arrays["every"] = np.arange(len(widths), dtype=np.int64)
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -100,6 +103,24 @@ class Tree:
             found.append(node)
             node = int(self.parent[node])
         return found[::-1]
+
+    def reach(self, node: int, local: Array) -> tuple[Array, float] | None:
+        """A ball that a point can never leave: centre (3,) and radius in metres; see ``Robot.reach``.
+
+        Args:
+            node: Node that carries the point.
+            local: (3,) or longer, the point seen from the node.
+        """
+        chain = self.ancestors(node)
+        if not chain or self.kind[chain[0]] in (FREE, SLIDE):
+            return None
+        radius = float(np.linalg.norm(local[:3]))
+        for k in chain[1:]:
+            radius += float(np.linalg.norm(self.constant[k, :3]))
+            if self.kind[k] == SLIDE:
+                v = self.vadr[k]
+                radius += float(np.max(np.abs([self.lower[v], self.upper[v]])))
+        return (self.constant[chain[0], :3].copy(), radius) if np.isfinite(radius) else None
 
     def with_limits(self, lower: Array, upper: Array) -> Tree:
         """The same tree inside other limits (nv,)."""

@@ -43,6 +43,7 @@ WORK = Layout(
     high="floats",  # (nu,)
     rhs="floats",  # (k,)
     free="ints",  # (k,)
+    side="ints",  # (k,)
     dq="floats",  # (nv,)
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )

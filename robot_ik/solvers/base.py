@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 # With a time budget the kernel runs in slices of about this long between looks at the clock.
 _SLICE_SECONDS = 1e-3
-_FIRST_SLICE = 64
+_FIRST_SLICE = 16
 _NO_LIMIT = 1 << 60
 
 
@@ -154,7 +154,7 @@ class IterativeSolver(Solver):
 
     @staticmethod
     def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:
-        slice_steps = _FIRST_SLICE
+        slice_steps = _FIRST_SLICE if time.perf_counter() < deadline else 0
         while True:
             state[work.SLICE_END] = state[work.ITERATIONS] + slice_steps
             began = time.perf_counter()

@@ -62,7 +62,9 @@ def dls_step(tree, goal, work, options):
     for i in range(n):
         normal[i, i] += damping * damping
     room(tree, goal, work)
-    pressed = box_step(normal, work.gradient, work.low, work.high, step, work.rhs, work.free, work.factor)
+    pressed = box_step(
+        normal, work.gradient, work.low, work.high, step, work.rhs, work.free, work.side, work.factor
+    )
     work.state[PRESSED] = max(pressed, 0)
     largest = 0.0
     for i in range(n):

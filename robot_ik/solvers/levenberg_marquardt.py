@@ -66,7 +66,7 @@ def lm_step(tree, goal, work, options):
         damped[i, i] = normal[i, i] + damping
     room(tree, goal, work)
     pressed = box_step(
-        damped, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.factor
+        damped, work.gradient, work.low, work.high, work.step, work.rhs, work.free, work.side, work.factor
     )
     if pressed < 0:  # not positive definite to working precision: more damping
         value[DAMPING] = value[DAMPING] * increase + 1e-9

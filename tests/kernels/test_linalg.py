@@ -11,7 +11,7 @@ from robot_ik.kernels.linalg import box_step
 def solve(matrix, gradient, low, high):
     n = len(gradient)
     step, rhs, free = np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64)
-    pressed = box_step(np.tril(matrix), gradient, low, high, step, rhs, free, np.zeros((n, n)))
+    pressed = box_step(np.tril(matrix), gradient, low, high, step, rhs, free, free.copy(), np.zeros((n, n)))
     return pressed, step
 
 
@@ -30,7 +30,7 @@ def problems(draw):
     for i in range(n):  # some joints stand at a bound
         if draw(st.integers(0, 3)) == 0:
             (low if draw(st.booleans()) else high)[i] = 0.0
-    return matrix, rng.normal(size=n), np.nan_to_num(low, nan=-np.inf), np.nan_to_num(high, nan=np.inf)
+    return matrix, rng.normal(size=n), low, high
 
 
 def best(matrix, gradient, low, high):
@@ -58,35 +58,15 @@ def test_a_step_is_feasible_and_never_uphill(problem):
 
 @settings(max_examples=300)
 @given(problems())
-def test_the_exact_minimiser_where_no_bound_is_met_and_never_below_it(problem):
-    """Promised: the exact box minimum where the free minimiser is inside; otherwise a descent step, not the best.
-
-    Binding bounds only grow within one call, so a joint once stopped is not let go again: the next step does that.
-    """
+def test_a_step_is_the_minimiser_inside_the_box(problem):
     matrix, gradient, low, high = problem
     _, step = solve(matrix, gradient, low, high)
-    some, exact_some = best(matrix, gradient, low, high)
-    exact = np.zeros(len(step))
-    exact[some] = exact_some
-    least = value(matrix, gradient, exact)
-    assert value(matrix, gradient, step) >= least - 1e-9 * (1 + abs(least))
+    some, exact = best(matrix, gradient, low, high)
+    np.testing.assert_allclose(step[some], exact, atol=1e-7 * (1 + np.abs(exact).max(initial=0)))
+    assert not step[~some].any()
     free = np.linalg.solve(matrix, gradient)
     if (free > low).all() and (free < high).all():
-        np.testing.assert_allclose(step, free, atol=1e-9 * (1 + np.abs(free).max()))
-
-
-@settings(max_examples=100)
-@given(problems())
-def test_repeated_steps_come_to_the_exact_minimum(problem):
-    """What the solvers rely on: a joint stopped too early is let go in the next step."""
-    matrix, gradient, low, high = problem
-    total = np.zeros(len(gradient))
-    for _ in range(60):
-        room_low, room_high = np.minimum(low - total, 0), np.maximum(high - total, 0)
-        _, step = solve(matrix, gradient - matrix @ total, room_low, room_high)
-        total = np.clip(total + step, low, high)
-    some, exact = best(matrix, gradient, low, high)
-    np.testing.assert_allclose(total[some], exact, atol=1e-6 * (1 + np.abs(exact).max(initial=0)))
+        np.testing.assert_allclose(step, free, rtol=1e-9)
 
 
 def test_joints_pressed_against_their_bounds_are_counted():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
@@ -47,7 +47,7 @@ def differences(problem, q, step=1e-6):
 WEIGHT = st.sampled_from([0.0, 0.3, 1.0, 5.0])
 
 
-@settings(max_examples=100)
+@settings(max_examples=60, phases=(Phase.generate,))
 @given(data=st.data(), seed=st.integers(0, 2**32))
 def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, data, seed):
     drawn = data.draw(any_model)
@@ -71,7 +71,7 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
         assert row[1] == pytest.approx(radians if goal.has_angle else 0.0, abs=1e-9)
         if goal.has_angle and radians > np.pi - 1e-3:
             return  # within a step of pi the residual jumps, and differences say nothing; see below
-    np.testing.assert_allclose(jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max()))
+    np.testing.assert_allclose(jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0)))
 
 
 ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
