@@ -28,7 +28,8 @@ from robot_ik.robot import Robot
 Array = NDArray[np.float64]
 
 # A pose goal weighs metres against radians: one reach-radius times this counts as much as one radian.
-_LENGTH_PER_REACH = 0.5
+# 0.35 solved cold poses of PUMA 560, UR5e and Panda in the fewest steps (0.25, 0.3, 0.42, 0.5, 0.7, 1 tried).
+_LENGTH_PER_REACH = 0.35
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class Problem:
             self.target[g] = pose_row(goal.target)
             weight[g] = goal.weights
             tolerance[g, weight[g] == 0.0] = np.inf  # what weighs nothing is not asked for
-            weight[g, 0] /= self._length(goal)
+            weight[g, 0] /= self.length(goal)
             ancestors.append(tree.ancestors(node))
         self.nodes = np.array(sorted({k for chain in ancestors for k in chain}), dtype=np.int64)
         used = np.isin(tree.dof_node, self.nodes)
@@ -141,7 +142,7 @@ class Problem:
         }  # fmt: skip
         self.handle = residuals.GOALS.pack(self._goal_arrays)
 
-    def _length(self, goal: Goal) -> float:
+    def length(self, goal: Goal) -> float:
         """Metres that count as much as one radian: scales position rows, so that all rows are angles."""
         ball = self.robot.reach(goal.frame)
         if ball is None or ball[1] < 1e-6:

@@ -27,9 +27,7 @@ def make_goal(kind, frame, pose, weights):
         return PositionGoal(frame, pose.position, weight=weights[0])
     if kind is OrientationGoal:
         return OrientationGoal(frame, pose.wxyz, weight=weights[1])
-    return PoseGoal(
-        frame, pose.position, pose.wxyz, position_weight=weights[0], angle_weight=weights[1]
-    )
+    return PoseGoal(frame, pose.position, pose.wxyz, position_weight=weights[0], angle_weight=weights[1])
 
 
 def differences(problem, q, step=1e-6):
@@ -39,7 +37,10 @@ def differences(problem, q, step=1e-6):
     for v in problem.dofs:
         dq = np.zeros(robot.nv)
         dq[v] = step
-        ahead, behind = evaluate(problem, robot.integrate(q, dq))[1], evaluate(problem, robot.integrate(q, -dq))[1]
+        ahead, behind = (
+            evaluate(problem, robot.integrate(q, dq))[1],
+            evaluate(problem, robot.integrate(q, -dq))[1],
+        )
         columns.append((behind - ahead) / (2 * step))
     return np.array(columns).T.reshape(problem.rows, len(problem.dofs))
 
@@ -71,7 +72,9 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
         assert row[1] == pytest.approx(radians if goal.has_angle else 0.0, abs=1e-9)
         if goal.has_angle and radians > np.pi - 1e-3:
             return  # within a step of pi the residual jumps, and differences say nothing; see below
-    np.testing.assert_allclose(jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0)))
+    np.testing.assert_allclose(
+        jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0))
+    )
 
 
 ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
