@@ -17,6 +17,7 @@ from robot_ik.errors import ConfigError, InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
+    from robot_ik.jobs.limbs import JointLimits
     from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal
 
 
@@ -96,11 +97,12 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
+    from robot_ik.files import folder_for_results
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import reach_summary, run_folder, save_reach
 
-    folder = run_folder(Path(options.out) if options.out else None, "reach")
-    try:
+    # Before anything moves: a run whose results cannot be kept is not started.
+    with folder_for_results(run_folder(Path(options.out) if options.out else None, "reach")) as folder:
         with console.progress() as bar:
             task = bar.add_task("opening", total=1.0, note="")
 
@@ -108,11 +110,7 @@ def run(options: ReachOptions) -> int:
                 bar.update(task, description=stage, completed=share)
 
             report = run_reach(request, progress)
-    except BaseException:
-        if not any(folder.iterdir()):
-            folder.rmdir()  # nothing came of it: leave no empty folder behind
-        raise
-    files = save_reach(report, folder)
+        files = save_reach(report, folder)
     if options.json:
         console.print_json({**reach_summary(report), "folder": str(folder)})
     else:
@@ -183,7 +181,9 @@ def _rehearsal(options: RehearseOptions) -> Rehearsal:
         try:
             offsets[joint] = float(degrees)
         except ValueError:
-            raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2") from None
+            offsets[joint] = math.nan
+        if not math.isfinite(offsets[joint]):
+            raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     place = options.marker_at
     if place and len(place) not in (3, 4):
         raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", "3 or 4: x y z in metres, yaw in degrees")
@@ -223,7 +223,10 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
         rows.append((f"marker {seen.observation.id}", f"seen at {_mm(seen.pose_world_marker.position)} mm"))
         if seen.true_pose is not None:
             metres, radians = seen.pose_world_marker.distance(seen.true_pose)
-            text = f"true at {_mm(seen.true_pose.position)} mm; seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            text = (
+                f"true at {_mm(seen.true_pose.position)} mm; "
+                f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            )
             rows.append(("", text))
         elif report.eyes is not None:
             pose = seen.observation.pose
@@ -259,11 +262,15 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
             text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
         rows.append(("motion", text))
     if following is not None:
-        text = f"{following.duration:.1f} s, {following.ticks} ticks: {following.solved} solved, {following.held} held"
+        text = f"{following.duration:.1f} s; {following.held} of {following.ticks} ticks without a goal"
         rows.append(("following", text))
+    if report.behind is not None:
+        median, largest = (1e3 * metres for metres in report.behind)
+        rows.append(("", f"tool behind the marker's goal: median {median:.1f} mm, largest {largest:.1f} mm"))
     if report.counters:
         count = report.counters
-        rate = f"{run.rate:.1f} Hz; " if run is not None else ""
+        rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
+        rate = f"{', following '.join(rates)}; " if rates else ""
         rows.append(
             (
                 f"bus {report.request.bus}",
@@ -278,7 +285,8 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
     rows = []
     if report.read_back is not None:
         judged = report.read_back
-        rows.append(("read back", f"{_miss(judged)}  allowed {_bound(judged)} (servo ticks)"))
+        why = "servo ticks" if report.limbs.arm is not None else "tolerance of the solver"
+        rows.append(("read back", f"{_miss(judged)}  allowed {_bound(judged)} ({why})"))
     if report.by_camera is not None:
         judged = report.by_camera
         sigma = f"σ {1e3 * judged.sigma.position:.2f} mm, {math.degrees(judged.sigma.angle):.2f}°"
@@ -287,17 +295,31 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
 
 
 def _print_limits(report: ReachReport, screen: Any) -> None:
-    rows = console.table("joint", "model", "servo and map", "used")
+    rows = console.table("joint", "limits used", "narrowed by")
     for limit in report.limbs.limits:
-        servo = "-" if limit.servo is None else _range(limit.servo)
-        rows.add_row(limit.joint, _range(limit.model), servo, _range(limit.used))
-    screen.print(Text("joint limits, degrees (metres for slides)", style="dim"))
+        rows.add_row(limit.joint, _range(limit.used, limit.unit), _narrowed(limit))
     screen.print(rows)
     screen.print()
 
 
-def _range(pair: tuple[float, float]) -> str:
-    return " … ".join("free" if math.isinf(v) else f"{math.degrees(v):.1f}" for v in pair)
+def _narrowed(limit: JointLimits) -> str:
+    """Which side gave way to the servo, and what the model alone would allow."""
+    sides = [
+        f"{name} end by the servo (model: {_limit(model, limit.unit)})"
+        for name, model, used in zip(("lower", "upper"), limit.model, limit.used, strict=True)
+        if abs(model - used) > 1e-9
+    ]
+    return ", ".join(sides) or ("nothing: the model's own" if limit.servo is not None else "")
+
+
+def _range(pair: tuple[float, float], unit: str) -> str:
+    return " … ".join(_limit(value, unit) for value in pair)
+
+
+def _limit(value: float, unit: str) -> str:
+    if math.isinf(value):
+        return "free"
+    return f"{value:.3f} m" if unit == "m" else f"{math.degrees(value):.1f}°"
 
 
 def _mm(position: Any) -> str:

@@ -15,8 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.overlay import before_after, draw_axes, draw_marker_outline, draw_robot
-from robot_ik.files import make_folder, write_atomically
+from robot_ik.camera.overlay import GREEN, ORANGE, RED, before_after, draw_axes, draw_marker_outline, draw_robot
+from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.verdict import Judgement
@@ -27,20 +27,16 @@ _AXES_PER_HOVER = 0.6
 
 
 def run_folder(out: Path | None, job: str) -> Path:
-    """The folder for a run: as asked, or ``runs/<time>-<job>``.
-
-    Raises:
-        OutputError: It cannot be made or written.
-    """
+    """The folder for a run, not made yet: as asked, or ``runs/<time>-<job>``."""
     if out is not None:
-        return make_folder(out)
+        return out
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
     base, k = Path("runs") / f"{stamp}-{job}", 1
     folder = base
     while folder.exists():
         k += 1
         folder = base.with_name(f"{base.name}-{k}")
-    return make_folder(folder)
+    return folder
 
 
 def save_reach(report: ReachReport, folder: Path) -> list[Path]:
@@ -88,6 +84,7 @@ def reach_picture(report: ReachReport) -> Any:
         title=f"{report.robot.file.title or report.robot.name}: {report.frame} to the goal",
         footer="blue: the robot's model at the joint angles read back, drawn over the camera's picture; "
         "axes: the goal",
+        accents=(ORANGE, GREEN if report.reached else RED),
     )  # fmt: skip
 
 
@@ -175,6 +172,8 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "capped": report.following.capped,
             "rate_hz": report.following.rate,
             "tracking_error_rad": report.following.tracking_error,
+            "behind_median_m": None if report.behind is None else report.behind[0],
+            "behind_largest_m": None if report.behind is None else report.behind[1],
         },
         "q": report.q_end,
         "read_back": _judgement(report.read_back),
