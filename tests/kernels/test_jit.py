@@ -17,24 +17,33 @@ PACKAGE = Path(robot_ik.__file__).parent
 PRINT_FOLDER = "from robot_ik.kernels.jit import cache_folder; print(cache_folder())"
 
 # A caller in one file and its callee in another: what numba's own cache gets wrong.
-CALLER = '''
+CALLER = """
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.callee import twice
 @kernel
 def caller(x):
     return twice(x) + 1.0
-'''
-CALLEE = '''
+"""
+CALLEE = """
 from robot_ik.kernels.jit import outlined
 @outlined
 def twice(x):
     return FACTOR * x
-'''
+"""
+
+
+# An editable install has a finder of its own, which comes before sys.path.
+USE_COPY = """
+import os, sys
+sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in repr(finder).lower()]
+sys.path.insert(0, os.environ["COPY"])
+"""
 
 
 def run(code: str, **environment: str | Path) -> subprocess.CompletedProcess[str]:
-    # Not this checkout's package but the copy: the folder comes first, without the test runner's path.
-    env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {k: str(v) for k, v in environment.items()}
+    env = os.environ | {name: str(value) for name, value in environment.items()}
+    if "COPY" in environment:
+        code = USE_COPY + code
     return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=100)
 
 
@@ -42,14 +51,16 @@ def run(code: str, **environment: str | Path) -> subprocess.CompletedProcess[str
 def copied(tmp_path: Path) -> Path:
     """A copy of the compiled part of the package, to be changed at will."""
     for part in ("kernels", "solvers", "errors"):
-        shutil.copytree(PACKAGE / part, tmp_path / "lib" / "robot_ik" / part, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            PACKAGE / part, tmp_path / "lib" / "robot_ik" / part, ignore=shutil.ignore_patterns("__pycache__")
+        )
     shutil.copy(PACKAGE / "__init__.py", tmp_path / "lib" / "robot_ik")
     return tmp_path / "lib"
 
 
 def test_an_edit_of_any_compiled_source_starts_another_cache(copied: Path, tmp_path: Path):
     def folder() -> Path:
-        return Path(run(PRINT_FOLDER, PYTHONPATH=copied, XDG_CACHE_HOME=tmp_path / "cache").stdout.strip())
+        return Path(run(PRINT_FOLDER, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache").stdout.strip())
 
     first = folder()
     assert first == folder() and first.is_relative_to(tmp_path / "cache" / "robot-ik")
@@ -67,8 +78,10 @@ def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tm
     answers = []
     for factor in ("2.0", "2.0", "5.0"):
         (kernels / "callee.py").write_text(CALLEE.replace("FACTOR", factor))
-        code = "from robot_ik.kernels.caller import caller; print(caller(10.0), dict(caller.stats.cache_hits))"
-        done = run(code, PYTHONPATH=copied, XDG_CACHE_HOME=tmp_path / "cache")
+        code = (
+            "from robot_ik.kernels.caller import caller; print(caller(10.0), dict(caller.stats.cache_hits))"
+        )
+        done = run(code, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache")
         assert done.returncode == 0, done.stderr
         answers.append(done.stdout.split(maxsplit=1))
     assert [value for value, _ in answers] == ["21.0", "21.0", "51.0"]
@@ -112,5 +125,7 @@ def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
 
 
 def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
-    done = run("import sys, robot_ik; print([m for m in ('numba', 'cv2', 'mujoco', 'numpy') if m in sys.modules])")
+    done = run(
+        "import sys, robot_ik; print([m for m in ('numba', 'cv2', 'mujoco', 'numpy') if m in sys.modules])"
+    )
     assert done.stdout.strip() == "[]", done.stderr

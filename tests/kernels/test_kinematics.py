@@ -1,4 +1,4 @@
-"""Forward kinematics, Jacobian, integration and limits against MuJoCo's own, on random trees and shipped models."""
+"""Forward kinematics, Jacobian, integration and limits against MuJoCo's own, on random and shipped models."""
 
 import copy
 import gc

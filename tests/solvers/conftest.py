@@ -15,7 +15,7 @@ PLANAR = """<mujoco model="planar"><compiler angle="radian"/><worldbody>
 <site name="nail" pos="0.3 0.3 0"/>
 </worldbody><keyframe><key name="home" qpos="0.2 0.4 0.3"/></keyframe></mujoco>"""
 
-# A carriage on a rail carries a column; a ball-jointed arm and a turned hand hang on it, and a branch beside them.
+# A carriage on a rail carries a column, on it a ball-jointed arm with a turned hand, and a branch beside it.
 TREE = """<mujoco model="tree"><compiler angle="radian"/><worldbody>
 <body name="carriage" pos="0 0 0.2" quat="0.9 0.1 -0.2 0.3">
  <joint name="rail" type="slide" axis="1 0 0" range="-0.5 0.5"/>

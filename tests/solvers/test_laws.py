@@ -1,5 +1,6 @@
 """The ten laws that every solver keeps, on every robot of the contract."""
 
+import itertools
 import tomllib
 from pathlib import Path
 
@@ -121,8 +122,10 @@ def out_of_reach(robot_name, kind, where):
     position = {
         ("puma560", "far"): (3.0, 1.0, 1.0), ("puma560", "near"): (0.85, 0.6, 0.9),
         ("puma560", "limits"): (0.02, 0.03, -0.5),
-        ("planar", "far"): (4.0, 1.0, 0.0), ("planar", "near"): (0.6, 0.4, 0.05), ("planar", "limits"): (-0.02, 0.0, 0.0),
-        ("tree", "far"): (5.0, 0.0, 5.0), ("tree", "near"): (1.2, 0.9, 1.2), ("tree", "limits"): (-0.6, -0.6, -0.4),
+        ("planar", "far"): (4.0, 1.0, 0.0), ("planar", "near"): (0.6, 0.4, 0.05),
+        ("planar", "limits"): (-0.02, 0.0, 0.0),
+        ("tree", "far"): (5.0, 0.0, 5.0), ("tree", "near"): (1.2, 0.9, 1.2),
+        ("tree", "limits"): (-0.6, -0.6, -0.4),
     }[robot_name, where]  # fmt: skip
     if kind == "position":
         return PositionGoal(None, position)
@@ -148,7 +151,7 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(
 
 
 def worth(problem, robot, q, goal):
-    """What solvers minimise, from MuJoCo's measurement: squared metres over the length scale, squared radians."""
+    """What solvers minimise, from MuJoCo's measurement: metres over the length scale and radians, squared."""
     metres, radians = measured(robot, q, goal)
     return (metres / problem.length(goal)) ** 2 + radians**2
 
@@ -295,7 +298,7 @@ def test_the_trace_tells_the_same_story(name, robots, reachable):
     assert outcome(quiet) == outcome(solution) and quiet.trace == ()
     trace = solution.trace
     assert [row.iteration for row in trace] == list(range(1, solution.iterations + 1))
-    assert all(a.restart <= b.restart for a, b in zip(trace, trace[1:], strict=False))
+    assert all(a.restart <= b.restart for a, b in itertools.pairwise(trace))
     assert trace[-1].restart <= solution.restarts
     assert all(row.cost >= 0 and row.step >= 0 for row in trace)
     if solution.converged and trace:
