@@ -99,6 +99,7 @@ class Problem:
         self.tolerance = tolerance or Tolerance()
         self.budget = budget or Budget()
         self.seed = int(seed)
+        self.trace = trace
         self._compile_goals()
         _refuse_coupled(robot, self.nodes)
         self._reach: list[tuple[int, float, float, float, float]] = []
@@ -167,6 +168,11 @@ class Problem:
         self.arrays["nodes"] = self.nodes
         self.work = work.WORK.pack(self.arrays)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A copy has work space of its own, and so is compiled anew.
+        options = (self.robot, self.goals, self.tolerance, self.budget, self.seed, self.trace)
+        return _rebuilt, (*options, self.target.copy())
+
     def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
         """Moves the target of one goal: a ``Pose``, a position (3,), or a goal of the same kind and frame.
 
@@ -209,6 +215,20 @@ class Problem:
             if (row[0] - x) ** 2 + (row[1] - y) ** 2 + (row[2] - z) ** 2 > radius * radius:
                 return True
         return False
+
+
+def _rebuilt(
+    robot: Robot,
+    goals: list[Goal],
+    tolerance: Tolerance,
+    budget: Budget,
+    seed: int,
+    trace: bool,
+    target: Array,
+) -> Problem:
+    problem = Problem(robot, goals, tolerance=tolerance, budget=budget, seed=seed, trace=trace)
+    problem.target[:] = target
+    return problem
 
 
 def _refuse_coupled(robot: Robot, nodes: NDArray[np.int64]) -> None:
