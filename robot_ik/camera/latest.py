@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +15,9 @@ _log = logging.getLogger(__name__)
 
 # A goal older than this is history: then the arm holds.
 _MAX_AGE_S = 0.5
+# The interpreter changes threads every 5 ms by default, half a period of the loop: with pictures computed
+# in Python that cost a fifth of the loop's rate and answers of servos that came too late.
+_SWITCH_INTERVAL_S = 0.0005
 # How often a scene that exists only in numbers is looked at, Hz: as a cheap camera would.
 SYNTHETIC_RATE_HZ = 15.0
 
@@ -45,9 +49,12 @@ class LatestGoals:
         self.ended = False
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._switch_interval = sys.getswitchinterval()
 
     def __enter__(self) -> Self:
         if not self._virtual:
+            self._switch_interval = sys.getswitchinterval()
+            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, self._switch_interval))
             self._thread = threading.Thread(target=self._run, daemon=True, name="looking")
             self._thread.start()
         return self
@@ -59,6 +66,7 @@ class LatestGoals:
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
+            sys.setswitchinterval(self._switch_interval)
 
     def poll(self, now: float) -> Any:
         """The newest goal; None, which means hold, when there is none or it is older than half a second.

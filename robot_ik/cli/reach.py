@@ -52,7 +52,9 @@ class ReachOptions:
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
     """Method: see `robot-ik solvers`."""
-    goal: Annotated[tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: by camera)")] = ()
+    goal: Annotated[
+        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: by camera)")
+    ] = ()
     """Go there instead of to a marker: metres in the world, and an orientation as a quaternion."""
     frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
     """What shall get there: a tool, site or body of the robot."""
@@ -61,7 +63,8 @@ class ReachOptions:
     intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
     """Calibration of a real camera: OpenCV or ROS YAML."""
     camera_pose: Annotated[
-        tuple[float, ...], arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)")
+        tuple[float, ...],
+        arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
     ] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
     marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
@@ -71,7 +74,7 @@ class ReachOptions:
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the scene's)")] = ""
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, arg(metavar="pty|sim|none|PORT")] = "pty"
-    """pty: virtual servos on a real serial line; sim: in process, virtual time; none: no servos; else a port."""
+    """pty: virtual servos on a serial line; sim: in process, virtual time; none: no servos; else a port."""
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
     """Servo ids, signs, zeros and limits."""
     speed: float = 1.0
@@ -186,7 +189,8 @@ def _rehearsal(options: RehearseOptions) -> Rehearsal:
             raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     place = options.marker_at
     if place and len(place) not in (3, 4):
-        raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", "3 or 4: x y z in metres, yaw in degrees")
+        allowed = "3 or 4: x y z in metres, yaw in degrees"
+        raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
     marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
     return Rehearsal(
         zero_offset_deg=offsets,
@@ -208,8 +212,24 @@ def print_report(report: ReachReport) -> None:
     for name, text in _rows(report):
         rows.add_row(name, Text(text))
     verdict = ("REACHED" if report.reached else "NOT REACHED", "bold green" if report.reached else "bold red")
-    rows.add_row("result", Text.assemble(verdict, f"  {report.verdict}" if report.verdict else ""))
+    why = _why(report)
+    rows.add_row("result", Text.assemble(verdict, f"  {why}" if why else ""))
     screen.print(rows)
+
+
+def _why(report: ReachReport) -> str:
+    """One sentence on the result; servos that stopped short are named before the camera's view of it."""
+    if report.read_back is None or report.read_back.passed or report.execution is None:
+        return report.verdict
+    off = report.execution.final_error
+    if off is None:
+        return report.verdict
+    worst = int(abs(off).argmax())
+    joint = report.execution.joints[worst]
+    return (
+        f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
+        "is it held, overloaded or too slow?"
+    )
 
 
 def _rows(report: ReachReport) -> list[tuple[str, str]]:
@@ -247,7 +267,7 @@ def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
     miss = solution.miss
     return [
         ("solver", f"{solution.solver}: {solution.status.name.lower()}, {steps}{restarts}{took}"),
-        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (MuJoCo's forward pass)"),
+        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (by MuJoCo)"),
     ]
 
 
@@ -266,15 +286,15 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
         rows.append(("following", text))
     if report.behind is not None:
         median, largest = (1e3 * metres for metres in report.behind)
-        rows.append(("", f"tool behind the marker's goal: median {median:.1f} mm, largest {largest:.1f} mm"))
+        rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
     if report.counters:
         count = report.counters
         rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
         rate = f"{', following '.join(rates)}; " if rates else ""
         rows.append(
             (
-                f"bus {report.request.bus}",
-                f"{rate}{count['cycles']} cycles, {count['timeouts']} timeouts, {count['corrupt']} corrupt, "
+                "bus",
+                f"{report.request.bus}: {rate}{count['cycles']} cycles, {count['timeouts']} timeouts, {count['corrupt']} corrupt, "
                 f"{count['retries']} retries, {count['alerts']} alerts",
             )
         )
@@ -309,7 +329,7 @@ def _narrowed(limit: JointLimits) -> str:
         for name, model, used in zip(("lower", "upper"), limit.model, limit.used, strict=True)
         if abs(model - used) > 1e-9
     ]
-    return ", ".join(sides) or ("nothing: the model's own" if limit.servo is not None else "")
+    return ", ".join(sides) or ("-" if limit.servo is not None else "")
 
 
 def _range(pair: tuple[float, float], unit: str) -> str:

@@ -45,7 +45,7 @@ _SYNTHETIC_TRIES = 2
 # With fewer degrees of freedom a full pose is out of reach in general, so only the place is asked for.
 FREEDOMS_OF_A_POSE = 6
 # While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
-_WANDER, _REST_SECONDS = 0.6, 1.5
+_WANDER, _REST_SECONDS = 0.4, 1.5
 _RECORDED = (ImageSource, FolderSource, VideoSource)
 
 
@@ -151,6 +151,7 @@ class Eyes:
         self._cubes = MarkerTracker(intrinsics, stage.dictionary, sides)
         self._goals = self.goal_source(self._source)
         self._followed: Seen | None = None
+        self._moving: SyntheticSource | None = None
         self._cover_gripper = False
 
     @property
@@ -208,6 +209,19 @@ class Eyes:
         body = robot.forward(q, self.stage.cube_frame).compose(self.stage.cube_offset)
         return body.inverse().compose(robot.forward(q, self._frame))
 
+    def get_ready_to_follow(self) -> None:
+        """Does what would keep an arm with torque waiting: the first picture of a stage takes longest."""
+        if self._synthetic is None or self._moving is not None:
+            return
+        self._moving = SyntheticSource(
+            self._synthetic.scene,
+            self._limbs.true_q,
+            seed=self._seed,
+            clock=self._limbs.clock,
+            quality="fast",
+        )
+        self._moving.read()
+
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
@@ -220,9 +234,11 @@ class Eyes:
         scene = self._synthetic.scene
         home = next(m.pose for m in scene.markers if m.id == self.stage.marker_id)
         assert isinstance(home, Pose)
-        moving = SyntheticSource(scene, self._limbs.true_q, seed=self._seed, clock=clock, quality="fast")
-        moving.read()  # the first picture of a stage takes longest: not in the loop's time
-        path = Wandering(home, clock.now() + _REST_SECONDS, seconds - _REST_SECONDS, _WANDER * self.stage.hover)
+        self.get_ready_to_follow()
+        moving = self._moving
+        assert moving is not None
+        begin, size = clock.now() + _REST_SECONDS, _WANDER * self.stage.hover
+        path = Wandering(home, begin, seconds - _REST_SECONDS, size)
         moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
         with LatestGoals(_Aimed(self, Blindfold(moving)), clock, self._rate) as latest:
             yield latest
@@ -264,8 +280,9 @@ class Eyes:
                 f"{wanted} is in view, but its two possible orientations cannot be told apart",
                 hint="show it larger, sharper or more from the side",
             )
-        others = [] if image is None else sorted({d.id for d in MarkerDetector(self.stage.dictionary).detect(image)})
-        there = f"in view: {', '.join(map(str, others))}" if others else "no marker of that dictionary is in view"
+        found = [] if image is None else MarkerDetector(self.stage.dictionary).detect(image)
+        others = ", ".join(str(id) for id in sorted({detection.id for detection in found}))
+        there = f"in view: {others}" if others else "no marker of that dictionary is in view"
         return MarkerNotFoundError(
             f"{wanted} was not found; {there}",
             hint="check id (--marker), dictionary (--dictionary), light, focus and the white margin round it",
@@ -344,7 +361,7 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
     if request.follow > 0.0 and not source.live:
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
-            file="command line", key="--follow", allowed="a camera, a stream, a video or a folder of pictures",
+            file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
         )  # fmt: skip
     pose = request.pose_world_camera or stage.pose_world_camera
     why = ""

@@ -216,9 +216,7 @@ def prepare_limbs(request: ReachRequest) -> Limbs:
         arm = open_arm(config, request.bus)
         return Limbs(limited, frame, limits, config, arm, arm.clock)
     rehearsal = request.rehearsal
-    faults = Faults.for_joints(
-        config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck
-    )
+    faults = Faults.for_joints(config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck)
     clock = row.clock()
     servos = VirtualBus.from_config(config, clock, limited.home, faults)
     return Limbs(limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock)
@@ -251,8 +249,8 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
 def _ranges(robot: Robot) -> list[tuple[str, str, tuple[float, float]]]:
     tree = robot.tree
     return [
-        (joint, "m" if tree.kind[k] == SLIDE else "rad", (float(robot.lower[tree.vadr[k]]), float(robot.upper[tree.vadr[k]])))
-        for k, joint in enumerate(robot.joints)
+        (joint, "m" if kind == SLIDE else "rad", (float(robot.lower[at]), float(robot.upper[at])))
+        for joint, kind, at in zip(robot.joints, tree.kind, tree.vadr, strict=True)
     ]
 
 

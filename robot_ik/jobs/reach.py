@@ -231,6 +231,8 @@ def _aim(report: ReachReport, progress: Progress) -> None:
         finally:
             report.before = eyes.last_image
         report.goal = report.seen.goal
+        if request.follow > 0.0:
+            eyes.get_ready_to_follow()
     report.target = report.goal.target
     report.q_start = report.limbs.q.copy()
     progress("solving", 0.0)

@@ -15,7 +15,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.overlay import GREEN, ORANGE, RED, before_after, draw_axes, draw_marker_outline, draw_robot
+from robot_ik.camera.overlay import (
+    GREEN,
+    ORANGE,
+    RED,
+    before_after,
+    draw_axes,
+    draw_marker_outline,
+    draw_robot,
+)
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.reach import ReachReport
@@ -77,7 +85,9 @@ def reach_picture(report: ReachReport) -> Any:
     if end is None:
         return before
     after = _drawn(report, report.before if report.after is None else report.after, end)
-    captions.append(("After: " if report.q_end is not None else "Nearest found, not moved: ") + _outcome(report))
+    captions.append(
+        ("After: " if report.q_end is not None else "Nearest found, not moved: ") + _outcome(report)
+    )
     # Drawn without the hand of a designer, but captions and colours say what is measured and what is model.
     return before_after(
         before, after, captions,
@@ -141,12 +151,12 @@ def _table(report: ReachReport) -> str:
 
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:
-    """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says otherwise."""
+    """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says more."""
     request, limbs, run = report.request, report.limbs, report.execution
     return {
         "schema": SCHEMA,
         "job": "reach",
-        "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "reached": report.reached,
         "problem": None if report.problem is None else str(report.problem),
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
@@ -154,7 +164,9 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "camera": request.camera if report.eyes is not None else None,
         "marker": _marker_facts(report),
         "goal": None if report.target is None or report.goal is None else {
-            **_pose(report.target), "position_asked": report.goal.has_position, "angle_asked": report.goal.has_angle,
+            **_pose(report.target),
+            "position_asked": report.goal.has_position,
+            "angle_asked": report.goal.has_angle,
         },
         "limits": [asdict(limit) for limit in limbs.limits],
         "solution": _solution_facts(report),

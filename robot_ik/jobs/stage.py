@@ -6,7 +6,7 @@ kinematics: a goal that it can reach, a marker in front of that, and a camera th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,7 @@ FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
 _MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
 _CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
 _MADE_UP_IDS = (20, 21, 22, 23)
+_DISTORTION = (-0.12, 0.05, 0.0005, -0.0003, 0.0)
 _TRIES = 60
 # Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
 _GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
@@ -73,7 +74,9 @@ class Stage:
         """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
         return Pose((0.0, 0.0, self.hover)).compose(FACING)
 
-    def scene(self, robot: Robot, pose_world_marker: Pose | Callable[[float], Pose] | None = None) -> SyntheticScene:
+    def scene(
+        self, robot: Robot, pose_world_marker: Pose | Callable[[float], Pose] | None = None
+    ) -> SyntheticScene:
         """The scene for the synthetic camera."""
         target = SyntheticMarker(
             self.marker_id,
@@ -163,7 +166,9 @@ def _made_up(robot: Robot, frame: str, upright: bool) -> Stage:
     cube = {id: (side, _cube_side(k, side * _CUBE_PER_MARKER)) for k, id in enumerate(_MADE_UP_IDS)}
     focal = 1100.0
     stage = Stage(
-        intrinsics=CameraIntrinsics(1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)),
+        intrinsics=CameraIntrinsics(
+            1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)
+        ),
         pose_world_camera=Pose(),
         marker_id=7,
         dictionary="DICT_5X5_50",
@@ -255,7 +260,7 @@ def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
     sides = [cube.compose(pose) for _, pose in stage.cube.values()]
     seen = _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
-    return min(at_home[0], sum(seen[:2]) / np.sqrt(2.0))
+    return min(at_home[0], sum(seen[:2]) / 2.0**0.5)
 
 
 def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:
@@ -268,7 +273,7 @@ def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: li
     found = []
     for pose, side in zip(markers, sides, strict=True):
         h = 0.6 * side
-        points = pose.apply([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]])
+        points = pose.apply(np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]]))
         view = eye - pose.position
         cosine = float(pose.rotation[:, 2] @ view / np.linalg.norm(view))
         if cosine <= _WORST_VIEW:
@@ -287,4 +292,4 @@ def _clear(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array)
     length = float(np.linalg.norm(ray))
     geom = np.zeros(1, dtype=np.int32)
     hit = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, geom, None)
-    return hit < 0 or hit > length - 1e-4
+    return bool(hit < 0 or hit > length - 1e-4)
