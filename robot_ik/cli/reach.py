@@ -288,17 +288,18 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
         median, largest = (1e3 * metres for metres in report.behind)
         rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
     if report.counters:
-        count = report.counters
         rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
-        rate = f"{', following '.join(rates)}; " if rates else ""
-        rows.append(
-            (
-                "bus",
-                f"{report.request.bus}: {rate}{count['cycles']} cycles, {count['timeouts']} timeouts, {count['corrupt']} corrupt, "
-                f"{count['retries']} retries, {count['alerts']} alerts",
-            )
+        counts = ", ".join(
+            f"{report.counters[name]} {name}"
+            for name in ("cycles", "timeouts", "corrupt", "retries", "alerts")
         )
+        rows.append((f"bus {_shortened(report.request.bus)}", "; ".join([*rates, counts])))
     return rows
+
+
+def _shortened(bus: str) -> str:
+    """The last part of a port's path: the column of names stays narrow."""
+    return bus.rsplit("/", 1)[-1]
 
 
 def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:

@@ -74,15 +74,10 @@ class Stage:
         """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
         return Pose((0.0, 0.0, self.hover)).compose(FACING)
 
-    def scene(
-        self, robot: Robot, pose_world_marker: Pose | Callable[[float], Pose] | None = None
-    ) -> SyntheticScene:
+    def scene(self, robot: Robot) -> SyntheticScene:
         """The scene for the synthetic camera."""
         target = SyntheticMarker(
-            self.marker_id,
-            self.marker_size,
-            self.pose_world_marker if pose_world_marker is None else pose_world_marker,
-            dictionary=self.dictionary,
+            self.marker_id, self.marker_size, self.pose_world_marker, dictionary=self.dictionary
         )
         carried = tuple(
             # Wider paper would stick out and hide the edge of the marker round the corner.
