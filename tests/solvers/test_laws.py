@@ -167,8 +167,10 @@ TICKS, SETTLING, STILL = 500, 100, 1e-3
 @pytest.mark.parametrize("kind", ["position", "pose"])
 def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     robot = robots(robot_name)
+    if name == "auto" and SOLVERS["auto"] in (SOLVERS["lm"], SOLVERS["dls"]):
+        return  # the same method under its own name
     problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE)
-    solver = make_solver(name, restarts=FLOORS["tracking_restarts"])
+    solver = make_solver(name, restarts=FLOORS["tracking_restarts"][name])
     q, largest = robot.home, 0.0
     for tick in range(TICKS):
         solution = solver.solve(problem, q)
