@@ -20,8 +20,13 @@ Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[2] / "models" / "ur5e"
 JOINTS = (
-    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
-)  # fmt: skip
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
 LIMIT = np.array([2, 2, 1, 2, 2, 2]) * math.pi
 # a, alpha / 90 deg, d of the maker's standard DH table; typed again here, the XML is not read.
 DH = (
@@ -238,7 +243,8 @@ def test_markers_on_the_table_are_reached_without_contact(x: float, y: float, ya
 def test_reach_is_reached_and_two_sides_of_the_cube_face_the_camera() -> None:
     """The whole job on the simulated bus: marker found, goal reached, and the camera agrees."""
     report = run_reach(ReachRequest(robot="ur5e", bus="sim"))
-    assert report.reached and report.camera_counts and report.by_camera is not None
+    assert report.reached and report.camera_counts
+    assert report.by_camera is not None and report.q_end is not None
     assert report.by_camera.position < 0.002
     data = posed(report.robot.model, report.q_end)
     reach = settings()["reach"]
