@@ -109,7 +109,7 @@ def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachR
 
 def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None:
     stage = healthy.eyes.stage  # type: ignore[union-attr]
-    moved = Pose(stage.pose_world_camera.position + [0.02, 0.0, 0.0], stage.pose_world_camera.wxyz)
+    moved = Pose(np.add(stage.pose_world_camera.position, [0.02, 0.0, 0.0]), stage.pose_world_camera.wxyz)
     report = look("photo.png", pose_world_camera=moved)
     shift = report.target.position - healthy.target.position  # type: ignore[union-attr]
     np.testing.assert_allclose(shift, [0.02, 0, 0], atol=1e-3)
