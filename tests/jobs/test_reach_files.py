@@ -16,7 +16,7 @@ from robot_ik.camera.overlay import draw_robot
 from robot_ik.errors import OutputError
 from robot_ik.files import folder_for_results
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.reach_files import reach_picture, reach_summary, run_folder, save_reach
+from robot_ik.jobs.reach_files import plain, reach_picture, reach_summary, run_folder, save_reach
 
 # Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
 DOCUMENTED = {
@@ -154,7 +154,7 @@ def test_without_a_camera_there_is_no_picture(healthy: ReachReport, reach: Any, 
     goal = PositionGoal(None, (0.3 * math.cos(0.5), 0.3 * math.sin(0.5), 0.0))
     report = reach(robot=str(box), goal=goal)
     assert report.reached and reach_picture(report) is None and "no camera" in report.verdict
-    check_keys(json.loads(json.dumps(reach_summary(report), default=str)))
+    check_keys(plain(reach_summary(report)))
 
 
 def test_folders_are_named_by_time_and_never_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
