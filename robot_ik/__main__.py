@@ -1,8 +1,12 @@
 """``python -m robot_ik``: the same as ``robot-ik``."""
 
+import signal
 import sys
 
 from robot_ik.cli.main import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    code = main()
+    # Nothing is left to interrupt: a late Ctrl-C, while the interpreter exits, would only print a traceback.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)

@@ -19,9 +19,10 @@ from robot_ik.errors import TrajectoryError
 from robot_ik.goals import Goal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
 from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
+from robot_ik.motion.schedule import Schedule, clock_of
 from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory
-from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
+from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource
 
 if TYPE_CHECKING:
     from robot_ik.problem import Problem, Tolerance
@@ -34,32 +35,6 @@ START_TOLERANCE = 0.02
 
 # Steps a tick may take: a few are enough from the last command; the rest is for restarts out of a dead end.
 _TICK_ITERATIONS = 1000
-
-
-class _Schedule:
-    """Deadlines a period apart that yield to a stall instead of bunching up.
-
-    Attributes:
-        overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
-    """
-
-    def __init__(self, clock: Clock) -> None:
-        self.clock = clock
-        self.origin = clock.now()
-        self.overruns = 0
-        self.slipped = 0.0
-
-    def wait(self, due: float, period: float) -> float:
-        """Sleeps until ``due`` seconds after the origin; the time on the clock then."""
-        self.clock.sleep_until(self.origin + due)
-        now = self.clock.now()
-        late = now - (self.origin + due)
-        if period > 0.0 and late >= period:
-            self.overruns += 1
-            self.slipped += late
-            self.origin += late
-        return now
 
 
 def execute(
@@ -86,11 +61,11 @@ def execute(
     Raises:
         TrajectoryError: The arm is not where the trajectory begins; nothing was sent.
     """
-    clock = _clock(clock, source, sinks)
+    clock = clock_of(clock, source, sinks)
     if source is not None:
         _require_start(trajectory, source.read().q, start_tolerance)
     due, commanded = _with_settling(trajectory, settle)
-    schedule = _Schedule(clock)
+    schedule = Schedule(clock)
     times, measured, measured_times = np.zeros(len(due)), np.zeros(commanded.shape), np.zeros(len(due))
     begin = schedule.origin
     for k, q in enumerate(commanded):
@@ -114,17 +89,6 @@ def execute(
         slipped=schedule.slipped,
         samples=len(trajectory),
     )
-
-
-def _clock(clock: Clock | None, source: JointSource | None, sinks: Sequence[JointSink]) -> Clock:
-    """The given clock, else that of the arm: a simulated arm stands still on the machine's clock."""
-    if clock is not None:
-        return clock
-    for part in (source, *sinks):
-        own: Clock | None = getattr(part, "clock", None)
-        if own is not None:
-            return own
-    return RealClock()
 
 
 def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]:
@@ -199,7 +163,7 @@ def follow(
     Raises:
         TrajectoryError: Neither ``start`` nor ``source``, or malformed options; nothing was sent.
     """
-    clock = _clock(clock, source, sinks)
+    clock = clock_of(clock, source, sinks)
     require_positive("rate", rate, "Hz")
     if start is None:
         if source is None:
@@ -208,7 +172,7 @@ def follow(
     first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
     chase = _Chase(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
-    schedule = _Schedule(clock)
+    schedule = Schedule(clock)
     begin = schedule.origin
     while True:
         now = schedule.wait(chase.ticks / rate, 1.0 / rate if chase.ticks else 0.0)
@@ -284,7 +248,7 @@ class _Chase:
             problem.retarget(one, index)
         return problem
 
-    def report(self, duration: float, schedule: _Schedule) -> FollowReport:
+    def report(self, duration: float, schedule: Schedule) -> FollowReport:
         return FollowReport(
             joints=self.robot.joints,
             ticks=self.ticks,

@@ -94,7 +94,8 @@ class Problem:
             UnsupportedJointError: An equality of the model ties a joint that the goals would move.
         """
         self.robot = robot
-        several = [goals] if isinstance(goals, Goal) else list(goals) if isinstance(goals, Sequence) else []
+        # Asked at run time too: a bare Pose or array is a likely slip, and deserves a sentence.
+        several = [goals] if isinstance(goals, Goal) else list(goals) if hasattr(goals, "__iter__") else []
         if not several or not all(isinstance(g, Goal) for g in several):
             raise GoalError(
                 f"a problem needs one or more goals, not {goals!r}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,26 +16,23 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.latest import SYNTHETIC_RATE_HZ, LatestGoals
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import (
-    ClosingSource,
     FolderSource,
-    Frame,
     FrameSource,
     ImageSource,
     VideoSource,
-    open_source,
 )
 from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
-from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
-from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.errors import FrameTimeoutError, MarkerNotFoundError
+from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.jobs.stage import Stage, stage_for
+from robot_ik.jobs.pictures import REST_SECONDS, Blindfold, Wandering
+from robot_ik.jobs.stage import Stage
 from robot_ik.jobs.verdict import Bound, sigma_at
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
     from robot_ik.jobs.limbs import Limbs
-    from robot_ik.jobs.reach import ReachRequest
 
 Array = NDArray[np.float64]
 
@@ -45,8 +42,8 @@ _SYNTHETIC_TRIES = 2
 # With fewer degrees of freedom a full pose is out of reach in general, so only the place is asked for.
 FREEDOMS_OF_A_POSE = 6
 # While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
-_WANDER, _REST_SECONDS = 0.4, 1.5
-_RECORDED = (ImageSource, FolderSource, VideoSource)
+_WANDER = 0.4
+RECORDED = (ImageSource, FolderSource, VideoSource)
 
 
 @dataclass(frozen=True)
@@ -69,49 +66,6 @@ class Seen:
         """Standard deviation of a point ``place`` (3,), seen from the marker, in the worst direction."""
         pose = self.observation.pose
         return sigma_at(self.observation.covariance, pose.rotation @ place)
-
-
-class Blindfold(ClosingSource):
-    """A source whose pictures come without their truth; the truth is kept aside for the report."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-        self.live = source.live
-        self.truth: Any = None
-        self.image: Any = None
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether nothing more would come."""
-        return bool(getattr(self._source, "exhausted", False))
-
-    def read(self) -> Frame:
-        """The next picture, without truth."""
-        frame = self._source.read()
-        self.truth, self.image = frame.truth, frame.image
-        return frame.without_truth()
-
-    def close(self) -> None:
-        """Closes the source."""
-        self._source.close()
-
-
-@dataclass(frozen=True)
-class Wandering:
-    """Pose of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
-
-    home: Pose
-    begin: float
-    seconds: float
-    size: float
-
-    def __call__(self, now: float) -> Pose:
-        """``pose_world_marker`` at ``now`` seconds."""
-        share = np.clip((now - self.begin) / max(self.seconds - _REST_SECONDS, 0.1), 0.0, 1.0)
-        smooth = share * share * (3.0 - 2.0 * share)
-        x = self.size * np.sin(2.0 * np.pi * smooth)
-        y = self.size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
-        return self.home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
 
 
 class Eyes:
@@ -140,7 +94,7 @@ class Eyes:
     ) -> None:
         self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
         self.live = source.live
-        self.recorded = isinstance(source, _RECORDED)
+        self.recorded = isinstance(source, RECORDED)
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
         self._seed = seed
@@ -237,8 +191,8 @@ class Eyes:
         self.get_ready_to_follow()
         moving = self._moving
         assert moving is not None
-        begin, size = clock.now() + _REST_SECONDS, _WANDER * self.stage.hover
-        path = Wandering(home, begin, seconds - _REST_SECONDS, size)
+        begin, size = clock.now() + REST_SECONDS, _WANDER * self.stage.hover
+        path = Wandering(home, begin, seconds - REST_SECONDS, size)
         moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
         with LatestGoals(_Aimed(self, Blindfold(moving)), clock, self._rate) as latest:
             yield latest
@@ -304,92 +258,3 @@ class _Aimed:
             return None
         self.seen = self._eyes.seen(goal, self._goals.last, self._source.truth)
         return self.seen.goal
-
-
-def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib.ExitStack) -> Eyes | None:
-    """Opens the camera of a request; None when a goal was given and no camera can watch.
-
-    Raises:
-        CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
-    """
-    synthetic = request.camera == "synthetic"
-    if not synthetic:
-        return None if request.goal is not None else _real_eyes(request, limbs, frame, stack)
-    try:
-        stage = _stage(request, limbs, frame)
-    except CameraError:
-        if request.goal is None:
-            raise
-        return None  # a goal was given, and nothing can be seen: the read-back must do
-    scene = stage.scene(limbs.robot)
-    if request.rehearsal.blank_marker:
-        scene = scene.blank(stage.marker_id)
-    source = stack.enter_context(SyntheticSource(scene, limbs.true_q, seed=request.seed, clock=limbs.clock))
-    metal = limbs.arm is not None and limbs.arm.virtual_bus is None
-    eyes = Eyes(
-        stage, source, stage.intrinsics, stage.pose_world_camera, limbs, frame, synthetic=source,
-        why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
-    )  # fmt: skip
-    if request.rehearsal.cover_gripper:
-        eyes.cover_gripper_later()
-    return eyes
-
-
-def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib.ExitStack) -> Eyes:
-    rehearsal = request.rehearsal
-    if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
-        raise ConfigError(
-            "what a camera sees can be rehearsed with the synthetic camera only",
-            file="command line", key="--rehearse", allowed="--camera synthetic",
-        )  # fmt: skip
-    if request.intrinsics is None:
-        raise CalibrationError(
-            f"the camera {request.camera!r} has no calibration, so nothing can be measured in its pictures",
-            hint="give its calibration file: --intrinsics FILE (OpenCV or ROS YAML)",
-        )
-    if request.marker_size is None:
-        raise CameraError(
-            "the size of the printed marker is not given, so its distance cannot be known",
-            hint="give the side of its black square in metres: --marker-size 0.05",
-        )
-    intrinsics = CameraIntrinsics.load(request.intrinsics)
-    stage = _stage(request, limbs, frame)
-    source = stack.enter_context(open_source(request.camera))
-    size = getattr(source, "size", None)
-    if size is not None:
-        intrinsics.require_size(*size)
-    if request.follow > 0.0 and not source.live:
-        raise ConfigError(
-            "a photograph does not go on, so there is nothing to follow",
-            file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
-        )  # fmt: skip
-    pose = request.pose_world_camera or stage.pose_world_camera
-    why = ""
-    if isinstance(source, _RECORDED):
-        why = "the pictures are recorded, so nothing looked at the arm afterwards"
-    elif limbs.arm is None or limbs.arm.virtual_bus is not None:
-        why = "the arm is simulated, so a real camera cannot see it"
-    elif stage.made_up:
-        why = "robot.toml says of no marker on this robot's gripper"
-    return Eyes(stage, source, intrinsics, pose, limbs, frame, why_blind=why)
-
-
-def _stage(request: ReachRequest, limbs: Limbs, frame: str) -> Stage:
-    """The robot's stage, with what the request says about the target marker."""
-    stage = stage_for(limbs.robot, frame, upright=limbs.freedoms < FREEDOMS_OF_A_POSE)
-    changes: dict[str, Any] = {}
-    if request.marker_id is not None:
-        changes["marker_id"] = request.marker_id
-    if request.marker_size is not None:
-        changes["marker_size"] = request.marker_size
-    if request.dictionary is not None:
-        changes["dictionary"] = request.dictionary
-    if request.rehearsal.marker_at is not None:
-        x, y, z, yaw = request.rehearsal.marker_at
-        if not np.isfinite(request.rehearsal.marker_at).all():
-            raise ConfigError(
-                f"no marker can be put at {request.rehearsal.marker_at}",
-                file="command line", key="--rehearse.marker-at", allowed="finite numbers",
-            )  # fmt: skip
-        changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
-    return replace(stage, **changes)

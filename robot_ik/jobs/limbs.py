@@ -20,11 +20,13 @@ from robot_ik.robot import Robot, load_robot
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.reach import ReachRequest, Rehearsal
+    from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
 
 Array = NDArray[np.float64]
 
 _RATE_HZ = 100.0
+# A generic servo is this much faster than the plan, so that what fell behind on a busy machine catches up.
+_HEADROOM = 1.3
 
 
 class KinematicScene:
@@ -268,8 +270,9 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
                     hint="give an arm file (--arm) for the joints that have servos, or use --bus none",
                 )
         return robot, ArmConfig.generic(
-            robot.name, robot.joints, robot.lower, robot.upper, robot.velocity, robot.acceleration
-        )
+            robot.name, robot.joints, robot.lower, robot.upper,
+            _HEADROOM * robot.velocity, _HEADROOM * robot.acceleration,
+        )  # fmt: skip
     config = ArmConfig.load(path)
     strangers = [joint for joint in config.names if joint not in robot.joints]
     if strangers:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,156 +14,37 @@ from robot_ik.errors import (
     MarkerNotFoundError,
     MotorFaultError,
     NotConvergedError,
-    RobotIkError,
     TrajectoryError,
 )
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal
-from robot_ik.jobs.eyes import Eyes, Seen, open_eyes
+from robot_ik.jobs.cameras import open_eyes
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
+from robot_ik.jobs.reach_report import SOLVE_TOLERANCE, ReachReport
+from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
 from robot_ik.jobs.verdict import (
     SIGMAS,
-    Bound,
-    Judgement,
     judge_by_camera,
     judge_read_back,
     quantisation,
 )
 from robot_ik.motion.line import line_move
-from robot_ik.motion.reports import Execution, FollowReport
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.problem import Problem, Tolerance
 from robot_ik.solvers import make_solver
 
 if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-    from robot_ik.solution import Solution
+    pass
 
 Array = NDArray[np.float64]
 
-# The solve is asked for far more than the servos can do, so that its miss does not count.
-_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 # Errors that mean "tried, not achieved": they end up in the report.
 _NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorFaultError)
 # How long the servos may take to arrive after the last command.
 _SETTLE_SECONDS = 0.4
 
 
-@dataclass(frozen=True)
-class Rehearsal:
-    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
-
-    Attributes:
-        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
-        stuck: Joints whose shaft does not move.
-        cover_gripper: Hide the gripper's markers in the second picture.
-        blank_marker: Leave the target's paper white.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the stage's own.
-    """
-
-    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
-    stuck: tuple[str, ...] = ()
-    cover_gripper: bool = False
-    blank_marker: bool = False
-    marker_at: tuple[float, float, float, float] | None = None
-
-
-@dataclass(frozen=True)
-class ReachRequest:
-    """What ``run_reach`` shall do; every default is the embedded demonstration.
-
-    Attributes:
-        robot: Catalogue name, or path of an MJCF or URDF file.
-        solver: Name of a method; empty: the robot's own, else ``auto``.
-        goal: Instead of a marker.
-        frame: What shall get there; None: the robot's tool.
-        camera: ``synthetic``, or what ``open_source`` opens.
-        intrinsics: Calibration file of a real camera.
-        pose_world_camera: Where a real camera stands; None: where the stage's stands.
-        marker_id, marker_size, dictionary: The target; None: the stage's.
-        bus: ``pty``, ``sim``, ``none`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
-        speed: Share of the joints' speed limits.
-        line: Move the tool on a straight line.
-        follow: Seconds to go on following the marker; 0: not at all.
-        view: Mirror the motion in a window.
-        seed: Of restarts and of the synthetic camera's noise.
-        rehearsal: What shall go wrong.
-    """
-
-    robot: str = "puma560"
-    solver: str = ""
-    goal: Goal | None = None
-    frame: str | None = None
-    camera: str = "synthetic"
-    intrinsics: Path | None = None
-    pose_world_camera: Pose | None = None
-    marker_id: int | None = None
-    marker_size: float | None = None
-    dictionary: str | None = None
-    bus: str = "pty"
-    arm_file: Path | None = None
-    speed: float = 1.0
-    line: bool = False
-    follow: float = 0.0
-    view: bool = False
-    seed: int = 0
-    rehearsal: Rehearsal = Rehearsal()
-
-
-@dataclass(eq=False)
-class ReachReport:
-    """What happened, as far as it got; fields stay None where it did not get.
-
-    Attributes:
-        robot: With the limits that were used.
-        frame: What was to reach the goal.
-        seen: The target marker in the first picture.
-        goal, target: What was wanted; its pose in the world.
-        tolerance: What the solution's miss may be; part of ``bound``.
-        behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
-        problem: Why it ended early: an error that means "not achieved".
-        read_back, by_camera: The two judgements.
-        verdict: One sentence on the camera's judgement.
-    """
-
-    request: ReachRequest
-    robot: Robot
-    frame: str
-    limbs: Limbs
-    eyes: Eyes | None
-    seen: Seen | None = None
-    goal: Goal | None = None
-    target: Pose | None = None
-    solution: Solution | None = None
-    microseconds: float | None = None
-    trajectory: Trajectory | None = None
-    execution: Execution | None = None
-    following: FollowReport | None = None
-    q_start: Array | None = None
-    q_end: Array | None = None
-    tolerance: Tolerance = _TOLERANCE
-    behind: tuple[float, float] | None = None
-    bound: Bound | None = None
-    read_back: Judgement | None = None
-    by_camera: Judgement | None = None
-    verdict: str = ""
-    camera_counts: bool = False
-    before: Any = None
-    after: Any = None
-    problem: RobotIkError | None = None
-    counters: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def reached(self) -> bool:
-        """Both judgements passed, or the only one that could be made."""
-        if self.problem is not None or self.read_back is None or not self.read_back.passed:
-            return False
-        if not self.camera_counts:
-            return True
-        return self.by_camera is not None and self.by_camera.passed
-
+__all__ = ["ReachReport", "ReachRequest", "Rehearsal", "run_reach"]
 
 Progress = Callable[[str, float], None]
 
@@ -238,7 +117,7 @@ def _aim(report: ReachReport, progress: Progress) -> None:
     progress("solving", 0.0)
     name = request.solver or robot.file.solver or "auto"
     solver = make_solver(name)
-    problem = Problem(robot, report.goal, tolerance=_TOLERANCE, seed=request.seed)
+    problem = Problem(robot, report.goal, tolerance=SOLVE_TOLERANCE, seed=request.seed)
     report.solution = solver.solve(problem, report.q_start)
     # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
     report.microseconds = 1e6 * solver.solve(problem, report.q_start).seconds
@@ -260,7 +139,8 @@ def _accept(report: ReachReport) -> None:
         miss = solution.miss
         if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
             report.tolerance = Tolerance(
-                position=max(_TOLERANCE.position, miss.position), angle=max(_TOLERANCE.angle, miss.angle)
+                position=max(SOLVE_TOLERANCE.position, miss.position),
+                angle=max(SOLVE_TOLERANCE.angle, miss.angle),
             )
             return
     solution.require()
@@ -345,7 +225,7 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
             clock=limbs.clock,
             duration=request.follow,
             start=limbs.commanded,
-            tolerance=_TOLERANCE,
+            tolerance=SOLVE_TOLERANCE,
             speed=request.speed,
             source=limbs.source,
             on_tick=show,

@@ -26,7 +26,7 @@ from robot_ik.camera.overlay import (
 )
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.jobs.reach import ReachReport
+from robot_ik.jobs.reach_report import ReachReport
 from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.

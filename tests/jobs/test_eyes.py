@@ -23,7 +23,7 @@ from robot_ik.errors import (
 )
 from robot_ik.geometry import Pose
 from robot_ik.jobs import eyes
-from robot_ik.jobs.eyes import Wandering
+from robot_ik.jobs.pictures import Wandering
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.stage import stage_for
 from robot_ik.ports import RealClock, VirtualClock
