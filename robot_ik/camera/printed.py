@@ -48,6 +48,10 @@ def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
+# Cells away from any sheet.
+_FAR = 1e6
+
+
 @dataclass(frozen=True)
 class Sheet:
     """Summed reflectance of one printed sheet; lengths in cells, origin at the marker's upper left corner.
@@ -66,6 +70,11 @@ class Sheet:
 
     def integrate(self, u: Array, v: Array, half_u: Array, half_v: Array) -> tuple[Array, Array]:
         """Mean reflectance times coverage, and coverage (each (n,)), over boxes round (u, v) in cells."""
+        # Pixels that look nowhere (beyond the fold of the lens, along the paper) see none of it.
+        lost = ~np.isfinite(u + v + half_u + half_v)
+        if lost.any():
+            u, v = np.where(lost, _FAR, u), np.where(lost, _FAR, v)
+            half_u, half_v = np.where(lost, 1.0, half_u), np.where(lost, 1.0, half_v)
         left, right = self._place(u - half_u), self._place(u + half_u)
         top, bottom = self._place(v - half_v), self._place(v + half_v)
         size = 4.0 * half_u * half_v

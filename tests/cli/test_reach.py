@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from robot_ik.cli.reach import ReachOptions
-from robot_ik.jobs import eyes
+from robot_ik.jobs import cameras, eyes
 from robot_ik.robot import load_robot
 
 GOAL = ("--goal", "-0.42", "-0.08", "0.80")
@@ -28,7 +28,8 @@ SIM = ("--bus", "sim")
 def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs start in an empty folder; in this process the robot is painted coarsely (markers stay exact)."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(eyes, "SyntheticSource", partial(eyes.SyntheticSource, quality="fast"))
+    for module in (cameras, eyes):
+        monkeypatch.setattr(module, "SyntheticSource", partial(module.SyntheticSource, quality="fast"))
 
 
 def left(folder: Path) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robot_ik.camera import synthetic
-from robot_ik.jobs import eyes
+from robot_ik.jobs import cameras, eyes
 from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
 
 UR = """
@@ -83,7 +83,8 @@ def _stages_painted_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthetic, "Photographer", shared)
-        patch.setattr(eyes, "SyntheticSource", Sketched)
+        for module in (cameras, eyes):
+            patch.setattr(module, "SyntheticSource", Sketched)
         yield
 
 

@@ -22,7 +22,7 @@ from robot_ik.errors import (
     MarkerNotFoundError,
 )
 from robot_ik.geometry import Pose
-from robot_ik.jobs import eyes
+from robot_ik.jobs import cameras, eyes
 from robot_ik.jobs.pictures import Wandering
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.stage import stage_for
@@ -88,7 +88,7 @@ def test_a_lying_truth_changes_nothing_but_the_remark(
 ) -> None:
     lie = Pose((9.0, 9.0, 9.0))
     monkeypatch.setattr(
-        eyes.SyntheticSource, "_truth", lambda self, *rest: {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
+        cameras.SyntheticSource, "_truth", lambda self, *rest: {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
     )
     report = reach()
     assert report.reached and report.seen.true_pose is lie
