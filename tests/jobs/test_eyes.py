@@ -22,7 +22,7 @@ from robot_ik.errors import (
     MarkerNotFoundError,
 )
 from robot_ik.geometry import Pose
-from robot_ik.jobs import cameras, eyes
+from robot_ik.jobs import cameras
 from robot_ik.jobs.pictures import Wandering
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.stage import stage_for
@@ -87,9 +87,8 @@ def test_a_lying_truth_changes_nothing_but_the_remark(
     monkeypatch: pytest.MonkeyPatch, reach: Any, healthy: ReachReport
 ) -> None:
     lie = Pose((9.0, 9.0, 9.0))
-    monkeypatch.setattr(
-        cameras.SyntheticSource, "_truth", lambda self, *rest: {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
-    )
+    lies = {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
+    monkeypatch.setattr(cameras.SyntheticSource, "_truth", lambda self, *rest: lies)
     report = reach()
     assert report.reached and report.seen.true_pose is lie
     np.testing.assert_array_equal(report.target.position, healthy.target.position)  # type: ignore[union-attr]

@@ -152,7 +152,7 @@ def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int)
     image = cv2.imread(str(FOLDER / "assets" / f"marker_{number}.png"), cv2.IMREAD_GRAYSCALE)
     assert image is not None
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
-    printed = np.pad(cv2.aruco.generateImageMarker(dictionary, number, 70), 7, constant_values=255)
+    printed = np.pad(cv2.aruco.generateImageMarker(dictionary, number, 126), 21, constant_values=255)
     assert np.array_equal(image, np.rot90(printed, turns[number]))
 
 
