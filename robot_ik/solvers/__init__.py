@@ -17,6 +17,9 @@ from robot_ik.solvers.base import Solver
 _ROWS: dict[str, tuple[str, str]] = {
     "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
     "dls": ("damped_least_squares", "DampedLeastSquares"),
+    "sdls": ("selectively_damped", "SelectivelyDamped"),
+    "pseudoinverse": ("pseudoinverse", "Pseudoinverse"),
+    "transpose": ("jacobian_transpose", "JacobianTranspose"),
     "ccd": ("ccd", "CyclicCoordinateDescent"),
 }
 
