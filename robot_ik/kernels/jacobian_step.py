@@ -25,6 +25,9 @@ from robot_ik.kernels.work import DAMPING, PRESSED
 
 # A joint with less room than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
+# A singular value below this share of the largest is one that can never be anything else: a planar arm's
+# motion out of its plane, a joint that is pinned.
+NEGLIGIBLE = 1e-9
 
 
 @pure
@@ -166,6 +169,20 @@ def cap(work, gain, max_step):
     for u in range(step.shape[0]):
         step[u] *= share
     return share
+
+
+@pure
+def volume(sigma):
+    """Yoshikawa's manipulability: the product of the singular values, √det(JJᵀ) at full row rank.
+
+    (The International Journal of Robotics Research 4(2), 1985.)  Directions in which nothing can move
+    are left out, or a planar arm would have none at all.
+    """
+    product = 1.0
+    for i in range(sigma.shape[0]):
+        if sigma[i] > NEGLIGIBLE * sigma[0]:
+            product *= sigma[i]
+    return product
 
 
 @outlined

@@ -7,7 +7,7 @@ T-SMC 7(12), 1977): d = J⁺ e + (I − J⁺J) φ, φ the slope of what is wante
 
 import math
 
-from robot_ik.kernels.jacobian_step import AT_BOUND
+from robot_ik.kernels.jacobian_step import AT_BOUND, volume
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import integrate
 from robot_ik.kernels.linalg import svd
@@ -21,6 +21,8 @@ NONE, REST, LIMITS, MANIPULABILITY = range(4)
 
 # Half the distance, rad or m, over which the slope of the manipulability is taken.
 _PROBE = 1e-4
+# Half a range of this size, rad or m, is none.
+_UNLIMITED = 1e9
 
 
 @pure
@@ -57,17 +59,18 @@ def towards(tree, dofs, q, rest, dq, aim):
 
 @outlined
 def off_limits(tree, dofs, q, dq, aim):
-    """aim = −∇ ½ Σ ((q − middle) / half)²·half: where limits are far; unlimited joints have no aim.
+    """aim = (middle − q) / half range: where the limits are far; unlimited joints have no aim.
 
-    A ball's middle is no rotation at all, and half its range the angle of its cone.
+    This is the slope of Liégeois's −½ Σ ((q − middle) / half)², each joint measured by its own range.  A ball's middle is no rotation at all, and half its range the angle of its cone.
     """
     kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
     for k in range(kind.shape[0]):
         a, v = qadr[k], vadr[k]
         if kind[k] < BALL:
             half = 0.5 * (upper[v] - lower[v])
-            inside = half > 0.0 and math.isfinite(half)
-            dq[v] = (0.5 * (upper[v] + lower[v]) - q[a]) / half if inside else 0.0
+            # Not isfinite: x − x of a computed x is folded to 0 under ``reassoc`` (seen with LLVM 22).
+            limited = 0.0 < half < _UNLIMITED
+            dq[v] = (0.5 * (upper[v] + lower[v]) - q[a]) / half if limited else 0.0
             continue
         if kind[k] == FREE:
             dq[v] = dq[v + 1] = dq[v + 2] = 0.0
@@ -84,19 +87,13 @@ def off_limits(tree, dofs, q, dq, aim):
 
 
 @outlined
-def volume(tree, goal, work):
-    """Yoshikawa's manipulability at the pose in work.world: the product of the singular values of J.
-
-    (The International Journal of Robotics Research 4(2), 1985: √det(JJᵀ), where J has full row rank.)
-    """
+def manipulability(tree, goal, work):
+    """Yoshikawa's measure at the pose in work.world, of the weighted Jacobian of all goals."""
     for r in range(work.rhs.shape[0]):
         work.rhs[r] = 0.0  # no residual: the geometric Jacobian, which knows of no target
     goal_jacobian(tree, goal, work.world, work.frames, work.rhs, work.jacobian)
     svd(work.jacobian, work.left, work.sigma, work.right)
-    product = 1.0
-    for i in range(work.sigma.shape[0]):
-        product *= work.sigma[i]
-    return product
+    return volume(work.sigma)
 
 
 @outlined
@@ -112,7 +109,7 @@ def dexterous(tree, goal, work):
             dq[dofs[u]] = side
             integrate(tree, work.nodes, work.q, dq)
             measure(tree, goal, work)
-            slope += volume(tree, goal, work) / (2.0 * side)
+            slope += manipulability(tree, goal, work) / (2.0 * side)
             copy(work.accepted, work.q)
         dq[dofs[u]] = 0.0
         work.aim[u] = slope

@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from robot_ik.kernels.jacobian_step import (
+    NEGLIGIBLE,
     cap,
     filtered_step,
     keep_inside,
     pin_downhill,
     pin_outward,
     prepare,
+    volume,
 )
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import box_step, normal_equations, svd
@@ -78,11 +80,8 @@ def svd_damped(work, damping, adaptive, threshold):
         svd(work.jacobian, work.left, work.sigma, work.right)
         strength = damping
         if adaptive:
-            volume = 1.0
-            for i in range(work.sigma.shape[0]):
-                volume *= work.sigma[i]
-            strength = damping * max(0.0, 1.0 - volume / threshold)
-        filtered_step(work, 0.0, strength)
+            strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
+        filtered_step(work, NEGLIGIBLE, strength)
         if not pin_outward(work):
             break
     keep_inside(work)
