@@ -10,6 +10,8 @@ context and compiles nothing.
 """
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -77,6 +79,19 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
+
+    class _Package(ModuleType):
+        """A package whose public names win over its modules of the same name (``solve``, ``catalogue``).
+
+        Importing ``robot_ik.solve`` anywhere would otherwise put the module where the function belongs.
+        """
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            if isinstance(value, ModuleType) and _MODULE_OF.get(name) == value.__name__:
+                value = getattr(value, name)
+            super().__setattr__(name, value)
+
+    sys.modules[__name__].__class__ = _Package
 
     def __getattr__(name: str) -> Any:
         module = _MODULE_OF.get(name)

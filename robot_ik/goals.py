@@ -45,9 +45,13 @@ def _quaternion(values: ArrayLike, what: str) -> Array:
 
 
 def _weight(value: float, what: str) -> float:
-    if not isinstance(value, (int, float, np.number)) or not (np.isfinite(value) and value >= 0.0):
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = -1.0
+    if not (np.isfinite(number) and number >= 0.0):
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
-    return float(value)
+    return number
 
 
 @dataclass(frozen=True, eq=False)

@@ -230,7 +230,7 @@ class Robot:
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
         """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
 
-        The centre is the anchor of the first joint; the radius adds up all offsets after it, slides at
+        The centre is where the first joint stands; the radius adds up all offsets after it, slides at
         their longest.  None where the base floats or a slide is unlimited.
         """
         node, local = self.attachment(frame)

@@ -58,6 +58,11 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
         ConfigError: An option that the method does not have, or out of range.
     """
     if isinstance(solver, Solver):
+        if options:
+            raise ConfigError(
+                f"{', '.join(options)} cannot be set on a solver that is made already",
+                file=f"solver {solver.name}", hint="give them where it is made, or name the solver instead",
+            )  # fmt: skip
         return solver
     kind = SOLVERS[solver]
     known = list(kind.__dataclass_fields__)
