@@ -148,7 +148,7 @@ def box_step(matrix, gradient, low, high, step, rhs, free, side, factor):
 
 @outlined
 def orthogonalise(vectors, turns, count):
-    """Turns the first ``count`` rows of ``vectors`` in pairs until all are orthogonal, and those of ``turns`` along.
+    """Turns the rows of ``vectors`` in pairs until all are orthogonal, and those of ``turns`` with them.
 
     One-sided Jacobi (Hestenes, J. SIAM 6(1), 1958): each turn makes one pair orthogonal; a few sweeps do.
     """

@@ -61,7 +61,8 @@ def towards(tree, dofs, q, rest, dq, aim):
 def off_limits(tree, dofs, q, dq, aim):
     """aim = (middle − q) / half range: where the limits are far; unlimited joints have no aim.
 
-    This is the slope of Liégeois's −½ Σ ((q − middle) / half)², each joint measured by its own range.  A ball's middle is no rotation at all, and half its range the angle of its cone.
+    Liégeois's −½ Σ ((q − middle) / half)² rises that way, each joint measured by its own range.  A ball's
+    middle is no rotation at all, and half its range the angle of its cone.
     """
     kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
     for k in range(kind.shape[0]):

@@ -80,9 +80,9 @@ def pseudo_step(tree, goal, work, options):
 def halve(tree, goal, work, share, halvings, landing):
     """Shortens work.step until it lands within ``landing`` of its subgoal; leaves q where it was.
 
-    The subgoal takes the same ``share`` of the wanted residual away as the step is of the full one.  A step that does
-    not land within ``halvings`` halvings is taken as short as it has become, or not at all if it leads
-    uphill.
+    ``share`` is what the step is of the full one; the subgoal takes as much of the wanted residual away.
+    A step that does not land after ``halvings`` halvings is taken as short as it has become, or not at
+    all if it leads uphill.
     """
     residual, wanted, before, step = work.residual, work.wanted, work.rhs, work.step
     m, n = residual.shape[0], step.shape[0]
@@ -112,7 +112,7 @@ def halve(tree, goal, work, share, halvings, landing):
 
 @kernel
 def pseudoinverse(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: the shared four, cut-off, aim, its gain, halvings, landing."""
+    """Runs until ``proceed`` says stop; options: the shared four, then as in ``parameters``."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     begin(tree, goal, work)
     halvings, landing = int(options[7]), options[8]
