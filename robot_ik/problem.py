@@ -73,6 +73,7 @@ class Problem:
     Attributes:
         robot, goals, tolerance, budget, seed: As given.
         trace: Whether to keep a row for every step.
+        prepared: What solvers worked out for this problem once, by their name.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self.trace = trace
+        self.prepared: dict[str, Any] = {}
         self._compile_goals()
         _refuse_coupled(robot, self.nodes)
         self._reach: list[tuple[int, float, float, float, float]] = []
@@ -137,6 +139,7 @@ class Problem:
         moves = np.array(
             [[int(k in chain) for k in tree.dof_node[self.dofs]] for chain in ancestors], dtype=np.int64
         ).reshape(count, len(self.dofs))
+        self.weights = weight  # (g, 2) on metres (over the length scale) and on radians
         self._goal_arrays = {
             "kind": self.kind, "row": row, "node": self.node, "local": local, "target": self.target,
             "weight": weight, "tolerance": tolerance, "dofs": self.dofs, "moves": moves,
@@ -177,7 +180,12 @@ class Problem:
         return _rebuilt, (*options, self.target.copy())
 
     def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
-        """Moves the target of one goal: a ``Pose``, a position (3,), or a goal of the same kind and frame.
+        """Moves the target of one goal.
+
+        Args:
+            target: A ``Pose``, a homogeneous matrix (4, 4), a position (3,), or a goal of the same kind,
+                frame and weights.
+            index: Which goal.
 
         Raises:
             InvalidGoalError: Not finite, or another kind of goal.
@@ -200,8 +208,15 @@ class Problem:
             self.target[index] = pose_row(target.target)
             return
         position = np.asarray(target, dtype=float)
+        if position.shape == (4, 4) and np.isfinite(position).all():
+            row = self.target[index]
+            row[:3] = position[:3, 3]
+            row[3:] = position[:3, :3].ravel()
+            return
         if position.shape != (3,) or not np.isfinite(position).all():
-            raise InvalidGoalError(f"a target is a Pose or a finite position (3,), not {target!r}")
+            raise InvalidGoalError(
+                f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"
+            )
         if not self.goals[index].has_position:
             raise InvalidGoalError(f"a {self.goals[index].name} has no position to move")
         self.target[index, :3] = position
@@ -210,6 +225,14 @@ class Problem:
         """The wanted pose of one goal, world."""
         row = self.target[index]
         return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
+
+    def rows_out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
+        """(n,) the same as ``out_of_reach`` for other targets (n, 12) of the first goal."""
+        beyond = np.zeros(len(targets), dtype=bool)
+        for g, *centre, radius in self._reach:
+            if g == 0:
+                beyond |= np.linalg.norm(targets[:, :3] - centre, axis=1) > radius
+        return beyond
 
     def out_of_reach(self) -> bool:
         """Whether some position goal is proven unreachable: farther than all links laid end to end."""

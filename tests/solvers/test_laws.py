@@ -14,13 +14,33 @@ from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers.base import IterativeSolver
 
 FLOORS = tomllib.loads((Path(__file__).parent / "floors.toml").read_text())
-NAMES = ["auto", *SOLVERS]
+NAMES = list(SOLVERS)
 ROBOTS = ["puma560", "planar", "tree"]
+KINDS = ["position", "orientation", "pose"]
 TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
-solvers = pytest.mark.parametrize("name", NAMES)
+
+def serves(name, robot_name, kind):
+    """Whether the contract covers this: floors.toml has a row for all that a method can do at all."""
+    row = FLOORS[name].get(robot_name, {})
+    return ("position" in row and "pose" in row) if kind == "orientation" else kind in row
+
+
+def cases(*kinds):
+    """Every (name, robot_name, kind) of the contract."""
+    found = itertools.product(NAMES, ROBOTS, kinds or KINDS)
+    return pytest.mark.parametrize(("name", "robot_name", "kind"), [c for c in found if serves(*c)])
+
+
+# Methods that serve every robot and every kind of goal.
+GENERAL = [n for n in NAMES if all(serves(n, r, k) for r in ROBOTS for k in KINDS)]
+# Of those, the ones that take steps until a budget ends them.
+STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
+general = pytest.mark.parametrize("name", GENERAL)
+stepping = pytest.mark.parametrize("name", STEPPING)
 all_robots = pytest.mark.parametrize("robot_name", ROBOTS)
 
 
@@ -51,9 +71,7 @@ def outcome(solution):
     return solution.status, solution.iterations, solution.restarts, solution.q.tobytes()
 
 
-@solvers
-@all_robots
-@pytest.mark.parametrize("kind", ["position", "orientation", "pose"])
+@cases()
 def test_laws_1_2_what_is_reported_is_true(name, robot_name, kind, robots, reachable):
     robot = robots(robot_name)
     solver = make_solver(name)
@@ -68,24 +86,22 @@ def test_laws_1_2_what_is_reported_is_true(name, robot_name, kind, robots, reach
         assert solution.converged == reached == (solution.status is Status.CONVERGED)
 
 
-@solvers
-@all_robots
-def test_law_3_a_start_at_the_goal_is_the_answer(name, robot_name, robots, reachable):
+@cases()
+def test_law_3_a_start_at_the_goal_is_the_answer(name, robot_name, kind, robots, reachable):
     robot = robots(robot_name)
     for q in reachable(robot, 5):
-        solution = make_solver(name).solve(Problem(robot, goal_of(robot, q)), q)
+        solution = make_solver(name).solve(Problem(robot, goal_of(robot, q, kind)), q)
         assert solution.converged and solution.iterations == 0 and solution.restarts == 0
         assert solution.q.tobytes() == q.tobytes() and solution.q is not q
 
 
-@solvers
-@all_robots
+@cases("pose", "position")
 def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
-    name, robot_name, robots, reachable
+    name, robot_name, kind, robots, reachable
 ):
     robot = robots(robot_name)
     solver = make_solver(name)
-    goals = [goal_of(robot, q) for q in reachable(robot, 6)]
+    goals = [goal_of(robot, q, kind) for q in reachable(robot, 6)]
     budget = Budget(iterations=600)
     fresh = [outcome(make_solver(name).solve(Problem(robot, g, budget=budget, seed=3))) for g in goals]
     hot = Problem(robot, goals[0], budget=budget, seed=3)
@@ -95,13 +111,12 @@ def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
             assert outcome(solver.solve(hot)) == fresh[i]
 
 
-@solvers
-@all_robots
-def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_name, robots, reachable):
+@cases("pose", "position")
+def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_name, kind, robots, reachable):
     robot = robots(robot_name)
     solver = make_solver(name)
     start, there, other = reachable(robot, 3)
-    goal = goal_of(robot, there)
+    goal = goal_of(robot, there, kind)
     kept = [start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy(), goal.target.matrix]
     start.flags.writeable = False
     problem = Problem(robot, goal)
@@ -132,10 +147,8 @@ def out_of_reach(robot_name, kind, where):
     return PoseGoal(None, position, (0.5, 0.5, -0.5, 0.5))
 
 
-@solvers
-@all_robots
+@cases("position", "pose")
 @pytest.mark.parametrize("where", ["far", "near", "limits"])
-@pytest.mark.parametrize("kind", ["position", "pose"])
 def test_law_6_what_cannot_be_reached_is_said_and_approached(
     name, robot_name, where, kind, robots, reachable
 ):
@@ -167,10 +180,9 @@ TICKS, SETTLING, STILL = 500, 100, 1e-3
 @pytest.mark.parametrize("kind", ["position", "pose"])
 def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     robot = robots(robot_name)
-    if name == "auto" and SOLVERS["auto"] in (SOLVERS["lm"], SOLVERS["dls"]):
-        return  # the same method under its own name
-    problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE)
-    solver = make_solver(name, restarts=FLOORS["tracking_restarts"][name])
+    budget = Budget(restarts=FLOORS["tracking_restarts"][name])
+    problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget)
+    solver = make_solver(name)
     q, largest = robot.home, 0.0
     for tick in range(TICKS):
         solution = solver.solve(problem, q)
@@ -181,7 +193,7 @@ def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     assert largest <= STILL
 
 
-@solvers
+@stepping
 @all_robots
 def test_law_7_budgets_hold(name, robot_name, robots):
     robot = robots(robot_name)
@@ -199,7 +211,19 @@ def test_law_7_budgets_hold(name, robot_name, robots):
     assert none.status is Status.TIME_LIMIT and none.iterations == 0 and np.array_equal(none.q, robot.home)
 
 
-@solvers
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in STEPPING])
+def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
+    robot = robots("puma560")
+    never = out_of_reach("puma560", "pose", "near")
+    for budget, status in ((Budget(iterations=0), "ITERATION_LIMIT"), (Budget(seconds=0.0), "TIME_LIMIT")):
+        none = make_solver(name).solve(Problem(robot, never, budget=budget))
+        assert none.status.name == status and none.iterations == 0 and np.array_equal(none.q, robot.home)
+    for iterations in (1, 7):
+        solution = make_solver(name).solve(Problem(robot, never, budget=Budget(iterations=iterations)))
+        assert not solution.converged and solution.iterations <= iterations
+
+
+@stepping
 def test_law_7_time_is_kept(name, robots):
     robot = robots("puma560")
     make_solver(name).solve(Problem(robot, PositionGoal(None, (3.0, 1.0, 1.0)), budget=Budget(iterations=1)))
@@ -211,7 +235,7 @@ def test_law_7_time_is_kept(name, robots):
     assert 0.1 <= solution.seconds < 2.0  # generous: the machine may be busy
 
 
-@solvers
+@general
 @pytest.mark.parametrize(
     ("robot_name", "active"),
     [("puma560", ["joint2", "joint3", "joint5"]), ("tree", ["rail", "shoulder", "swing"])],
@@ -232,9 +256,7 @@ def test_law_8_joints_that_are_frozen_or_do_not_matter_stay(name, robot_name, ac
         assert solution.q[-1] == robot.home[-1]
 
 
-@solvers
-@all_robots
-@pytest.mark.parametrize("kind", ["position", "pose"])
+@cases("position", "pose")
 def test_law_10_solve_rate(name, robot_name, kind, robots, reachable):
     robot = robots(robot_name)
     floor = FLOORS[name][robot_name][kind]
@@ -250,14 +272,14 @@ def test_law_10_solve_rate(name, robot_name, kind, robots, reachable):
 
 def test_law_10_low_floors_have_a_reason():
     for name in NAMES:
-        for robot_name in ROBOTS:
-            assert FLOORS[name][robot_name].get("reason") or FLOORS[name][robot_name]["position"] >= 0.9
+        for row in FLOORS[name].values():
+            assert row.get("reason") or row.get("position", 1.0) >= 0.9
 
 
 # ------------------------------------------------------------------------------ corners
 
 
-@solvers
+@general
 def test_a_start_outside_the_limits_is_brought_inside(name, robots):
     robot = robots("planar")
     outside = np.array([3.1, -2.9, 2.5])
@@ -270,7 +292,7 @@ def test_a_start_outside_the_limits_is_brought_inside(name, robots):
     assert none.q.tolist() == [2.8, -2.6, 2.0]
 
 
-@solvers
+@general
 def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
     robot = robots("planar")
     there = make_solver(name).solve(Problem(robot, PositionGoal("nail", (0.3, 0.3, 0))))
@@ -280,7 +302,7 @@ def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
     assert never.miss.position == pytest.approx(0.2)
 
 
-@solvers
+@general
 def test_several_goals_at_once(name, robots, reachable):
     robot = robots("tree")
     for q in reachable(robot, 4):
@@ -292,7 +314,7 @@ def test_several_goals_at_once(name, robots, reachable):
         assert solution.converged or name == "ccd"
 
 
-@solvers
+@general
 def test_the_trace_tells_the_same_story(name, robots, reachable):
     robot = robots("puma560")
     goal = goal_of(robot, reachable(robot, 1)[0])
