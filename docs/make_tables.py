@@ -26,12 +26,11 @@ def solvers() -> str:
     from robot_ik.solvers import SOLVERS
 
     facts = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
-    auto = SOLVERS["auto"].name
     return markdown(
         ("name", "method", "goals", "source"),
         (
             (
-                f"`{f['name']}`" + (" (`auto`)" if f["name"] == auto else ""),
+                f"`{f['name']}`",
                 f["title"],
                 ", ".join(goal.removesuffix(" goal") for goal in f["goals"]),
                 f["source"],

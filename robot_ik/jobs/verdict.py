@@ -57,7 +57,7 @@ class Judgement:
     @property
     def passed(self) -> bool:
         """Whether the miss is within the bound."""
-        return self.position <= self.allowed.position and self.angle <= self.allowed.angle
+        return bool(self.position <= self.allowed.position and self.angle <= self.allowed.angle)
 
 
 def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, tolerance: Tolerance) -> Bound:

@@ -119,6 +119,16 @@ def test_mirrored_pose_has_mirrored_frames(pose: dict[str, float], roll: float, 
         assert np.abs(there.xipos - flip * here.xipos).max() < 1e-12
 
 
+@pytest.mark.parametrize(("key", "floor"), [("home", 0.02), ("squat", 0.01), ("t_pose", 0.0)])
+def test_limbs_have_six_freedoms_where_the_readme_says(key: str, floor: float) -> None:
+    """At home and squatting all six; at t_pose stretched knees and the shoulders' singularity take some."""
+    for limb, frame in (("left_leg", "left_foot"), ("left_arm", "left_hand")):
+        part = rik.load_robot("humanoid", joints=limb)
+        q = np.array([load().key(key).qpos[load().joint(joint).qposadr[0]] for joint in part.joints])
+        least = np.linalg.svd(part.jacobian(q, frame), compute_uv=False)[5]
+        assert least > floor if floor else least < 1e-9, limb
+
+
 def pinned(*frames: str) -> list[rik.PoseGoal]:
     robot = figure()
     places = [robot.forward(robot.home, frame) for frame in frames]
