@@ -2,12 +2,14 @@
 
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
 from robot_ik.problem import Budget, Problem
+from robot_ik.robot import load_robot
 from robot_ik.solvers.pseudoinverse import Pseudoinverse
 
 FREE_STEP = {"clamp": 1e6, "max_step": 1e6}
@@ -115,6 +117,25 @@ def test_the_way_home_of_a_ball_is_a_rotation(robots, linear_model, one_step):
     step = one_step(Pseudoinverse(cutoff=1e-9, aim="rest", aim_gain=0.1, **FREE_STEP), problem, q)
     home = np.array([0, -0.2, -0.4, 0.3, -0.5, 0, 0])  # from the identity out and back along one axis
     np.testing.assert_allclose(step - plain, null @ (0.1 * home), atol=1e-8)
+
+
+def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
+    robot = load_robot("humanoid")
+    hinges = slice(7, None)  # after the base; a little inside their limits, where none has its say
+    q = robot.integrate(robot.home, np.r_[0.2, -0.1, 0.3, 0.3, -0.2, 0.1, np.zeros(robot.nv - 6)])
+    q[hinges] += 0.2 * ((robot.lower + robot.upper)[6:] / 2 - q[hinges])
+    goals = [PositionGoal(f, robot.forward(q, f).position + 0.01) for f in ("left_hand", "gaze")]
+    problem = Problem(robot, goals)
+    jacobian, e = linear_model(problem, q)
+    way = np.zeros(robot.nv)
+    mujoco.mj_differentiatePos(robot.model, way, 1.0, q, robot.home)
+    phi = way[problem.dofs]
+    phi *= np.linalg.norm(e) / np.linalg.norm(phi)  # no longer than the residual
+    null = np.eye(len(phi)) - np.linalg.pinv(jacobian) @ jacobian
+    plain = one_step(Pseudoinverse(cutoff=1e-9, **FREE_STEP), problem, q)
+    step = one_step(Pseudoinverse(cutoff=1e-9, aim="rest", aim_gain=1.0, **FREE_STEP), problem, q)
+    np.testing.assert_allclose(plain, np.linalg.pinv(jacobian) @ e, atol=1e-9)
+    np.testing.assert_allclose(step - plain, null @ phi, atol=1e-9)
 
 
 # ------------------------------------------------------------------------------ goal halving

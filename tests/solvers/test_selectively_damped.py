@@ -7,6 +7,7 @@ import pytest
 
 from robot_ik.goals import PositionGoal
 from robot_ik.problem import Budget, Problem
+from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.selectively_damped import SelectivelyDamped
 
@@ -95,3 +96,19 @@ def test_it_does_not_shake_on_a_target_out_of_reach(where, robots):
         problem = Problem(robot, goal, trace=True, budget=Budget(iterations=200, restarts=1))
         last[name] = max(row.step for row in solver.solve(problem, np.array([0.4, 0.6, 0.5])).trace[100:200])
     assert last["sdls"] < 0.02 < last["pseudoinverse"]
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("sdls", {}), ("transpose", {}), ("pseudoinverse", {"aim": "limits"}), ("dls", {"mode": "svd"})],
+)
+def test_many_goals_on_a_floating_base(name, options):
+    robot = load_robot("humanoid")
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        q = robot.sample(rng)
+        frames = ("left_hand", "right_hand", "left_foot", "right_foot")
+        problem = Problem(robot, [PositionGoal(f, robot.forward(q, f).position) for f in frames])
+        solution = make_solver(name, **options).solve(problem)
+        assert solution.converged and not robot.outside(solution.q)
+        assert max(miss.position for miss in solution.misses) <= 1e-4
