@@ -123,7 +123,7 @@ def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
     robot = load_robot("humanoid")
     hinges = slice(7, None)  # after the base; a little inside their limits, where none has its say
     q = robot.integrate(robot.home, np.r_[0.2, -0.1, 0.3, 0.3, -0.2, 0.1, np.zeros(robot.nv - 6)])
-    q[hinges] += 0.2 * ((robot.lower + robot.upper)[6:] / 2 - q[hinges])
+    q[hinges] += 0.2 * ((robot.lower[6:] + robot.upper[6:]) / 2 - q[hinges])
     goals = [PositionGoal(f, robot.forward(q, f).position + 0.01) for f in ("left_hand", "gaze")]
     problem = Problem(robot, goals)
     jacobian, e = linear_model(problem, q)
