@@ -44,6 +44,15 @@ def _quaternion(values: ArrayLike, what: str) -> Array:
     return unit
 
 
+def _frame(name: object) -> str | None:
+    if name is None or isinstance(name, str):
+        return name
+    raise InvalidGoalError(
+        f"the frame must be a name (or None for the tool), not {name!r}",
+        hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
+    )
+
+
 def _weight(value: float, what: str) -> float:
     try:
         number = float(value)
@@ -99,7 +108,7 @@ class PositionGoal(Goal):
     has_position: ClassVar[bool] = True
 
     def __init__(self, frame: str | None = None, position: ArrayLike = (), *, weight: float = 1.0) -> None:
-        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "frame", _frame(frame))
         object.__setattr__(self, "position", _vector(position, 3, "position"))
         object.__setattr__(self, "weight", _weight(weight, "weight"))
 
@@ -130,7 +139,7 @@ class OrientationGoal(Goal):
     has_angle: ClassVar[bool] = True
 
     def __init__(self, frame: str | None = None, wxyz: ArrayLike = (), *, weight: float = 1.0) -> None:
-        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "frame", _frame(frame))
         object.__setattr__(self, "wxyz", _quaternion(wxyz, "wxyz"))
         object.__setattr__(self, "weight", _weight(weight, "weight"))
 
@@ -172,7 +181,7 @@ class PoseGoal(Goal):
         position_weight: float = 1.0,
         angle_weight: float = 1.0,
     ) -> None:
-        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "frame", _frame(frame))
         object.__setattr__(self, "position", _vector(position, 3, "position"))
         object.__setattr__(self, "wxyz", _quaternion(wxyz, "wxyz"))
         object.__setattr__(self, "position_weight", _weight(position_weight, "position_weight"))

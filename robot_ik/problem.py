@@ -94,9 +94,13 @@ class Problem:
             UnsupportedJointError: An equality of the model ties a joint that the goals would move.
         """
         self.robot = robot
-        self.goals: list[Goal] = [goals] if isinstance(goals, Goal) else list(goals)
-        if not self.goals or not all(isinstance(g, Goal) for g in self.goals):
-            raise GoalError(f"a problem needs one or more goals, not {goals!r}")
+        several = [goals] if isinstance(goals, Goal) else list(goals) if isinstance(goals, Sequence) else []
+        if not several or not all(isinstance(g, Goal) for g in several):
+            raise GoalError(
+                f"a problem needs one or more goals, not {goals!r}",
+                hint="for example PoseGoal.at(frame, pose) or PositionGoal(frame, (x, y, z))",
+            )
+        self.goals: list[Goal] = several
         self.tolerance = tolerance or Tolerance()
         self.budget = budget or Budget()
         self.seed = int(seed)

@@ -172,7 +172,7 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in map(slug, headings), f"{named(page)}: {target}"
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES + OTHERS if p.stem != "CONTRIBUTING"], ids=named)
+@pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)
 def test_files_named_in_the_text_exist(page: Path) -> None:
     suffix = re.compile(r"\.(py|toml|md|xml|txt|png|jpg|urdf|yaml|run)$|/$")
     for name in re.findall(r"(?<!`)`([\w.\-/]+)`(?!`)", prose(page)):

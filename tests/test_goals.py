@@ -62,3 +62,9 @@ def test_a_goal_owns_its_numbers():
     goal = PositionGoal("tool", position)
     position[0] = 9.0
     assert goal.target.position.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("made", [PositionGoal, OrientationGoal, PoseGoal])
+def test_a_place_given_where_the_frame_belongs_is_explained(made):
+    with pytest.raises(InvalidGoalError, match="the frame comes first"):
+        made((0.1, 0.2, 0.3))

@@ -118,7 +118,8 @@ def run(options: ReachOptions) -> int:
         console.print_json({**reach_summary(report), "folder": str(folder)})
     else:
         print_report(report)
-        console.out().print(Text("files    " + "  ".join(str(file) for file in files)), soft_wrap=True)
+        names = "  ".join(file.name for file in files)
+        console.out().print(Text(f"files in {folder}: {names}"), soft_wrap=True)
     if report.problem is not None:
         console.show_error(report.problem)
     return console.DONE if report.reached else console.NOT_ACHIEVED
@@ -307,11 +308,11 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
     if report.read_back is not None:
         judged = report.read_back
         why = "servo ticks" if report.limbs.arm is not None else "tolerance of the solver"
-        rows.append(("read back", f"{_miss(judged)}  allowed {_bound(judged)} ({why})"))
+        rows.append(("read back", f"{_miss(judged)}; allowed {_bound(judged)} ({why})"))
     if report.by_camera is not None:
         judged = report.by_camera
-        sigma = f"σ {1e3 * judged.sigma.position:.2f} mm, {math.degrees(judged.sigma.angle):.2f}°"
-        rows.append(("camera", f"{_miss(judged)}  allowed {_bound(judged)} (3 σ + ticks; {sigma})"))
+        sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
+        rows.append(("camera", f"{_miss(judged)}; allowed {_bound(judged)} (3 σ + ticks, {sigma})"))
     return rows
 
 

@@ -255,7 +255,7 @@ def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
     sides = [cube.compose(pose) for _, pose in stage.cube.values()]
     seen = _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
-    return min(at_home[0], sum(seen[:2]) / 2.0**0.5)
+    return min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
 
 
 def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -76,3 +77,15 @@ def measure_function() -> Callable[..., list[Measured]]:
 def standard() -> dict[float, list[Measured]]:
     """20 pictures at each distance."""
     return {distance: measure(distance, 20) for distance in (0.3, 0.6, 1.0)}
+
+
+@pytest.fixture(scope="session")
+def model_of() -> Callable[..., mujoco.MjModel]:
+    """``model_of(body, assets="")``: a model that stands about, from the inside of its world."""
+
+    def model_of(body: str, assets: str = "") -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(
+            f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>"
+        )
+
+    return model_of

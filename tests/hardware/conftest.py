@@ -1,12 +1,25 @@
-"""Arms for the hardware tests."""
+"""Arms, buses and servos for the hardware tests, and functions as fixtures: nobody can import this file."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.hardware import BUSES, open_arm
+from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.inprocess import SimBus
+from robot_ik.hardware.virtual.protocol2 import ErrorCode, Packet, Parser
+from robot_ik.hardware.virtual.pty import PtyPort
+from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.ports import VirtualClock
+
+Array = NDArray[np.float64]
 
 _HEAD = """schema = 1
 name = "six X servos"
@@ -69,3 +82,147 @@ def arm_path(tmp_path: Path, arm_toml: str) -> Path:
 def arm_config(arm_path: Path) -> ArmConfig:
     """Six joints that differ in model, direction, zero and ratio."""
     return ArmConfig.load(arm_path)
+
+
+# ------------------------------------------------------------------------------------------- arms
+
+_DT = 0.01
+
+
+@pytest.fixture
+def start() -> Array:
+    """(6,) rad, where the arms of these tests stand at first."""
+    return np.array([0.1, 0.2, 0.3, -0.4, 0.5, 0.6])
+
+
+@pytest.fixture(params=[row.name for row in BUSES.values() if row.virtual])
+def any_arm(request: pytest.FixtureRequest, arm_config: ArmConfig, start: Array) -> Iterator[Arm]:
+    """On each of the buses that need no hardware."""
+    with open_arm(arm_config, request.param, start=start) as arm:
+        yield arm
+
+
+@pytest.fixture
+def arm(arm_config: ArmConfig, start: Array) -> Iterator[Arm]:
+    """In process, on virtual time."""
+    with open_arm(arm_config, "sim", start=start) as arm:
+        yield arm
+
+
+@pytest.fixture(scope="session")
+def dt() -> float:
+    """Seconds from one command of ``stream`` to the next."""
+    return _DT
+
+
+@pytest.fixture(scope="session")
+def registers() -> Callable[[Arm, str], list[int]]:
+    """A register of every servo, straight from its memory: not over the bus under test."""
+
+    def registers(arm: Arm, name: str) -> list[int]:
+        return [servo.memory.get(name) for servo in arm.virtual_bus.servos]
+
+    return registers
+
+
+@pytest.fixture(scope="session")
+def stream() -> Callable[[Arm, Iterable[object]], None]:
+    """Sends commands one by one, each at its time."""
+
+    def stream(arm: Arm, commands: Iterable[object]) -> None:
+        begin = arm.clock.now()
+        for k, q in enumerate(commands):
+            now = begin + (k + 1) * _DT
+            arm.clock.sleep_until(now)
+            arm.send(q, now)
+
+    return stream
+
+
+@pytest.fixture(scope="session")
+def smooth() -> Callable[[Array, ArrayLike, float], Array]:
+    """A quintic from rest to rest: another motion law than anything in the arm."""
+
+    def smooth(start: Array, end: ArrayLike, seconds: float) -> Array:
+        s = np.linspace(0, 1, round(seconds / _DT))
+        return start + np.outer(10 * s**3 - 15 * s**4 + 6 * s**5, np.asarray(end) - start)
+
+    return smooth
+
+
+# ------------------------------------------------------------------------------- servos and buses
+
+
+class Bench:
+    """One servo, its clock, and access to registers by name through the checked way."""
+
+    V_UNIT = 0.229 * 4096 / 60  # ticks/s
+
+    def __init__(self, model: str = "XM430-W350", **options: object) -> None:
+        self.clock = VirtualClock(start=12.0)
+        self.servo = VirtualServo(model, 1, self.clock, **options)  # type: ignore[arg-type]
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until(self.clock.now() + seconds)
+
+    def write(self, name: str, value: int) -> ErrorCode:
+        self.servo.hear()
+        register = self.servo.table[name]
+        return self.servo.write(register.address, register.encode(value))
+
+    def read(self, name: str) -> int:
+        register = self.servo.table[name]
+        data, error = self.servo.read(register.address, register.size)
+        assert error == ErrorCode.NONE
+        return register.decode(data)
+
+    def set(self, **values: int) -> None:
+        for name, value in values.items():
+            assert self.write(name, value) == ErrorCode.NONE, name
+
+
+@pytest.fixture(scope="session")
+def make_bench() -> Callable[..., Bench]:
+    """``make_bench(model, ...)``: one servo by itself, with its own clock."""
+    return Bench
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    """Shafts move when the test says so."""
+    return VirtualClock()
+
+
+@pytest.fixture
+def bus(clock: VirtualClock) -> VirtualBus:
+    """Ids 1..3 at 100, 200, 300 ticks; ids are not in order on the wire."""
+    return VirtualBus(
+        [VirtualServo("XM430-W350", id, clock, position_ticks=100 * id) for id in (3, 1, 2)], clock
+    )
+
+
+@pytest.fixture
+def arm_bus(arm_config: ArmConfig, clock: VirtualClock) -> VirtualBus:
+    """The servos of the arm file."""
+    return VirtualBus.from_config(arm_config, clock)
+
+
+@pytest.fixture
+def sim(arm_bus: VirtualBus) -> SimBus:
+    """The same servos, asked in process."""
+    sim = SimBus(arm_bus)
+    sim.open()
+    return sim
+
+
+@pytest.fixture
+def pty(arm_bus: VirtualBus) -> Iterator[PtyPort]:
+    """The same servos behind a serial port."""
+    with PtyPort(arm_bus) as port:
+        yield port
+
+
+@pytest.fixture(scope="session")
+def parse() -> Callable[[bytes], list[Packet]]:
+    """The packets in some bytes."""
+    return lambda reply: Parser().feed(reply, 0.0)

@@ -1,0 +1,48 @@
+"""An arm whose program stalled: the servos' bus watchdog has tripped meanwhile, and it goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def test_after_a_pause_the_tripped_watchdog_is_cleared_and_the_arm_goes_on(
+    arm, stream, smooth, registers, start
+):
+    arm.enable()
+    stream(arm, smooth(start, start + 0.1, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 5.0)
+    assert all(servo.torque for servo in arm.virtual_bus.servos)
+    assert registers(arm, "bus_watchdog") == [-1] * 6
+    stream(arm, smooth(start + 0.1, start + 0.2, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 0.1)
+    assert np.allclose(arm.read().q, start + 0.2, atol=0.01)
+    assert registers(arm, "bus_watchdog") == [10] * 6
+
+
+def test_a_read_after_a_pause_does_not_hide_the_tripped_watchdog(arm, stream, smooth, start):
+    arm.enable()
+    arm.clock.sleep_until(arm.clock.now() + 5.0)
+    arm.read()
+    stream(arm, smooth(start, start + 0.1, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 0.05)
+    assert np.allclose(arm.read().q, start + 0.1, atol=0.01)
+
+
+def test_a_stall_inside_a_cycle_is_noticed_as_well(arm, stream, smooth, registers, start):
+    """The process is suspended after the arm has looked at the time and before its packet is out."""
+    arm.enable()
+    stream(arm, [start] * 3)
+    original = arm.bus.sync_write
+
+    def stalled(register, values):
+        arm.clock.sleep_until(arm.clock.now() + 0.3)
+        original(register, values)
+
+    arm.bus.sync_write = stalled
+    stream(arm, [start])
+    arm.bus.sync_write = original
+    stream(arm, [start])
+    assert registers(arm, "bus_watchdog") == [10] * 6
+    stream(arm, smooth(start, start + 0.1, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 0.05)
+    assert np.allclose(arm.read().q, start + 0.1, atol=0.01)

@@ -1,0 +1,190 @@
+"""An arm coming up: what it sets in the servos, and what it refuses before there is torque."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import (
+    ArmStateError,
+    BusNotOpenError,
+    ConfigError,
+    HardwareError,
+    MotorFaultError,
+    ServoMismatchError,
+)
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
+from robot_ik.hardware.startup import shared_register
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.ports import JointSink, JointSource, RealClock, VirtualClock
+
+
+def test_it_is_a_sink_and_a_source(any_arm):
+    assert isinstance(any_arm, JointSink) and isinstance(any_arm, JointSource)
+    assert any_arm.joints == tuple(f"joint{k}" for k in range(1, 7))
+
+
+def test_connect_sets_the_servos_up_and_gives_no_torque(any_arm, arm_config, registers, start):
+    assert any_arm.state is ArmState.CONNECTED
+    assert registers(any_arm, "torque_enable") == [0] * 6
+    assert registers(any_arm, "return_delay_time") == [0] * 6
+    assert registers(any_arm, "operating_mode") == [OperatingMode.EXTENDED_POSITION] * 6
+    for joint, units in zip(arm_config.joints, registers(any_arm, "profile_velocity"), strict=True):
+        speed = units * 0.229 * 2 * math.pi / 60 / joint.ratio  # rad/s at the joint
+        assert 1.2 * joint.velocity < speed < 2 * joint.velocity  # room to catch up, yet bounded
+    assert np.allclose(any_arm.read().q, start, atol=0.6 * any_arm.resolution.max())
+
+
+def test_eeprom_is_not_written_again_when_it_is_right(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    with open_arm(arm_config, "sim", virtual_bus=servos):
+        pass
+    written = []
+    for servo in servos.servos:
+        original = servo.write
+        servo.write = lambda address, data, w=original: (written.append(address), w(address, data))[1]
+    with open_arm(arm_config, "sim", virtual_bus=servos):
+        pass
+    assert written and min(written) >= 64
+
+
+def test_enable_moves_nothing_and_arms_the_watchdog(any_arm, arm_config, registers):
+    for servo in any_arm.virtual_bus.servos:
+        servo.memory.set("goal_position", 5000)  # a stale goal of an earlier program
+    before = any_arm.virtual_bus.true_angles(arm_config)
+    any_arm.enable()
+    any_arm.clock.sleep_until(any_arm.clock.now() + 0.05)
+    assert registers(any_arm, "torque_enable") == [1] * 6
+    assert registers(any_arm, "bus_watchdog") == [10] * 6
+    assert np.allclose(any_arm.virtual_bus.true_angles(arm_config), before, atol=any_arm.resolution.max())
+
+
+def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
+    joints = list(arm_config.joints)
+    joints[1] = dataclasses.replace(joints[1], id=9)
+    joints[3] = dataclasses.replace(joints[3], model="XM430-W350")
+    wanted = dataclasses.replace(arm_config, joints=tuple(joints))
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    arm = open_arm(wanted, "sim", virtual_bus=servos)
+    with pytest.raises(ServoMismatchError) as caught:
+        arm.connect()
+    assert caught.value.expected[9] == "joint2: XM430-W350" and 9 not in caught.value.found
+    assert caught.value.found[2] == "XM430-W350"  # there is one with an id nobody named
+    assert caught.value.found[4] == "XL430-W250" and caught.value.expected[4] == "joint4: XM430-W350"
+    assert "missing" in str(caught.value)
+    assert arm.state is ArmState.DISCONNECTED and not arm.bus.is_open
+    assert not any(servo.torque for servo in servos.servos)
+
+
+def test_nobody_there_points_at_power_and_baud_rate(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.set_faults(Faults(silent=frozenset(arm_config.ids)))
+    with pytest.raises(ServoMismatchError, match="power"):
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_told_not_to_answer_is_told_to(arm_config, level, registers):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.servo(3).memory.set("status_return_level", level)
+    with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
+        assert registers(arm, "status_return_level") == [2] * 6
+
+
+def test_a_watchdog_that_tripped_before_is_cleared(arm_config, stream, smooth):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.servo(2).memory.set("bus_watchdog", -1)
+    with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
+        arm.enable()
+        stream(arm, smooth(np.zeros(6), [0.1] * 6, 0.5))
+        assert np.allclose(arm.read().q, 0.1, atol=0.01)
+
+
+def test_a_hardware_error_left_from_before_is_named(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.servo(5).inject_error("overheating")
+    with pytest.raises(MotorFaultError) as caught:
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+    assert caught.value.joint == "joint5" and caught.value.status == ("overheating",)
+
+
+def test_a_wrong_supply_is_refused(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.servo(1).memory.set("present_input_voltage", 50)
+    with pytest.raises(MotorFaultError, match=r"5\.0 V") as caught:
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+    assert caught.value.status == ("input_voltage",)
+
+
+def test_a_servo_that_reverses_by_itself_is_refused(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.servo(1).memory.set("drive_mode", 1)
+    with pytest.raises(HardwareError, match="reverse"):
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+
+
+def test_lost_turns_are_refused_before_torque(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.servo(1).turn_by_hand(2 * 4096)
+    with (
+        open_arm(arm_config, "sim", virtual_bus=servos) as arm,
+        pytest.raises(HardwareError, match="half a servo turn outside"),
+    ):
+        arm.enable()
+    assert not any(servo.torque for servo in servos.servos)
+
+
+def test_a_servo_that_refuses_torque_is_named_and_all_are_off(arm_config, registers):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
+        servos.servo(4).inject_error("overload")
+        with pytest.raises(MotorFaultError) as caught:
+            arm.enable()
+        assert caught.value.joint == "joint4" and caught.value.status == ("overload",)
+        assert registers(arm, "torque_enable") == [0] * 6
+        assert arm.state is ArmState.CONNECTED
+
+
+def test_mode_with_torque_on_asks_before_it_lets_the_arm_drop(arm_config):
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servo = servos.servo(2)
+    servo.memory.set("operating_mode", OperatingMode.POSITION)
+    servo.memory.set("torque_enable", 1)
+    with pytest.raises(ArmStateError, match="torque is on"):
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+    assert servo.torque
+
+
+def test_one_turn_limits_of_the_servo_narrower_than_the_file_are_an_error(arm_config):
+    joints = (dataclasses.replace(arm_config.joints[0], mode=OperatingMode.POSITION), *arm_config.joints[1:])
+    config = dataclasses.replace(arm_config, joints=joints)
+    servos = VirtualBus.from_config(config, VirtualClock())
+    with open_arm(config, "sim", virtual_bus=servos):
+        pass
+    servos.servo(1).memory.set("max_position_limit", 3000)
+    with pytest.raises(ConfigError, match="narrower"):
+        open_arm(config, "sim", virtual_bus=servos).connect()
+
+
+def test_models_with_another_layout_cannot_share_a_cycle():
+    here = CONTROL_TABLES["XM430-W350"]["goal_position"]
+    there = dataclasses.replace(here, address=30)
+    joints = [SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))]
+    with pytest.raises(ConfigError, match="elsewhere in B than in A"):
+        shared_register(SimpleNamespace(joints=joints, file=None, name="arm"), "goal_position")
+
+
+def test_an_unknown_policy_and_servos_for_a_real_port_are_refused(arm_config):
+    with pytest.raises(ConfigError, match="torque_off, hold, park"):
+        open_arm(arm_config, "sim", on_exit="drop")
+    with pytest.raises(ValueError, match="real port"):
+        open_arm(arm_config, "/dev/ttyUSB0", virtual_bus=VirtualBus.from_config(arm_config, RealClock()))
+    with pytest.raises(BusNotOpenError):
+        open_arm(arm_config, "/dev/no_such_port").connect()
