@@ -160,7 +160,7 @@ class Problem:
 
     def _make_work(self, trace_rows: int) -> None:
         robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
-        nq, k = robot.nq, max(self.rows, len(self.dofs), 1)
+        nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
             "best": (nq,), "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12),
@@ -168,12 +168,15 @@ class Problem:
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
             "free": (k,), "side": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),
+            "wanted": (m,), "left": (p, m), "sigma": (p,), "right": (p, nu), "aim": (nu,),
+            "rest": (nq,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
             for name, shape in shapes.items()
         }
         self.arrays["nodes"] = self.nodes
+        self.arrays["rest"][:] = robot.home
         self.work = work.WORK.pack(self.arrays)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -39,7 +39,15 @@ def test_every_option_says_what_it_is_and_keeps_its_range(name):
     kind = SOLVERS[name]
     for field in dataclasses.fields(kind):
         meta = field.metadata
-        assert meta["help"] and meta["low"] <= field.default <= meta["high"]
+        assert meta["help"]
+        if meta["choices"]:
+            assert field.default in meta["choices"]
+            with pytest.raises(ConfigError, match=rf"solver {name}: {field.name}: .* no choice"):
+                kind(**{field.name: "none of them"})
+            continue
+        if isinstance(field.default, bool):
+            continue
+        assert meta["low"] <= field.default <= meta["high"]
         with pytest.raises(ConfigError, match=rf"solver {name}: {field.name}: .* out of range"):
             kind(**{field.name: type(field.default)(meta["high"] * 2 + 1)})
     with pytest.raises(dataclasses.FrozenInstanceError):

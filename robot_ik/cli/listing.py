@@ -202,6 +202,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
             "default": None if field.default is MISSING else field.default,
             "low": field.metadata.get("low"),
             "high": field.metadata.get("high"),
+            "choices": list(field.metadata.get("choices", ())),
             "unit": field.metadata.get("unit", ""),
             "help": field.metadata.get("help", ""),
         }
@@ -226,7 +227,7 @@ def _print_solver(facts: dict[str, Any]) -> None:
     shown = console.table("option", "default", "range", "unit", "meaning")
     for row in facts["options"]:
         bounded = row["low"] is not None
-        span = f"{row['low']:g} … {row['high']:g}" if bounded else UNBOUNDED
+        span = f"{row['low']:g} … {row['high']:g}" if bounded else " | ".join(row["choices"]) or UNBOUNDED
         default = f"{row['default']:g}" if isinstance(row["default"], float) else str(row["default"])
         shown.add_row(row["name"], default, span, row["unit"] or "-", Text(row["help"]))
     screen.print(shown)

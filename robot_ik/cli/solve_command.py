@@ -112,7 +112,7 @@ def make_goal(numbers: Sequence[float], frame: str = "") -> PositionGoal | PoseG
     return PoseGoal(frame or None, numbers[:3], numbers[3:])
 
 
-def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float | bool]:
+def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float | bool | str]:
     """Options of a method from ``NAME=VALUE`` words, with the types of its fields.
 
     Raises:
@@ -122,11 +122,11 @@ def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float |
     from robot_ik.solvers import SOLVERS
 
     defaults = {field.name: field.default for field in fields(SOLVERS[solver])}
-    found: dict[str, int | float | bool] = {}
+    found: dict[str, int | float | bool | str] = {}
     for item in items:
         name, equals, text = item.partition("=")
         default = defaults.get(name, 0.0)
-        kind: type = type(default) if isinstance(default, (bool, int, float)) else float
+        kind: type = type(default) if isinstance(default, (bool, int, float, str)) else float
         try:
             if not equals:
                 raise ValueError

@@ -48,6 +48,12 @@ WORK = Layout(
     free="ints",  # (k,)
     side="ints",  # (k,)
     dq="floats",  # (nv,)
+    wanted="floats",  # (m,) the part of the residual that a step shall remove
+    left="table",  # (p, m) singular vectors u, p = min(m, nu)
+    sigma="floats",  # (p,) singular values
+    right="table",  # (p, nu) singular vectors v
+    aim="floats",  # (nu,) where the null space should go
+    rest="floats",  # (nq,) the robot's home, an aim
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open

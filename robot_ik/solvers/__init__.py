@@ -20,6 +20,9 @@ _ROWS: dict[str, tuple[str, str]] = {
     "analytic": ("analytic", "Analytic"),
     "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
     "dls": ("damped_least_squares", "DampedLeastSquares"),
+    "sdls": ("selectively_damped", "SelectivelyDamped"),
+    "pseudoinverse": ("pseudoinverse", "Pseudoinverse"),
+    "transpose": ("jacobian_transpose", "JacobianTranspose"),
     "ccd": ("ccd", "CyclicCoordinateDescent"),
     "combined": ("combined", "Combined"),
 }

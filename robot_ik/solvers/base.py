@@ -30,11 +30,17 @@ _FIRST_SLICE = 16
 
 
 def option(
-    default: Any, help: str, *, low: float | None = None, high: float | None = None, unit: str = ""
+    default: Any,
+    help: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    unit: str = "",
+    choices: tuple[str, ...] = (),
 ) -> Any:
-    """A field of a solver: its default, range (numbers only), unit and one line of help."""
-    limits = {} if low is None else {"low": low, "high": high}
-    return field(default=default, metadata={"help": help, "unit": unit, **limits})
+    """A field of a solver: its default, range (numbers only) or choices, unit and one line of help."""
+    metadata = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices}
+    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +79,12 @@ class Solver(ABC):
     def __post_init__(self) -> None:
         for item in fields(self):
             value, meta = getattr(self, item.name), item.metadata
-            if "low" in meta and not meta["low"] <= value <= meta["high"]:
+            if meta.get("choices") and value not in meta["choices"]:
+                raise ConfigError(
+                    f"{value!r} is no choice", file=f"solver {self.name}", key=item.name,
+                    allowed=", ".join(meta["choices"]),
+                )  # fmt: skip
+            if meta.get("low") is not None and not meta["low"] <= value <= meta["high"]:
                 raise ConfigError(
                     f"{value} is out of range", file=f"solver {self.name}", key=item.name,
                     allowed=f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip(),
@@ -206,3 +217,20 @@ class IterativeSolver(Solver):
                 return
             pace = slice_steps / max(now - began, 1e-6)
             slice_steps = max(1, int(pace * min(_SLICE_SECONDS, deadline - now)))
+
+
+@dataclass(frozen=True)
+class JacobianSolver(IterativeSolver):
+    """A method whose step is made from the Jacobian and the residual: options that all of them share."""
+
+    first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
+    try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)
+    patience: int = option(8, "steps without progress before a try is given up", low=1, high=1000)
+    clamp: float = option(0.5, "longest residual of a goal taken in one step", low=1e-3, high=1e6, unit="rad")
+    max_step: float = option(0.4, "largest change of one joint in a step", low=1e-4, high=1e6, unit="rad")
+    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0)
+    alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
+
+    def common(self) -> tuple[float, ...]:
+        """The shared options in the order of ``kernels/jacobian_step.py``."""
+        return (self.clamp, float(self.alternative), self.gain, self.max_step)

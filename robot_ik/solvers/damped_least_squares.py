@@ -1,82 +1,108 @@
 """Damped least squares: the classic step d = (JᵀJ + λ² I)⁻¹ Jᵀ e, clamped and kept inside the limits.
 
-Wampler (1986), Nakamura & Hanafusa (1986); the target clamping and its use are Buss & Kim's
-(Selectively damped least squares for inverse kinematics, 2005).
+Wampler (1986).  ``adaptive``: Nakamura & Hanafusa (Inverse kinematic solutions with singularity
+robustness for robot manipulator control, ASME J. Dynamic Systems 108(3), 1986) damp by manipulability:
+λ² = λ₀² (1 − w / w₀)² where w < w₀, else none.  ``svd``: the same step as ``constant`` from the singular
+values, Σ σ / (σ² + λ²) v uᵀ e (Maciejewski & Klein 1988); it differs at the limits only.  The target
+clamping is Buss & Kim's (Selectively damped least squares for inverse kinematics, 2005).
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from robot_ik.kernels.jacobian_step import (
+    NEGLIGIBLE,
+    cap,
+    filtered_step,
+    keep_inside,
+    pin_downhill,
+    pin_outward,
+    prepare,
+    volume,
+)
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import advance, begin, proceed, room
-from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.linalg import box_step, normal_equations, svd
+from robot_ik.kernels.loop import advance, begin, proceed
+from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import DAMPING, PRESSED, open_work
-from robot_ik.solvers.base import IterativeSolver, option
+from robot_ik.solvers.base import JacobianSolver, option
+
+MODES = ("constant", "adaptive", "svd")
+CONSTANT, ADAPTIVE, SVD = range(3)
 
 
 @dataclass(frozen=True)
-class DampedLeastSquares(IterativeSolver):
-    """Constant damping: smooth and predictable, slower near the solution than ``lm``."""
+class DampedLeastSquares(JacobianSolver):
+    """Smooth and predictable; slower near the solution than ``lm``."""
 
-    first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
-    try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)
-    patience: int = option(8, "steps without progress before a try is given up", low=1, high=1000)
     damping: float = option(0.05, "λ, in the units of the scaled Jacobian", low=1e-6, high=10.0)
-    clamp: float = option(0.5, "longest residual taken in one step, rad", low=1e-3, high=100.0, unit="rad")
-    max_step: float = option(0.4, "largest change of one joint in a step", low=1e-4, high=10.0, unit="rad")
+    mode: str = option("constant", "how the damping is chosen, and the step made", choices=MODES)
+    threshold: float = option(0.1, "w₀: manipulability below which ``adaptive`` damps", low=1e-12, high=1e6)
 
     name: ClassVar[str] = "dls"
-    title: ClassVar[str] = "damped least squares, constant damping, clamped steps"
+    title: ClassVar[str] = "damped least squares, clamped steps"
     source: ClassVar[str] = "Wampler 1986; Nakamura & Hanafusa 1986; Buss & Kim 2005"
 
     def kernel(self) -> Callable[..., None]:
         return dls
 
     def parameters(self) -> tuple[float, ...]:
-        return (self.damping, self.clamp, self.max_step)
+        return (*self.common(), self.damping, float(MODES.index(self.mode)), self.threshold)
+
+
+@outlined
+def box_damped(work, damping):
+    """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly."""
+    normal, step = work.normal, work.step
+    normal_equations(work.jacobian, work.wanted, normal, work.gradient)
+    for i in range(step.shape[0]):
+        normal[i, i] += damping * damping
+    pressed = box_step(
+        normal, work.gradient, work.low, work.high, step, work.rhs, work.free, work.side, work.factor
+    )
+    if pressed < 0:  # λ² is lost in the rounding of a singular JᵀJ: stand still rather than anywhere
+        for i in range(step.shape[0]):
+            step[i] = 0.0
+    work.state[PRESSED] = max(pressed, 0)
+    work.value[DAMPING] = damping
+
+
+@outlined
+def svd_damped(work, damping, adaptive, threshold):
+    """work.step = Σ σ / (σ² + λ²) v uᵀ e; joints that stand at a bound and would leave it are taken out."""
+    pin_downhill(work)
+    for _ in range(work.step.shape[0] + 1):
+        svd(work.jacobian, work.left, work.sigma, work.right)
+        strength = damping
+        if adaptive:
+            strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
+        filtered_step(work, NEGLIGIBLE, strength)
+        if not pin_outward(work):
+            break
+    keep_inside(work)
 
 
 @outlined
 def dls_step(tree, goal, work, options):
     """work.step from the clamped residual; joints at a limit do not hold the others back."""
-    damping, clamp, max_step = options[0], options[1], options[2]
-    work.value[DAMPING] = damping
-    residual, jacobian, normal, step = work.residual, work.jacobian, work.normal, work.step
-    n = step.shape[0]
-    goal_jacobian(tree, goal, work.world, work.frames, residual, jacobian)
-    norm = 0.0
-    for r in range(residual.shape[0]):
-        norm += residual[r] * residual[r]
-    norm = math.sqrt(norm)
-    if norm > clamp:  # measured again after the step, so it may be scaled in place
-        for r in range(residual.shape[0]):
-            residual[r] *= clamp / norm
-    normal_equations(jacobian, residual, normal, work.gradient)
-    for i in range(n):
-        normal[i, i] += damping * damping
-    room(tree, goal, work)
-    pressed = box_step(
-        normal, work.gradient, work.low, work.high, step, work.rhs, work.free, work.side, work.factor
-    )
-    work.state[PRESSED] = max(pressed, 0)
-    largest = 0.0
-    for i in range(n):
-        largest = max(largest, abs(step[i]))
-    if largest > max_step:
-        for i in range(n):
-            step[i] *= max_step / largest
+    clamp, alternative, gain, max_step, damping = options[0], options[1], options[2], options[3], options[4]
+    mode = int(options[5])
+    prepare(tree, goal, work, clamp, alternative)
+    if mode == CONSTANT:
+        box_damped(work, damping)
+    else:
+        svd_damped(work, damping, mode == ADAPTIVE, options[6])
+    cap(work, gain, max_step)
 
 
 @kernel
 def dls(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: damping, clamp, max_step."""
+    """Runs until ``proceed`` says stop; options: the shared four, damping, mode, threshold."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     begin(tree, goal, work)
     while proceed(tree, goal, work):

@@ -41,3 +41,17 @@ def test_unknown_method_names_the_close_one(robot_ik: Any) -> None:
     run = robot_ik("solvers", "dsl")
     run.assert_one_screen_error()
     assert "'dls'" in run.err
+
+
+def test_choices_are_shown_and_taken(robot_ik: Any) -> None:
+    run = robot_ik("solvers", "dls")
+    line = next(line for line in run.out.splitlines() if line.startswith("mode "))
+    assert "constant | adaptive | svd" in line
+    rows = {row["name"]: row for row in json.loads(robot_ik("solvers", "dls", "--json").out)["options"]}
+    assert rows["mode"]["choices"] == ["constant", "adaptive", "svd"] and rows["clamp"]["choices"] == []
+    goal = ("--goal", "-0.4", "-0.1", "0.7", "--solver", "dls", "--set")
+    solved = robot_ik("solve", *goal, "mode=svd", "alternative=true")
+    assert solved.code == 0 and json.loads(solved.out)["solver"] == "dls"
+    refused = robot_ik("solve", *goal, "mode=clever")
+    refused.assert_one_screen_error()
+    assert "constant, adaptive, svd" in refused.err

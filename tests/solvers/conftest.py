@@ -5,7 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.kernels.tree import BALL
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers.base import IterativeSolver
 
 PLANAR = """<mujoco model="planar"><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 0 1" range="-2.8 2.8"/><geom size="0.02"/>
@@ -61,3 +66,91 @@ def reachable() -> Callable[..., list[np.ndarray]]:
         return [robot.sample(rng) for _ in range(count)]
 
     return draw
+
+
+def _right_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
+    """How a rotation vector phi = log(R_target R^T) shrinks while R turns (Solà et al. 2018, eq. 144)."""
+    cross = np.cross(np.eye(3), -phi)
+    angle = float(np.linalg.norm(phi))
+    if angle < 1e-9:
+        return np.eye(3)
+    k = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    return np.eye(3) + 0.5 * cross + k * cross @ cross
+
+
+@pytest.fixture(scope="session")
+def linear_model() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """``linear_model(problem, q, alternative=False)``: J (m, nu), e (m,) from ``robot.jacobian`` and MuJoCo.
+
+    ``alternative``: positions with the target in place of the frame, v × (t − p) = v × (s − p) + v × (t − s).
+    """
+
+    def model(problem: Problem, q: np.ndarray, alternative: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        robot, rows, errors = problem.robot, [], []
+        for goal in problem.goals:
+            here, whole = robot.measure(q, goal.frame), robot.jacobian(q, goal.frame)
+            off = goal.target.position - here.position
+            if goal.has_position:
+                weight = goal.weights[0] / problem.length(goal)
+                moved = np.cross(whole[3:].T, off).T if alternative else 0.0
+                rows.append(weight * (whole[:3] + moved))
+                errors.append(weight * off)
+            if goal.has_angle:
+                turn = Pose.from_rotation(goal.target.rotation @ here.rotation.T, np.zeros(3)).wxyz
+                turn = turn if turn[0] >= 0 else -turn
+                sine = float(np.linalg.norm(turn[1:]))
+                phi = 2 * np.arctan2(sine, turn[0]) * turn[1:] / sine
+                rows.append(goal.weights[1] * _right_jacobian_inverse(phi) @ whole[3:])
+                errors.append(goal.weights[1] * phi)
+        return np.vstack(rows)[:, problem.dofs], np.concatenate(errors)
+
+    return model
+
+
+@pytest.fixture(scope="session")
+def one_step() -> Callable[..., np.ndarray]:
+    """``one_step(solver, problem, q)``: the step (nu,) that a method takes from q."""
+
+    def step(solver: IterativeSolver, problem: Problem, q: np.ndarray) -> np.ndarray:
+        problem.budget = Budget(iterations=1, restarts=0)
+        solution = solver.solve(problem, q)
+        assert solution.iterations == 1
+        taken: np.ndarray = problem.arrays["step"].copy()
+        assert np.isfinite(taken).all()
+        return taken
+
+    return step
+
+
+@pytest.fixture(scope="session")
+def near_problems(robots: Callable[[str], Robot]) -> Callable[..., list[tuple[Problem, np.ndarray]]]:
+    """``near_problems(robot name, kind, distance)``: starts well inside the limits, goals near them."""
+
+    def make(
+        name: str, kind: str, distance: float = 0.05, count: int = 6
+    ) -> list[tuple[Problem, np.ndarray]]:
+        robot, rng = robots(name), np.random.default_rng(7)
+        ball = robot.tree.kind[robot.tree.dof_node] >= BALL
+        room = np.where(np.isfinite(robot.lower), 0.25 * (robot.upper - robot.lower), 0.5)
+        lower = np.where(ball, -np.inf, np.maximum(robot.lower, -9) + room)
+        upper = np.where(ball, np.pi / 2, np.minimum(robot.upper, 9) - room)
+        inner = robot.with_limits(lower, upper)
+        problems = []
+        for _ in range(count):
+            q = inner.sample(rng)
+            there = robot.clip(robot.integrate(q, rng.uniform(-distance, distance, robot.nv)))
+            frames = [None, "lamp"] if kind == "two goals" else [None]
+            goals = [_goal(robot, there, kind, frame) for frame in frames]
+            problems.append((Problem(robot, goals), q))
+        return problems
+
+    return make
+
+
+def _goal(robot: Robot, q: np.ndarray, kind: str, frame: str | None) -> Goal:
+    pose = robot.forward(q, frame)
+    if kind in ("position", "two goals"):
+        return PositionGoal(frame, pose.position, weight=1.0 if frame is None else 2.0)
+    if kind == "orientation":
+        return OrientationGoal(frame, pose.wxyz)
+    return PoseGoal(frame, pose.position, pose.wxyz, position_weight=1.5)

@@ -170,7 +170,7 @@ def worth(problem, robot, q, goal):
 
 
 # Methods that come to rest on a target they cannot reach; the others are reported, not promised.
-RESTING = ("auto", "lm", "dls")
+RESTING = ("auto", "lm", "dls", "sdls")
 TICKS, SETTLING, STILL = 500, 100, 1e-3
 
 
@@ -226,6 +226,7 @@ def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
 @stepping
 def test_law_7_time_is_kept(name, robots):
     robot = robots("puma560")
+    make_solver(name).solve(Problem(robot, PositionGoal(None, (3.0, 1.0, 1.0)), budget=Budget(iterations=1)))
     endless = Budget(iterations=1 << 40, seconds=0.1, restarts=1 << 40)
     solution = make_solver(name).solve(
         Problem(robot, out_of_reach("puma560", "pose", "near"), budget=endless)

@@ -1,0 +1,207 @@
+"""What the steps of the Jacobian methods share: clamped residual, joints at their bounds, capped changes.
+
+A step is made as follows; the middle is what makes a method:
+
+    prepare(tree, goal, work, clamp, alternative)
+    pin_downhill(work)
+    for _ in range(work.step.shape[0] + 1):
+        ...                              # fills work.step from work.jacobian and work.wanted
+        if not pin_outward(work):
+            break
+    keep_inside(work)
+    cap(work, gain, max_step)
+
+A *pinned* joint stands at its bound and would be pushed out: its column is zero, so that the others do
+its work and it holds nobody back.  Joints inside their range are never pinned.
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
+
+from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.loop import room
+from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.work import DAMPING, PRESSED
+
+# A joint with less room than this, rad or m, stands at its bound.
+AT_BOUND = 1e-12
+# A singular value below this share of the largest is one that can never be anything else: a planar arm's
+# motion out of its plane, a joint that is pinned.
+NEGLIGIBLE = 1e-9
+
+
+@pure
+def goal_end(goal, g, rows):
+    """The row after the last one of goal ``g``; goals own their rows one after the other."""
+    return goal.row[g + 1] if g + 1 < goal.row.shape[0] else rows
+
+
+@outlined
+def clamp_residual(goal, residual, wanted, clamp):
+    """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most."""
+    m = residual.shape[0]
+    for g in range(goal.row.shape[0]):
+        first, end = goal.row[g], goal_end(goal, g, m)
+        square = 0.0
+        for r in range(first, end):
+            square += residual[r] * residual[r]
+        norm = math.sqrt(square)
+        share = clamp / norm if norm > clamp else 1.0
+        for r in range(first, end):
+            wanted[r] = share * residual[r]
+
+
+@outlined
+def prepare(tree, goal, work, clamp, alternative):
+    """Fills work.jacobian, work.wanted, work.low and work.high at work.q.
+
+    With ``alternative`` a position's rows are those of a point that now stands at the target and moves
+    with the frame's body: t in place of s in v × (s − p) (Buss 2004, section 2; Šimunić 2012, eq. 3.9).
+    """
+    if alternative > 0.0:
+        goal_jacobian(tree, goal, work.world, goal.target, work.residual, work.jacobian)
+    else:
+        goal_jacobian(tree, goal, work.world, work.frames, work.residual, work.jacobian)
+    clamp_residual(goal, work.residual, work.wanted, clamp)
+    room(tree, goal, work)
+
+
+@outlined
+def slope(work):
+    """work.gradient = Jᵀ wanted: where each joint would go on its own."""
+    jacobian, wanted, gradient = work.jacobian, work.wanted, work.gradient
+    for u in range(gradient.shape[0]):
+        s = 0.0
+        for r in range(wanted.shape[0]):
+            s += jacobian[r, u] * wanted[r]
+        gradient[u] = s
+
+
+@pure
+def pin(work, u):
+    """Takes joint ``u`` out of this step."""
+    work.side[u] = 1
+    for r in range(work.wanted.shape[0]):
+        work.jacobian[r, u] = 0.0
+
+
+@outlined
+def pin_downhill(work):
+    """Pins the joints at a bound that the slope alone pushes out: they cannot help (Kuhn-Tucker)."""
+    slope(work)
+    pressed = 0
+    for u in range(work.step.shape[0]):
+        work.side[u] = 0
+        g = work.gradient[u]
+        if (g < 0.0 and work.low[u] > -AT_BOUND) or (g > 0.0 and work.high[u] < AT_BOUND):
+            pin(work, u)
+            work.gradient[u] = 0.0
+            pressed += 1
+    work.state[PRESSED] = pressed
+
+
+@outlined
+def pin_outward(work):
+    """Pins the joint at a bound that work.step pushes out most; False when there is none.
+
+    One at a time: the last one pinned was driven out by the others, so these still lead downhill.
+    """
+    worst, most = -1, AT_BOUND
+    for u in range(work.step.shape[0]):
+        out = 0.0
+        if work.low[u] > -AT_BOUND:
+            out = -work.step[u]
+        if work.high[u] < AT_BOUND:
+            out = max(out, work.step[u])
+        if out > most:
+            worst, most = u, out
+    if worst < 0:
+        return False
+    pin(work, worst)
+    work.aim[worst] = 0.0
+    work.state[PRESSED] += 1
+    return True
+
+
+@outlined
+def keep_inside(work):
+    """Cuts work.step to the room of each joint; shortens it as a whole where cutting would lead uphill.
+
+    Returns the share of the whole step that is left, 1 where single joints were cut.
+    """
+    step, low, high, wanted, jacobian = work.step, work.low, work.high, work.wanted, work.jacobian
+    n = step.shape[0]
+    share = 1.0
+    for u in range(n):
+        if work.side[u] != 0:
+            step[u] = 0.0
+        elif step[u] > high[u]:
+            share = min(share, high[u] / step[u])
+        elif step[u] < low[u]:
+            share = min(share, low[u] / step[u])
+    if share >= 1.0:
+        return 1.0
+    before, after = 0.0, 0.0
+    for r in range(wanted.shape[0]):
+        left = wanted[r]
+        before += left * left
+        for u in range(n):
+            left -= jacobian[r, u] * min(max(step[u], low[u]), high[u])
+        after += left * left
+    if after < before:
+        share = 1.0
+    for u in range(n):
+        step[u] = min(max(share * step[u], low[u]), high[u])
+    return share
+
+
+@outlined
+def cap(work, gain, max_step):
+    """Takes the share ``gain`` of work.step, and no joint farther than ``max_step``: its direction stays.
+
+    Returns the share that is taken.
+    """
+    step = work.step
+    largest = 0.0
+    for u in range(step.shape[0]):
+        largest = max(largest, abs(gain * step[u]))
+    share = gain * max_step / largest if largest > max_step else gain
+    for u in range(step.shape[0]):
+        step[u] *= share
+    return share
+
+
+@pure
+def volume(sigma):
+    """Yoshikawa's manipulability: the product of the singular values, √det(JJᵀ) at full row rank.
+
+    (The International Journal of Robotics Research 4(2), 1985.)  Directions in which nothing can move
+    are left out, or a planar arm would have none at all.
+    """
+    product = 1.0
+    for i in range(sigma.shape[0]):
+        if sigma[i] > NEGLIGIBLE * sigma[0]:
+            product *= sigma[i]
+    return product
+
+
+@outlined
+def filtered_step(work, cutoff, damping):
+    """work.step = Σ σ/(σ² + λ²) (u·e) v over σ > cutoff σ₁, from the singular vectors of work.jacobian.
+
+    λ = 0: the pseudoinverse; λ > 0: damped least squares in its SVD form (Buss 2004, sections 4 and 6).
+    """
+    left, sigma, right, wanted, step = work.left, work.sigma, work.right, work.wanted, work.step
+    for u in range(step.shape[0]):
+        step[u] = 0.0
+    for i in range(sigma.shape[0]):
+        s = sigma[i]
+        if not s > cutoff * sigma[0]:
+            continue
+        part = 0.0
+        for r in range(wanted.shape[0]):
+            part += left[i, r] * wanted[r]
+        part *= s / (s * s + damping * damping)
+        for u in range(step.shape[0]):
+            step[u] += part * right[i, u]
+    work.value[DAMPING] = damping

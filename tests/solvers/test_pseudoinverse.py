@@ -1,0 +1,232 @@
+"""The pseudoinverse, its null space and goal halving against their formulas."""
+
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.errors import ConfigError
+from robot_ik.goals import PositionGoal
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import load_robot
+from robot_ik.solvers.pseudoinverse import Pseudoinverse
+
+FREE_STEP = {"clamp": 1e6, "max_step": 1e6}
+CASES = [(r, k) for r in ("puma560", "planar", "tree") for k in ("position", "orientation", "pose")]
+CASES += [("tree", "two goals")]
+cases = pytest.mark.parametrize(("robot_name", "kind"), CASES)
+REDUNDANT = pytest.mark.parametrize("robot_name", ["puma560", "planar"])
+
+
+@cases
+def test_a_step_is_numpys_pseudoinverse(robot_name, kind, near_problems, linear_model, one_step):
+    for problem, q in near_problems(robot_name, kind):
+        jacobian, e = linear_model(problem, q)
+        expected = np.linalg.pinv(jacobian, rcond=1e-3) @ e
+        step = one_step(Pseudoinverse(cutoff=1e-3, **FREE_STEP), problem, q)
+        inside = np.abs(expected).max() < 0.4  # else limits would have their say
+        if inside:
+            np.testing.assert_allclose(step, expected, atol=1e-8)
+
+
+def test_the_cutoff_is_relative_to_the_largest(robots, linear_model, one_step):
+    robot = robots("planar")
+    q = np.array([0.3, 0.02, 0.02])  # nearly stretched
+    problem = Problem(robot, PositionGoal(None, robot.forward(q).position - [0.01, 0.005, 0]))
+    jacobian, e = linear_model(problem, q)
+    ratio = np.linalg.svd(jacobian, compute_uv=False)
+    ratio = ratio[1] / ratio[0]
+    kept = one_step(Pseudoinverse(cutoff=0.9 * ratio, **FREE_STEP), problem, q)
+    left_out = one_step(Pseudoinverse(cutoff=1.1 * ratio, **FREE_STEP), problem, q)
+    np.testing.assert_allclose(kept, np.linalg.pinv(jacobian, rcond=0.9 * ratio) @ e, rtol=1e-6)
+    np.testing.assert_allclose(left_out, np.linalg.pinv(jacobian, rcond=1.1 * ratio) @ e, rtol=1e-6)
+    assert np.abs(left_out).max() < 0.1 < np.abs(kept).max()
+
+
+def phi_of(aim, problem, q, linear_model):
+    robot = problem.robot
+    if aim == "rest":
+        return robot.home - q
+    if aim == "limits":
+        return ((robot.lower + robot.upper) / 2 - q) / ((robot.upper - robot.lower) / 2)
+
+    def manipulability(at):
+        sigma = np.linalg.svd(linear_model(problem, at)[0], compute_uv=False)
+        return np.prod(sigma[sigma > 1e-9])
+
+    nudge = 1e-5 * np.eye(robot.nv)
+    return np.array([(manipulability(q + d) - manipulability(q - d)) / 2e-5 for d in nudge])
+
+
+@REDUNDANT
+@pytest.mark.parametrize("aim", ["rest", "limits", "manipulability"])
+def test_the_null_space_step(robot_name, aim, near_problems, linear_model, one_step):
+    for problem, q in near_problems(robot_name, "position"):
+        robot = problem.robot
+        jacobian, e = linear_model(problem, q)
+        phi = 0.5 * phi_of(aim, problem, q, linear_model)
+        phi *= min(1.0, np.linalg.norm(e) / np.linalg.norm(phi))
+        inverse = np.linalg.pinv(jacobian, rcond=1e-6)
+        null = (np.eye(robot.nv) - inverse @ jacobian) @ phi
+        plain = one_step(Pseudoinverse(cutoff=1e-6, **FREE_STEP), problem, q)
+        step = one_step(Pseudoinverse(cutoff=1e-6, aim=aim, aim_gain=0.5, **FREE_STEP), problem, q)
+        np.testing.assert_allclose(step - plain, null, atol=1e-6)
+        # It leaves the tool where it is, to first order, and goes towards the aim.
+        np.testing.assert_allclose(jacobian @ (step - plain), 0.0, atol=1e-9)
+        assert null @ phi > 0.0
+        moved = robot.measure(q + 0.01 * (step - plain)).position - robot.measure(q).position
+        assert np.linalg.norm(moved) < 1e-3 * 0.01 * np.linalg.norm(null) + 1e-4 * np.linalg.norm(null) ** 2
+
+
+@pytest.mark.parametrize("aim", ["rest", "limits"])
+def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
+    """The tool goes to and fro on a line; what is free drifts to the aim."""
+    robot = robots("puma560")
+    start = robot.home + np.array([0.9, -0.6, 0.5, 0.8, 0.7, 1.0])
+    here = robot.forward(start).position
+    far = {}
+    for name in ("none", aim):
+        problem = Problem(robot, PositionGoal(None, here))
+        q = start
+        for tick in range(201):
+            problem.retarget(here + np.array([0.03 * np.sin(tick * np.pi / 10), 0, 0]))
+            solution = Pseudoinverse(aim=name, restarts=0).solve(problem, q)
+            assert solution.converged
+            assert np.abs(solution.q - q).max() < 0.1
+            q = solution.q
+        scale = 1.0 if aim == "rest" else (robot.upper - robot.lower) / 2
+        wanted = robot.home if aim == "rest" else (robot.upper + robot.lower) / 2
+        far[name] = np.linalg.norm((q - wanted) / scale)
+    assert far[aim] < 0.85 * far["none"]
+
+
+def test_an_aim_works_on_balls_slides_and_turns_without_limits(near_problems):
+    for aim in ("rest", "limits", "manipulability"):
+        for problem, q in near_problems("tree", "position", distance=0.3):
+            assert Pseudoinverse(aim=aim).solve(problem, q).converged
+
+
+def test_the_way_home_of_a_ball_is_a_rotation(robots, linear_model, one_step):
+    robot = robots("tree")
+    q = robot.integrate(robot.home, np.array([0, 0.2, 0.4, -0.3, 0.5, 0, 0, 0]))
+    problem = Problem(robot, PositionGoal(None, robot.forward(q).position + np.array([0.1, 0, 0])))
+    jacobian, _ = linear_model(problem, q)
+    null = np.eye(7) - np.linalg.pinv(jacobian) @ jacobian
+    plain = one_step(Pseudoinverse(cutoff=1e-9, **FREE_STEP), problem, q)
+    step = one_step(Pseudoinverse(cutoff=1e-9, aim="rest", aim_gain=0.1, **FREE_STEP), problem, q)
+    home = np.array([0, -0.2, -0.4, 0.3, -0.5, 0, 0])  # from the identity out and back along one axis
+    np.testing.assert_allclose(step - plain, null @ (0.1 * home), atol=1e-8)
+
+
+def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
+    robot = load_robot("humanoid")
+    hinges = slice(7, None)  # after the base; a little inside their limits, where none has its say
+    q = robot.integrate(robot.home, np.r_[0.2, -0.1, 0.3, 0.3, -0.2, 0.1, np.zeros(robot.nv - 6)])
+    q[hinges] += 0.2 * ((robot.lower[6:] + robot.upper[6:]) / 2 - q[hinges])
+    goals = [PositionGoal(f, robot.forward(q, f).position + 0.01) for f in ("left_hand", "gaze")]
+    problem = Problem(robot, goals)
+    jacobian, e = linear_model(problem, q)
+    way = np.zeros(robot.nv)
+    mujoco.mj_differentiatePos(robot.model, way, 1.0, q, robot.home)
+    phi = way[problem.dofs]
+    phi *= np.linalg.norm(e) / np.linalg.norm(phi)  # no longer than the residual
+    null = np.eye(len(phi)) - np.linalg.pinv(jacobian) @ jacobian
+    plain = one_step(Pseudoinverse(cutoff=1e-9, **FREE_STEP), problem, q)
+    step = one_step(Pseudoinverse(cutoff=1e-9, aim="rest", aim_gain=1.0, **FREE_STEP), problem, q)
+    np.testing.assert_allclose(plain, np.linalg.pinv(jacobian) @ e, atol=1e-9)
+    np.testing.assert_allclose(step - plain, null @ phi, atol=1e-9)
+
+
+# ------------------------------------------------------------------------------ goal halving
+
+
+def landing_of(problem, q, wanted, before, share, step):
+    there = problem.robot.clip(problem.robot.integrate(q, np.asarray(step)))
+    frame = problem.robot.measure(there)
+    after = (problem.goals[0].target.position - frame.position) / problem.length(problem.goals[0])
+    return np.linalg.norm(after - (before - share * wanted))
+
+
+def test_a_step_that_does_not_land_is_halved_until_it_does(robots, linear_model, one_step):
+    robot = robots("puma560")
+    rng, halved = np.random.default_rng(8), 0
+    for _ in range(20):
+        q = robot.home + rng.uniform(-0.2, 0.2, 6)
+        target = robot.forward(robot.home + rng.uniform(-0.8, 0.8, 6)).position
+        problem = Problem(robot, PositionGoal(None, target))
+        _, e = linear_model(problem, q)
+        whole = one_step(Pseudoinverse(**FREE_STEP), problem, q)
+        step = one_step(Pseudoinverse(halvings=20, landing=0.02, **FREE_STEP), problem, q)
+        share = step[0] / whole[0]
+        np.testing.assert_allclose(step, share * whole, atol=1e-12)
+        assert np.log2(share) == pytest.approx(round(np.log2(share)), abs=1e-9)
+        assert landing_of(problem, q, e, e, share, step) <= 0.02
+        if share < 1.0:
+            assert landing_of(problem, q, e, e, 2 * share, 2 * step) > 0.02
+            halved += 1
+    assert halved > 5
+
+
+def test_halving_ends_and_never_leads_up(robots):
+    """Out of reach no step lands for long: bounded halvings, and what leads up is undone."""
+    robot = robots("planar")
+    problem = Problem(
+        robot, PositionGoal(None, (1.4, 1.0, 0)), trace=True, budget=Budget(iterations=300, restarts=2)
+    )
+    solution = Pseudoinverse(halvings=4, landing=1e-3).solve(problem, np.array([0.1, 1.2, -0.4]))
+    assert not solution.converged
+    first = [row.cost for row in solution.trace if row.restart == 0]
+    assert len(first) > 5
+    norms = np.sqrt(2 * np.array(first))
+    assert all(b <= a + 1e-3 for a, b in pairwise(norms))  # no farther up than a step may miss its subgoal
+
+
+@pytest.mark.parametrize("kind", ["position", "pose"])
+@pytest.mark.parametrize("robot_name", ["puma560", "planar", "tree"])
+def test_halving_solves(robot_name, kind, near_problems):
+    for problem, q in near_problems(robot_name, kind, distance=0.4):
+        assert Pseudoinverse(halvings=8, landing=0.05).solve(problem, q).converged
+
+
+# ------------------------------------------------------------------------------ limits
+
+
+def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, one_step):
+    robot = robots("puma560")
+    rng, seen = np.random.default_rng(3), 0
+    for _ in range(30):
+        q = robot.home + rng.uniform(-0.3, 0.3, 6)
+        q[1] = robot.lower[1]
+        problem = Problem(robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3)))
+        jacobian, e = linear_model(problem, q)
+        whole = np.linalg.pinv(jacobian, rcond=1e-6) @ e
+        step = one_step(Pseudoinverse(cutoff=1e-6, **FREE_STEP), problem, q)
+        if jacobian[:, 1] @ e < 0 or whole[1] < 0:
+            jacobian[:, 1] = 0.0
+            whole = np.linalg.pinv(jacobian, rcond=1e-6) @ e
+            seen += 1
+            assert step[1] == 0.0 and step.any()
+        np.testing.assert_allclose(step, whole, atol=1e-8)
+    assert seen > 5
+
+
+def test_a_cut_step_never_leads_up_on_the_linear_model(robots, linear_model, one_step):
+    robot = robots("puma560")
+    rng, cut = np.random.default_rng(11), 0
+    for _ in range(100):
+        q = robot.clip(robot.sample(rng) * rng.choice([0.99, 1.0, 3.0], 6))
+        problem = Problem(robot, PositionGoal(None, robot.forward(robot.sample(rng)).position))
+        jacobian, e = linear_model(problem, q)
+        step = one_step(Pseudoinverse(**FREE_STEP), problem, q)
+        assert (q + step <= robot.upper + 1e-12).all() and (q + step >= robot.lower - 1e-12).all()
+        assert np.linalg.norm(e - jacobian @ step) <= np.linalg.norm(e) * (1 + 1e-12)
+        cut += bool(
+            (np.abs(q + step - robot.upper) < 1e-12).any() or (np.abs(q + step - robot.lower) < 1e-12).any()
+        )
+    assert cut > 20
+
+
+def test_the_choices():
+    with pytest.raises(ConfigError, match=r"pseudoinverse.*aim.*none, rest, limits, manipulability"):
+        Pseudoinverse(aim="comfort")
