@@ -1,0 +1,49 @@
+"""``make_chain``: a chain of ball joints, the creature that animation methods were first shown on."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+
+from robot_ik.errors import ModelError
+from robot_ik.robot import Robot, robot_from_model
+
+# A link is drawn this thick, as a share of its length.
+_THICKNESS = 0.06
+
+
+def make_chain(n: int, length: float = 1.0) -> Robot:
+    """A chain of ``n`` unlimited ball joints (3 degrees of freedom each), built in memory.
+
+    The base is at the origin of the world; at home all links lie along z.  Joints are ``joint1`` …
+    ``joint<n>``, bodies ``link1`` … ``link<n>``; the tool is the site ``tip`` at the end of the last
+    link, z along it.
+
+    Args:
+        n: Number of links, one or more.
+        length: Of each link, metres.
+
+    Raises:
+        ModelError: No links, or a length that is not positive and finite.
+    """
+    if n < 1:
+        raise ModelError(f"a chain has one or more links, not {n}")
+    if not (math.isfinite(length) and length > 0.0):
+        raise ModelError(f"a link's length is positive and finite, not {length}")
+    spec = mujoco.MjSpec()
+    spec.modelname = f"chain{n}"
+    body = spec.worldbody
+    for i in range(1, n + 1):
+        body = body.add_body(name=f"link{i}", pos=[0.0, 0.0, length if i > 1 else 0.0])
+        body.add_joint(name=f"joint{i}", type=mujoco.mjtJoint.mjJNT_BALL)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
+            size=[_THICKNESS * length, 0.0, 0.0],
+            rgba=[0.9, 0.55, 0.2, 1.0] if i % 2 else [0.25, 0.35, 0.5, 1.0],
+            contype=0,
+            conaffinity=0,
+        )
+    body.add_site(name="tip", pos=[0.0, 0.0, length])
+    return robot_from_model(spec.compile(), name=f"chain{n}", tool="tip")
