@@ -20,8 +20,9 @@ UP, FIRST, NEXT, THROUGH, STACK, PATH, LINK_COLUMNS = range(7)
 # Columns of ``points`` (points, POINT_COLUMNS): where it is, where it is wished, what it counts, how far
 # along its hinge's axis it stands from the node's origin, and the length of the bone that ends in it.
 NOW, WISH, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
-# ``sums``: the 3 x 3 correlation of wishes and points, how many there are; then four numbers of q.
-AIMS, KEPT, SUM_SIZE = 9, 10, 14
+# ``sums``: the 3 x 3 correlation of wishes and points, and how many there are; then how much a hinge heeds
+# the goals themselves beside the next points (0 = not at all).
+AIMS, PULL, SUM_SIZE = 9, 10, 11
 
 # A point nearer to the axis than this, metres, is not moved by a turn about it.
 _NO_LEVER = 1e-6
@@ -167,6 +168,17 @@ def add_point(points, sums, k, c):
 
 
 @pure
+def add_columns(goal, work, sums, share, g):
+    """The axes of goal ``g``'s frame are wished along those of its target."""
+    w = share * goal.weight[g, 1] * goal.weight[g, 1]
+    for i in range(3, 6):
+        add_aim(
+            sums, w, goal.target[g, i], goal.target[g, i + 3], goal.target[g, i + 6],
+            work.frames[g, i], work.frames[g, i + 3], work.frames[g, i + 6],
+        )  # fmt: skip
+
+
+@pure
 def lever(world, points, kind, k, c):
     """Distance of point ``c`` from the axis of hinge ``k``, or from the centre of ball ``k``."""
     x = points[c, NOW] - points[k, NOW]
@@ -197,13 +209,7 @@ def gather(tree, goal, work, links, points, one, sums, k):
         if points[c, SHARE] > 0.0:
             locate(tree, goal, work, points, one, c)
             if c >= n and turned_goal(goal, c - n):
-                g = c - n
-                w = goal.weight[g, 1] * goal.weight[g, 1]
-                for i in range(3, 6):
-                    add_aim(
-                        sums, w, goal.target[g, i], goal.target[g, i + 3], goal.target[g, i + 6],
-                        work.frames[g, i], work.frames[g, i + 3], work.frames[g, i + 6],
-                    )  # fmt: skip
+                add_columns(goal, work, sums, 1.0, c - n)
             elif lever(work.world, points, tree.kind[k], k, c) > _NO_LEVER:
                 add_point(points, sums, k, c)
             else:
@@ -215,6 +221,41 @@ def gather(tree, goal, work, links, points, one, sums, k):
             c = links[c, FIRST]
         else:
             c = links[c, NEXT]
+
+
+@outlined
+def heed_goals(tree, goal, work, links, points, one, sums, k):
+    """Adds to ``sums`` the goals that hang on joint ``k``, as they would be if later joints stayed.
+
+    A bone's wish says nothing of an error across the bone, which a ball can take out and a hinge cannot:
+    without this, hinges whose axes are not parallel wait for each other.
+    """
+    n, pull = tree.parent.shape[0], sums[PULL]
+    for g in range(goal.kind.shape[0]):
+        if points[n + g, SHARE] <= 0.0:
+            continue
+        depth, c = 0, links[n + g, UP]
+        while c >= 0 and c != k:
+            links[depth, STACK] = c
+            depth += 1
+            c = links[c, UP]
+        if c != k:
+            continue
+        while depth > 0:
+            depth -= 1
+            locate(tree, goal, work, points, one, links[depth, STACK])
+        locate(tree, goal, work, points, one, n + g)
+        count = sums[AIMS]
+        add_aim(
+            sums, pull * points[n + g, SHARE],
+            goal.target[g, 0] - points[k, NOW], goal.target[g, 1] - points[k, NOW + 1],
+            goal.target[g, 2] - points[k, NOW + 2],
+            points[n + g, NOW] - points[k, NOW], points[n + g, NOW + 1] - points[k, NOW + 1],
+            points[n + g, NOW + 2] - points[k, NOW + 2],
+        )  # fmt: skip
+        if turned_goal(goal, g):
+            add_columns(goal, work, sums, pull, g)
+        sums[AIMS] = count
 
 
 @pure
@@ -361,6 +402,8 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
     gone = 0.0
     if kind == HINGE:
         gather(tree, goal, work, links, points, one, sums, k)
+        if sums[PULL] > 0.0:
+            heed_goals(tree, goal, work, links, points, one, sums, k)
         ta, tb = turn_terms(sums, world[k, 5], world[k, 8], world[k, 11])
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])

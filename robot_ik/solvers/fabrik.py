@@ -30,6 +30,7 @@ from robot_ik.kernels.aiming import (
     NEXT,
     NOW,
     POINT_COLUMNS,
+    PULL,
     SHARE,
     SHIFT,
     SUM_SIZE,
@@ -63,6 +64,7 @@ class Fabrik(BoneSolver):
     try_steps: int = option(100, "passes granted to a try from a random point", low=1, high=100_000)
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    pull: float = option(0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0)
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
     kick: float = option(
         0.1, "how far a straight chain is bent before it reaches inwards", low=0.0, high=1.0, unit="bones"
@@ -79,7 +81,7 @@ class Fabrik(BoneSolver):
         return fabrik
 
     def parameters(self) -> tuple[float, ...]:
-        return (self.sweeps, self.kick)
+        return (self.sweeps, self.kick, self.pull)
 
 
 @pure
@@ -221,7 +223,7 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
 
 @kernel
 def fabrik(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: sweeps, kick."""
+    """Runs until ``proceed`` says stop; options: sweeps, kick, pull."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     count = tree.parent.shape[0] + goal.kind.shape[0]
     links = np.empty((count, LINK_COLUMNS), dtype=np.int64)
@@ -229,6 +231,7 @@ def fabrik(tree, goals, work, options):
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
     work.step[:] = 0.0
+    sums[PULL] = options[2]
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         fabrik_step(tree, goal, work, links, points, one, sums, options)
