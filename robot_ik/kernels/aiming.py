@@ -453,3 +453,37 @@ def settle(tree, goal, work, links, points, one, sums, sweeps):
                 total += fit_joint(tree, goal, work, links, points, one, sums, links[back, PATH])
             if total < _STILL:
                 break
+
+
+@outlined
+def chain_path(tree, links):
+    """Points of the one chain that a single goal makes, root to tip, into links[:, PATH]; how many.
+
+    ``settle`` uses the column as well.
+    """
+    count, c = 0, tree.parent.shape[0]
+    while c >= 0:
+        count += 1
+        c = links[c, UP]
+    c = tree.parent.shape[0]
+    for i in range(count - 1, -1, -1):
+        links[i, PATH] = c
+        c = links[c, UP]
+    return count
+
+
+@pure
+def inner_radius(points, links, first, end):
+    """Nearest that bones ``first`` … ``end`` - 1 of the path bring their two ends together."""
+    longest, total = 0.0, 0.0
+    for i in range(first, end):
+        length = points[links[i, PATH], LENGTH]
+        longest = max(longest, length)
+        total += length
+    return max(0.0, 2.0 * longest - total)
+
+
+@pure
+def third_side_angle(a, c, b):
+    """Angle between the sides a and c of the triangle whose third side is b; 0 or π when it cannot close."""
+    return math.acos(min(1.0, max(-1.0, (a * a + c * c - b * b) / (2.0 * a * c))))

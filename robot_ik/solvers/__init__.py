@@ -18,6 +18,9 @@ _ROWS: dict[str, tuple[str, str]] = {
     "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
     "dls": ("damped_least_squares", "DampedLeastSquares"),
     "ccd": ("ccd", "CyclicCoordinateDescent"),
+    "fabrik": ("fabrik", "Fabrik"),
+    "triangulation": ("triangulation", "Triangulation"),
+    "recursive": ("recursive", "Recursive"),
 }
 
 # ``auto`` names the method that serves any goal best; the default of ``solve``.

@@ -53,6 +53,8 @@ from robot_ik.solvers.bones import BoneSolver
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6
+# A goal this near to the full length of the chain, as a share of it, is at it: reaching would take for ever.
+_STRETCHED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def bend(tree, goal, work, links, points, kick):
             root = links[root, UP]
         end, at = tip, WISH
         far = apart(points, tip, WISH, root, NOW)
-        if far >= length:
+        if far >= length * (1.0 - _STRETCHED):
             too_far = True
             continue
         if far < 1e-9 * length:  # the goal is at the root: the line is the chain's own
