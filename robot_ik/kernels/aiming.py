@@ -485,5 +485,10 @@ def inner_radius(points, links, first, end):
 
 @pure
 def third_side_angle(a, c, b):
-    """Angle between the sides a and c of the triangle whose third side is b; 0 or π when it cannot close."""
-    return math.acos(min(1.0, max(-1.0, (a * a + c * c - b * b) / (2.0 * a * c))))
+    """Angle between the sides a and c of the triangle whose third side is b; 0 or π when it cannot close.
+
+    From the tangent of half of it (Kahan): the arccosine would lose half the digits of a flat triangle.
+    """
+    over = (b - (a - c)) * (b + (a - c))
+    under = ((a + c) - b) * ((a + c) + b)
+    return 2.0 * math.atan2(math.sqrt(max(0.0, over)), math.sqrt(max(0.0, under)))

@@ -45,7 +45,7 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.work import BEST_COST, open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
 
@@ -174,14 +174,15 @@ def pull_chain(tree, goal, links, points, guard):
 
 @outlined
 def recursive_step(tree, goal, work, links, points, one, sums, options):
-    """One try; leaves q at the goal, or as it was."""
+    """One try; leaves q at the goal, or as it was and returns False."""
     copy(work.q, work.accepted)
     locate_all(tree, goal, work, links, points, one)
     if pull_chain(tree, goal, links, points, options[0] > 0.5):
         settle(tree, goal, work, links, points, one, sums, int(options[1]))
         if measure(tree, goal, work):
-            return
+            return True
     copy(work.accepted, work.q)
+    return False
 
 
 @kernel
@@ -192,10 +193,18 @@ def recursive(tree, goals, work, options):
     links = np.empty((count, LINK_COLUMNS), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
+    best = np.empty(work.best.shape[0])
     link_points(tree, goal, work.nodes, links, points)
     work.step[:] = 0.0
     sums[PULL] = 0.0
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        recursive_step(tree, goal, work, links, points, one, sums, options)
+        copy(work.best, best)
+        best_cost = work.value[BEST_COST]
+        moved = recursive_step(tree, goal, work, links, points, one, sums, options)
         advance(tree, goal, work)
+        if not moved:
+            # ``advance`` normalises quaternions: a failure must not change a bit.
+            copy(work.accepted, work.q)
+            copy(best, work.best)
+            work.value[BEST_COST] = best_cost
