@@ -93,7 +93,7 @@ def link_points(tree, goal, nodes, links, points):
             hang(links, points, k, tree.parent[k])
 
 
-@pure
+@outlined
 def locate(tree, goal, work, points, one, c):
     """Pose of point ``c``'s node or frame, and where the point is now; its parent's pose must stand."""
     n, world = tree.parent.shape[0], work.world
@@ -155,7 +155,7 @@ def add_aim(sums, weight, dx, dy, dz, px, py, pz):
     sums[AIMS] += 1.0
 
 
-@pure
+@outlined
 def add_point(points, sums, k, c):
     """Point ``c`` is wished where it is wished, seen from point ``k``."""
     add_aim(
@@ -167,7 +167,7 @@ def add_point(points, sums, k, c):
     )  # fmt: skip
 
 
-@pure
+@outlined
 def add_columns(goal, work, sums, share, g):
     """The axes of goal ``g``'s frame are wished along those of its target."""
     w = share * goal.weight[g, 1] * goal.weight[g, 1]
@@ -284,7 +284,7 @@ def best_angle(a, b, low, high):
     return low if at_low > at_high else high
 
 
-@pure
+@outlined
 def turn_axis(sums):
     """The axis about which a free rotation helps most, not normalised: zero when nothing helps."""
     x, y, z = sums[7] - sums[5], sums[2] - sums[6], sums[3] - sums[1]
@@ -302,7 +302,7 @@ def turn_axis(sums):
     return x + (1.0 if i == 0 else 0.0), y + (1.0 if i == 1 else 0.0), z + (1.0 if i == 2 else 0.0)
 
 
-@pure
+@outlined
 def turn_ball(tree, work, k, a, x, y, z, angle):
     """Turns the ball whose quaternion starts at q[a] by ``angle`` about the world axis (x, y, z)."""
     world = work.world
