@@ -1,16 +1,41 @@
-"""``make_chain``: a chain of ball joints, the creature that animation methods were first shown on."""
+"""Robots built in memory: of any MuJoCo model, and chains of ball joints, where animation began."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 
 import mujoco
 
+from robot_ik.catalogue import RobotFile
 from robot_ik.errors import ModelError
-from robot_ik.robot import Robot, robot_from_model
+from robot_ik.robot import Robot, make_robot
 
 # A link is drawn this thick, as a share of its length.
 _THICKNESS = 0.06
+
+
+def robot_from_model(
+    model: mujoco.MjModel,
+    *,
+    name: str = "model",
+    joints: Sequence[str] | str | None = None,
+    tool: str | None = None,
+) -> Robot:
+    """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
+
+    Args:
+        model: A compiled model; treat it as read-only from now on.
+        name: What to call the robot.
+        joints: As in ``load_robot``.
+        tool: As in ``load_robot``.
+
+    Raises:
+        ModelError, UnknownJointError, UnknownFrameError: As ``load_robot``.
+    """
+    # A folder that cannot exist, so that nothing is ever found beside the model.
+    return make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
 
 
 def make_chain(n: int, length: float = 1.0) -> Robot:

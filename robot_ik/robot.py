@@ -262,37 +262,17 @@ def load_robot(
         UnknownJointError, UnknownFrameError: With the close names.
     """
     path, file = find_robot(name)
-    return _make_robot(read_model(path), path, file, joints, tool)
+    return make_robot(read_model(path), path, file, joints, tool)
 
 
-def robot_from_model(
-    model: mujoco.MjModel,
-    *,
-    name: str = "model",
-    joints: Sequence[str] | str | None = None,
-    tool: str | None = None,
-) -> Robot:
-    """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
-
-    Args:
-        model: A compiled model; treat it as read-only from now on.
-        name: What to call the robot.
-        joints, tool: As in ``load_robot``.
-
-    Raises:
-        ModelError, UnknownJointError, UnknownFrameError: As ``load_robot``.
-    """
-    # A folder that cannot exist, so that nothing is ever found beside the model.
-    return _make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
-
-
-def _make_robot(
+def make_robot(
     model: mujoco.MjModel,
     path: Path,
     file: RobotFile,
     joints: Sequence[str] | str | None,
     tool: str | None,
 ) -> Robot:
+    """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
     names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
     active = active_joints(names, joints, file)
     rest = home_qpos(model, path, file)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.chain import robot_from_model
 from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
 from robot_ik.kernels.tree import BALL
-from robot_ik.robot import robot_from_model
 
 
 @pytest.mark.parametrize("n", range(1, 11))
@@ -35,7 +35,9 @@ def test_a_joint_turns_all_three_ways_about_its_anchor():
     np.testing.assert_allclose(robot.measure(turned).position, [0, -2, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize(("n", "length"), [(0, 1.0), (-3, 1.0), (2, 0.0), (2, -1.0), (2, np.inf), (2, np.nan)])
+@pytest.mark.parametrize(
+    ("n", "length"), [(0, 1.0), (-3, 1.0), (2, 0.0), (2, -1.0), (2, np.inf), (2, np.nan)]
+)
 def test_a_chain_of_nothing_is_refused(n, length):
     with pytest.raises(ModelError, match="link"):
         rik.make_chain(n, length)

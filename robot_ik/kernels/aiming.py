@@ -1,158 +1,34 @@
-"""Joints as points and bones, for the geometric methods: where the points are, and one joint's best turn.
+"""One joint's best turn: how joints follow points that a geometric method wishes somewhere.
 
-A *point* is the anchor of a joint or the origin of a goal's frame; a *bone* joins a point to the next
-one along the chain.  The anchor of a hinge may be put anywhere on its axis without changing what moves:
-here it is put nearest to the next point, so that offsets along the axis, and rolls about the tip, are no
-bones.  A geometric method wishes points somewhere; ``settle`` then turns the joints, root to tip, each
-about its real axis and inside its limits, to the exact optimum of its own: q is feasible at all times.
+``settle`` turns the joints, root to tip, each about its real axis and inside its limits, to the exact
+optimum of its own: q is feasible at all times.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
+from robot_ik.kernels.bones import (
+    FIRST,
+    NEXT,
+    NOW,
+    PATH,
+    SHARE,
+    STACK,
+    THROUGH,
+    UP,
+    WISH,
+    locate,
+    turned_goal,
+)
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward, frame_pose, turn_quat
-from robot_ik.kernels.residuals import POSE
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
-
-# Columns of ``links`` (points, LINK_COLUMNS), int64.  Points are the nodes, then the goals.
-UP, FIRST, NEXT, THROUGH, STACK, PATH, LINK_COLUMNS = range(7)
-# Columns of ``points`` (points, POINT_COLUMNS): where it is, where it is wished, what it counts, how far
-# along its hinge's axis it stands from the node's origin, and the length of the bone that ends in it.
-NOW, WISH, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
-# ``sums``: the 3 x 3 correlation of wishes and points, and how many there are; then how much a hinge heeds
-# the goals themselves beside the next points (0 = not at all).
-AIMS, PULL, SUM_SIZE = 9, 10, 11
+from robot_ik.kernels.kinematics import clip, turn_quat
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.kernels.turns import AIMS, PULL, add_aim, best_angle, turn_axis, turn_terms
 
 # A point nearer to the axis than this, metres, is not moved by a turn about it.
 _NO_LEVER = 1e-6
 # Turns of a ball with several points to serve, and where they end, rad.
 _BALL_TURNS, _STILL = 12, 1e-10
-
-
-@pure
-def turned_goal(goal, g):
-    """Whether the goal asks for an orientation as well."""
-    return goal.kind[g] == POSE and goal.weight[g, 1] > 0.0
-
-
-@pure
-def hang(links, points, c, k):
-    """Makes point ``c`` the first child of node ``k``."""
-    links[c, UP] = k
-    links[c, NEXT] = links[k, FIRST]
-    links[k, FIRST] = c
-    points[k, SHARE] += points[c, SHARE]
-
-
-@pure
-def nearest_to_parent(tree, k):
-    """How far along the axis of hinge ``k`` the point nearest to its parent's axis (or anchor) stands."""
-    constant, parent = tree.constant, tree.parent[k]
-    x, y, z = constant[k, 0], constant[k, 1], constant[k, 2]
-    u, v, w = constant[k, 5], constant[k, 8], constant[k, 11]
-    if parent < 0:
-        return 0.0
-    across = u * u + v * v
-    if tree.kind[parent] == HINGE and across > 1e-12:
-        return -(u * x + v * y) / across
-    return -(u * x + v * y + w * z)
-
-
-@outlined
-def link_points(tree, goal, nodes, links, points):
-    """Fills ``links``, and the shares and shifts of ``points``: once for a goal set."""
-    n, constant, local = tree.parent.shape[0], tree.constant, goal.local
-    for c in range(links.shape[0]):
-        points[c, LENGTH] = 0.0
-        links[c, UP] = links[c, FIRST] = links[c, NEXT] = -1
-        links[c, THROUGH] = 0
-        points[c, SHARE] = points[c, SHIFT] = 0.0
-    for g in range(goal.kind.shape[0] - 1, -1, -1):
-        if goal.node[g] >= 0:
-            points[n + g, SHARE] = goal.weight[g, 0] * goal.weight[g, 0]
-            hang(links, points, n + g, goal.node[g])
-    for index in range(nodes.shape[0] - 1, -1, -1):
-        k = nodes[index]
-        if tree.kind[k] == HINGE:
-            along, count, posed = 0.0, 0, False
-            c = links[k, FIRST]
-            while c >= 0:
-                if c >= n:
-                    along += local[c - n, 2]
-                    posed = posed or turned_goal(goal, c - n)
-                else:
-                    along += constant[c, 2] + points[c, SHIFT] * constant[c, 11]
-                count += 1
-                c = links[c, NEXT]
-            if posed:
-                points[k, SHIFT] = nearest_to_parent(tree, k)
-            elif count > 0:
-                points[k, SHIFT] = along / count
-        if tree.parent[k] >= 0:
-            hang(links, points, k, tree.parent[k])
-
-
-@outlined
-def locate(tree, goal, work, points, one, c):
-    """Pose of point ``c``'s node or frame, and where the point is now; its parent's pose must stand."""
-    n, world = tree.parent.shape[0], work.world
-    if c < n:
-        one[0] = c
-        forward(tree, one, work.q, world, work.scratch)
-        for i in range(3):
-            points[c, NOW + i] = world[c, i] + points[c, SHIFT] * world[c, 5 + 3 * i]
-    else:
-        frame_pose(world, goal.node[c - n], goal.local, c - n, work.frames)
-        for i in range(3):
-            points[c, NOW + i] = work.frames[c - n, i]
-
-
-@pure
-def apart(points, b, at_b, a, at_a):
-    """Distance of two points, each as it is (NOW) or as it is wished (WISH)."""
-    x = points[b, at_b] - points[a, at_a]
-    y = points[b, at_b + 1] - points[a, at_a + 1]
-    z = points[b, at_b + 2] - points[a, at_a + 2]
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@pure
-def across(x, y, z):
-    """A unit vector across the unit vector (x, y, z)."""
-    if abs(x) <= abs(y) and abs(x) <= abs(z):
-        n = 1.0 / math.sqrt(y * y + z * z)
-        return 0.0, n * z, -n * y
-    if abs(y) <= abs(z):
-        n = 1.0 / math.sqrt(x * x + z * z)
-        return n * z, 0.0, -n * x
-    n = 1.0 / math.sqrt(x * x + y * y)
-    return n * y, -n * x, 0.0
-
-
-@outlined
-def locate_all(tree, goal, work, links, points, one):
-    """Where all points are now, and how long the bones are."""
-    n, nodes = tree.parent.shape[0], work.nodes
-    for index in range(nodes.shape[0] + goal.kind.shape[0]):
-        c = nodes[index] if index < nodes.shape[0] else n + index - nodes.shape[0]
-        locate(tree, goal, work, points, one, c)
-        points[c, LENGTH] = apart(points, c, NOW, links[c, UP], NOW) if links[c, UP] >= 0 else 0.0
-
-
-@pure
-def add_aim(sums, weight, dx, dy, dz, px, py, pz):
-    """One more vector p that is wished along d."""
-    sums[0] += weight * dx * px
-    sums[1] += weight * dx * py
-    sums[2] += weight * dx * pz
-    sums[3] += weight * dy * px
-    sums[4] += weight * dy * py
-    sums[5] += weight * dy * pz
-    sums[6] += weight * dz * px
-    sums[7] += weight * dz * py
-    sums[8] += weight * dz * pz
-    sums[AIMS] += 1.0
 
 
 @outlined
@@ -256,50 +132,6 @@ def heed_goals(tree, goal, work, links, points, one, sums, k):
         if turned_goal(goal, g):
             add_columns(goal, work, sums, pull, g)
         sums[AIMS] = count
-
-
-@pure
-def turn_terms(sums, x, y, z):
-    """A, B of the gain A cos φ + B sin φ of a turn by φ about the unit axis (x, y, z)."""
-    across = (
-        x * (sums[0] * x + sums[1] * y + sums[2] * z)
-        + y * (sums[3] * x + sums[4] * y + sums[5] * z)
-        + z * (sums[6] * x + sums[7] * y + sums[8] * z)
-    )
-    b = x * (sums[7] - sums[5]) + y * (sums[2] - sums[6]) + z * (sums[3] - sums[1])
-    return sums[0] + sums[4] + sums[8] - across, b
-
-
-@pure
-def best_angle(a, b, low, high):
-    """The φ in [low, high] that maximises A cos φ + B sin φ; 0 where nothing depends on it."""
-    if a * a + b * b < 1e-24:
-        return 0.0
-    angle = math.atan2(b, a)
-    for turned in (angle, angle - 2.0 * math.pi, angle + 2.0 * math.pi):
-        if low <= turned <= high:
-            return turned
-    at_low = a * math.cos(low) + b * math.sin(low)
-    at_high = a * math.cos(high) + b * math.sin(high)
-    return low if at_low > at_high else high
-
-
-@outlined
-def turn_axis(sums):
-    """The axis about which a free rotation helps most, not normalised: zero when nothing helps."""
-    x, y, z = sums[7] - sums[5], sums[2] - sums[6], sums[3] - sums[1]
-    size = abs(sums[0]) + abs(sums[4]) + abs(sums[8])
-    trace = sums[0] + sums[4] + sums[8]
-    if x * x + y * y + z * z > 1e-24 * size * size or size == 0.0:
-        return x, y, z
-    # Aligned, or half a turn off: then any axis across will do, the coordinate axis most across first.
-    g0, g1, g2 = sums[0] - trace, sums[4] - trace, sums[8] - trace
-    gain = max(g0, g1, g2)
-    if not gain > 1e-9 * size:
-        return 0.0, 0.0, 0.0
-    i = 0 if g0 == gain else (1 if g1 == gain else 2)
-    x, y, z = -sums[i] / trace, -sums[3 + i] / trace, -sums[6 + i] / trace
-    return x + (1.0 if i == 0 else 0.0), y + (1.0 if i == 1 else 0.0), z + (1.0 if i == 2 else 0.0)
 
 
 @outlined
@@ -453,42 +285,3 @@ def settle(tree, goal, work, links, points, one, sums, sweeps):
                 total += fit_joint(tree, goal, work, links, points, one, sums, links[back, PATH])
             if total < _STILL:
                 break
-
-
-@outlined
-def chain_path(tree, links):
-    """Points of the one chain that a single goal makes, root to tip, into links[:, PATH]; how many.
-
-    ``settle`` uses the column as well.
-    """
-    count, c = 0, tree.parent.shape[0]
-    while c >= 0:
-        count += 1
-        c = links[c, UP]
-    c = tree.parent.shape[0]
-    for i in range(count - 1, -1, -1):
-        links[i, PATH] = c
-        c = links[c, UP]
-    return count
-
-
-@pure
-def inner_radius(points, links, first, end):
-    """Nearest that bones ``first`` … ``end`` - 1 of the path bring their two ends together."""
-    longest, total = 0.0, 0.0
-    for i in range(first, end):
-        length = points[links[i, PATH], LENGTH]
-        longest = max(longest, length)
-        total += length
-    return max(0.0, 2.0 * longest - total)
-
-
-@pure
-def third_side_angle(a, c, b):
-    """Angle between the sides a and c of the triangle whose third side is b; 0 or π when it cannot close.
-
-    From the tangent of half of it (Kahan): the arccosine would lose half the digits of a flat triangle.
-    """
-    over = (b - (a - c)) * (b + (a - c))
-    under = ((a + c) - b) * ((a + c) + b)
-    return 2.0 * math.atan2(math.sqrt(max(0.0, over)), math.sqrt(max(0.0, under)))

@@ -23,30 +23,29 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.kernels.aiming import (
+from robot_ik.kernels.aiming import settle
+from robot_ik.kernels.bones import (
     FIRST,
     LENGTH,
     LINK_COLUMNS,
     NEXT,
     NOW,
     POINT_COLUMNS,
-    PULL,
     SHARE,
     SHIFT,
-    SUM_SIZE,
     UP,
     WISH,
     across,
     apart,
     link_points,
     locate_all,
-    settle,
     turned_goal,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
+from robot_ik.kernels.turns import PULL, SUM_SIZE
 from robot_ik.kernels.work import TRY_STEPS, open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver

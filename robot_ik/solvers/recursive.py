@@ -23,14 +23,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_ik.kernels.aiming import (
+from robot_ik.kernels.aiming import settle
+from robot_ik.kernels.bones import (
     LENGTH,
     LINK_COLUMNS,
     NOW,
     PATH,
     POINT_COLUMNS,
-    PULL,
-    SUM_SIZE,
     WISH,
     across,
     apart,
@@ -38,13 +37,13 @@ from robot_ik.kernels.aiming import (
     inner_radius,
     link_points,
     locate_all,
-    settle,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.turns import PULL, SUM_SIZE
 from robot_ik.kernels.work import BEST_COST, open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
@@ -110,7 +109,7 @@ def meet(points, e, b, p, radius):
 
 @pure
 def drag(points, e, b, root, low, high, guard):
-    """Wishes ``b`` at bone's length from wished ``e``, towards where it is, within [low, high] of the root."""
+    """Wishes ``b`` at bone's length from wished ``e``, towards where it is, [low, high] from the root."""
     length = points[e, LENGTH]
     x, y, z = (
         points[b, NOW] - points[e, WISH],

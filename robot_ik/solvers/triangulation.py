@@ -23,18 +23,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_ik.kernels.aiming import (
+from robot_ik.kernels.aiming import fit_joint
+from robot_ik.kernels.bones import (
     LENGTH,
     LINK_COLUMNS,
     NOW,
     PATH,
     POINT_COLUMNS,
-    PULL,
-    SUM_SIZE,
     WISH,
     across,
     chain_path,
-    fit_joint,
     inner_radius,
     link_points,
     locate,
@@ -45,6 +43,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
+from robot_ik.kernels.turns import PULL, SUM_SIZE
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
@@ -78,39 +77,56 @@ class Triangulation(BoneSolver):
 
 
 @outlined
-def wish_bone(tree, work, goal, links, points, i, j, count, improved):
-    """Wishes for the end of the bone from path[i] to path[j], and for the points after it on one line."""
+def side(tree, work, links, p, c, x, y, z):
+    """To which side a bone leaves the line (x, y, z) it lies on: where its hinge, or the next, can go."""
+    world = work.world
+    for k in (p, c):
+        if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
+            u, v, w = world[k, 5], world[k, 8], world[k, 11]
+            sx, sy, sz = v * z - w * y, w * x - u * z, u * y - v * x
+            norm = math.sqrt(sx * sx + sy * sy + sz * sz)
+            if norm > 1e-6:
+                return sx / norm, sy / norm, sz / norm
+    return across(x, y, z)
+
+
+@outlined
+def bone_direction(tree, work, goal, links, points, i, j, count, improved):
+    """Unit vector along which the bone from path[i] to path[j] should lie."""
     p, c = links[i, PATH], links[j, PATH]
     a, b = points[c, LENGTH], 0.0
     for m in range(j + 1, count):
         b += points[links[m, PATH], LENGTH]
-    tx, ty, tz = (
-        goal.target[0, 0] - points[p, NOW],
-        goal.target[0, 1] - points[p, NOW + 1],
-        goal.target[0, 2] - points[p, NOW + 2],
-    )
-    ux, uy, uz = (
-        (points[c, NOW] - points[p, NOW]) / a,
-        (points[c, NOW + 1] - points[p, NOW + 1]) / a,
-        (points[c, NOW + 2] - points[p, NOW + 2]) / a,
-    )
+    ux = (points[c, NOW] - points[p, NOW]) / a
+    uy = (points[c, NOW + 1] - points[p, NOW + 1]) / a
+    uz = (points[c, NOW + 2] - points[p, NOW + 2]) / a
+    tx = goal.target[0, 0] - points[p, NOW]
+    ty = goal.target[0, 1] - points[p, NOW + 1]
+    tz = goal.target[0, 2] - points[p, NOW + 2]
     far = math.sqrt(tx * tx + ty * ty + tz * tz)
-    dx, dy, dz = ux, uy, uz
-    if far > _NO_BONE:
-        tx, ty, tz = tx / far, ty / far, tz / far
-        along = ux * tx + uy * ty + uz * tz
-        sx, sy, sz = ux - along * tx, uy - along * ty, uz - along * tz
-        sine = math.sqrt(sx * sx + sy * sy + sz * sz)
-        angle = third_side_angle(a, far, b)
-        if improved:
-            least = third_side_angle(a, far, inner_radius(points, links, j + 1, count))
-            angle = min(max(math.atan2(sine, along), least), angle)
-        if sine > 1e-9:
-            sx, sy, sz = sx / sine, sy / sine, sz / sine
-        else:
-            sx, sy, sz = side(tree, work, links, p, c, tx, ty, tz)
-        k, s = math.cos(angle), math.sin(angle)
-        dx, dy, dz = k * tx + s * sx, k * ty + s * sy, k * tz + s * sz
+    if far <= _NO_BONE:  # whichever way it points, the rest is as far away
+        return ux, uy, uz
+    tx, ty, tz = tx / far, ty / far, tz / far
+    along = ux * tx + uy * ty + uz * tz
+    sx, sy, sz = ux - along * tx, uy - along * ty, uz - along * tz
+    sine = math.sqrt(sx * sx + sy * sy + sz * sz)
+    angle = third_side_angle(a, far, b)
+    if improved:
+        least = third_side_angle(a, far, inner_radius(points, links, j + 1, count))
+        angle = min(max(math.atan2(sine, along), least), angle)
+    if sine > 1e-9:
+        sx, sy, sz = sx / sine, sy / sine, sz / sine
+    else:
+        sx, sy, sz = side(tree, work, links, p, c, tx, ty, tz)
+    k, s = math.cos(angle), math.sin(angle)
+    return k * tx + s * sx, k * ty + s * sy, k * tz + s * sz
+
+
+@outlined
+def wish_bone(tree, work, goal, links, points, i, j, count, improved):
+    """Wishes for the end of the bone from path[i] to path[j], and for the points after it on one line."""
+    p, a = links[i, PATH], points[links[j, PATH], LENGTH]
+    dx, dy, dz = bone_direction(tree, work, goal, links, points, i, j, count, improved)
     x, y, z = points[p, NOW] + a * dx, points[p, NOW + 1] + a * dy, points[p, NOW + 2] + a * dz
     # The rest on the line from there to the target.
     dx, dy, dz = goal.target[0, 0] - x, goal.target[0, 1] - y, goal.target[0, 2] - z
@@ -127,20 +143,6 @@ def wish_bone(tree, work, goal, links, points, i, j, count, improved):
         points[e, WISH] = x + s * along * dx
         points[e, WISH + 1] = y + s * along * dy
         points[e, WISH + 2] = z + s * along * dz
-
-
-@outlined
-def side(tree, work, links, p, c, x, y, z):
-    """To which side a bone leaves the line (x, y, z) that it lies on: where its hinge, or the next, can go."""
-    world = work.world
-    for k in (p, c):
-        if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
-            u, v, w = world[k, 5], world[k, 8], world[k, 11]
-            sx, sy, sz = v * z - w * y, w * x - u * z, u * y - v * x
-            norm = math.sqrt(sx * sx + sy * sy + sz * sz)
-            if norm > 1e-6:
-                return sx / norm, sy / norm, sz / norm
-    return across(x, y, z)
 
 
 @outlined

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.chain import robot_from_model
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance
-from robot_ik.robot import Robot, robot_from_model
+from robot_ik.robot import Robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 
@@ -39,7 +40,10 @@ def planar(*ranges: tuple[float, float]) -> Robot:
 
 
 PLANAR = ((-2.8, 2.8), (-2.6, 2.6), (-2.0, 2.0))
-CONES = [f'<joint name="b{i}" type="ball" range="0 {c}" limited="true"/>' for i, c in enumerate((1.2, 0.8, 0.9, 0.6))]
+CONES = [
+    f'<joint name="b{i}" type="ball" range="0 {c}" limited="true"/>'
+    for i, c in enumerate((1.2, 0.8, 0.9, 0.6))
+]
 SHOULDER = (
     '<joint name="yaw" axis="0 0 1" range="-2.5 2.5"/><joint name="pitch" axis="0 1 0" range="-1.4 1.4"/>'
     '<joint name="roll" axis="1 0 0" range="-2 2"/>'
@@ -52,7 +56,9 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "chain4": lambda: rik.make_chain(4),
     "cones": lambda: of_xml(links(CONES, [0.4, 0.3, 0.3, 0.2])),
     "limb": lambda: of_xml(links([SHOULDER, ELBOW], [0.35, 0.3])),
-    "socket": lambda: of_xml(links(['<joint name="s" type="ball" range="0 1.5" limited="true"/>', ELBOW], [0.35, 0.3])),
+    "socket": lambda: of_xml(
+        links(['<joint name="s" type="ball" range="0 1.5" limited="true"/>', ELBOW], [0.35, 0.3])
+    ),
 }
 _MADE: dict[str, Robot] = {}
 
@@ -181,7 +187,7 @@ def test_a_target_at_the_root_is_reached_by_all_chains_but_a_single_link(name, n
 def test_bones_of_no_length_are_no_bones(name):
     ball = '<joint name="b{}" type="ball"/>'
     robot = of_xml(links([ball.format(i) for i in range(5)], [0.0, 0.4, 0.0, 0.3, 0.0]))
-    for position in targets(robot, 5) + [np.array([0.7, 0.0, 0.0]), np.array([0.0, 0.69, 0.0])]:
+    for position in [*targets(robot, 5), np.array([0.7, 0.0, 0.0]), np.array([0.0, 0.69, 0.0])]:
         assert sound(name, robot, position, robot.sample(np.random.default_rng(0)), restarts=0).converged
     still = of_xml(links([ball.format(i) for i in range(2)], [0.0, 0.0]))
     assert not sound(name, still, (0.1, 0.0, 0.0)).converged

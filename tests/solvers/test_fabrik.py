@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.chain import robot_from_model
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance
-from robot_ik.robot import robot_from_model
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 
@@ -97,7 +97,8 @@ def test_half_a_turn_of_the_last_link_is_no_trap():
 
 Y = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="trunk"><joint type="ball"/><geom size="0.05"/>
- <body name="chest" pos="0 0 0.5"><joint name="waist" type="ball" range="0 0.9" limited="true"/><geom size="0.05"/>
+ <body name="chest" pos="0 0 0.5"><joint name="waist" type="ball" range="0 0.9" limited="true"/>
+  <geom size="0.05"/>
   <body name="left1" pos="0 0.2 0.3"><joint type="ball"/><geom size="0.05"/>
    <body name="left2" pos="0 0.3 0"><joint axis="0 0 1" range="-0.2 2.4"/><geom size="0.05"/>
     <site name="left" pos="0 0.3 0"/></body></body>
@@ -138,7 +139,8 @@ def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
 def test_slides_and_floating_bases_come_along():
     rail = """<mujoco><worldbody><body name="car"><joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>
      <geom size="0.1"/><body pos="0 0 0.1"><joint type="ball"/><geom size="0.1"/><body pos="0 0 0.3">
-     <joint type="ball"/><geom size="0.1"/><site name="tip" pos="0 0 0.3"/></body></body></body></worldbody></mujoco>"""
+     <joint type="ball"/><geom size="0.1"/><site name="tip" pos="0 0 0.3"/></body></body></body>
+     </worldbody></mujoco>"""
     robot = robot_from_model(mujoco.MjModel.from_xml_string(rail), tool="tip")
     solution = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, (1.2, 0.2, 0.3))))
     assert solution.converged and -1.0 <= solution.q[0] <= 1.0

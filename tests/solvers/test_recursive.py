@@ -36,7 +36,9 @@ def test_only_the_bones_that_must_move_do():
     before = places(robot, start, 6)
     direction = np.array([0.6, 0.0, 0.8])
     target = before[4] + 1.3 * direction  # within 2 of the base of the last bone but one
-    solution = make_solver("recursive").solve(Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start)
+    solution = make_solver("recursive").solve(
+        Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start
+    )
     assert solution.converged
     np.testing.assert_allclose(places(robot, solution.q, 6)[:5], before[:5], atol=1e-12)
     np.testing.assert_allclose(solution.q[:16], start[:16], atol=1e-15)
@@ -45,7 +47,9 @@ def test_only_the_bones_that_must_move_do():
 def test_two_rings_meet_on_the_circle_nearest_to_where_they_were():
     robot = rik.make_chain(2)
     start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.4, 0.0])
-    solution = make_solver("recursive").solve(Problem(robot, PositionGoal(None, (1.0, 0, 0)), tolerance=TIGHT), start)
+    solution = make_solver("recursive").solve(
+        Problem(robot, PositionGoal(None, (1.0, 0, 0)), tolerance=TIGHT), start
+    )
     np.testing.assert_allclose(places(robot, solution.q, 2)[1], [0.5, 0.0, np.sqrt(0.75)], atol=1e-9)
 
 
@@ -53,7 +57,9 @@ def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
     robot = rik.make_chain(3)
     start = robot.sample(np.random.default_rng(9))
     target = places(robot, start, 3)[2] + [0.0, 1.0, 0.0]
-    solution = make_solver("recursive").solve(Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start)
+    solution = make_solver("recursive").solve(
+        Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start
+    )
     assert solution.converged
     np.testing.assert_allclose(solution.q[:8], start[:8], atol=1e-15)
 
@@ -61,7 +67,9 @@ def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
 @pytest.mark.parametrize("where", ["out of reach", "too near", "hinges"])
 def test_a_failure_is_undone_to_the_bit(where):
     rng = np.random.default_rng(2)
-    robot = rik.load_robot("puma560") if where == "hinges" else rik.make_chain(1 if where == "too near" else 4)
+    robot = (
+        rik.load_robot("puma560") if where == "hinges" else rik.make_chain(1 if where == "too near" else 4)
+    )
     failed = 0
     for _ in range(20):
         start = robot.sample(rng)
