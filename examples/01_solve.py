@@ -10,10 +10,10 @@ import numpy as np
 import robot_ik as rik
 
 
-def show(solution: rik.Solution) -> None:
+def show(name: str, solution: rik.Solution) -> None:
     miss = solution.miss  # measured by MuJoCo, not by the solver
     print(
-        f"{solution.solver:4} {solution.status.name:12} {1e3 * miss.position:9.4f} mm "
+        f"{name:8} {solution.status.name:12} {1e3 * miss.position:9.4f} mm "
         f"{np.degrees(miss.angle):8.4f} deg  {solution.iterations:4} iterations, {solution.restarts} restarts"
     )
 
@@ -26,13 +26,13 @@ def main() -> None:
     goal = rik.PoseGoal("gripper", position=(-0.45, -0.10, 0.80), wxyz=(0, 1, 0, 0))
     for name in rik.SOLVERS:
         solution = rik.solve(robot, goal, solver=name)
-        show(solution)
+        show(name, solution)
     q = rik.solve(robot, goal).require().q  # require() raises where there is no solution
     print("q (deg):", np.array2string(np.degrees(q), precision=2, suppress_small=True))
     print("gripper:", robot.forward(q, "gripper"))
 
     far = rik.solve(robot, rik.PositionGoal("gripper", position=(-3.0, 0.0, 0.8)))
-    show(far)
+    show(far.solver, far)
     print("so:", far.status.meaning)
 
 

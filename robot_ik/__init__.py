@@ -10,6 +10,8 @@ context and compiles nothing.
 """
 
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from robot_ik.problem import Budget, Problem, Tolerance
     from robot_ik.robot import Robot, load_robot
     from robot_ik.solution import Miss, Solution, Status
-    from robot_ik.solve import solve
+    from robot_ik.solve import solve, solve_all, solve_batch
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
@@ -43,7 +45,7 @@ _HOME = {
     "robot_ik.problem": ("Budget", "Problem", "Tolerance"),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
-    "robot_ik.solve": ("solve",),
+    "robot_ik.solve": ("solve", "solve_all", "solve_batch"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -77,9 +79,24 @@ __all__ = [
     "make_chain",
     "make_solver",
     "solve",
+    "solve_all",
+    "solve_batch",
 ]
 
 if not TYPE_CHECKING:
+
+    class _Package(ModuleType):
+        """A package whose public names win over its modules of the same name (``solve``, ``catalogue``).
+
+        Importing ``robot_ik.solve`` anywhere would otherwise put the module where the function belongs.
+        """
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            if isinstance(value, ModuleType) and _MODULE_OF.get(name) == value.__name__:
+                value = getattr(value, name)
+            super().__setattr__(name, value)
+
+    sys.modules[__name__].__class__ = _Package
 
     def __getattr__(name: str) -> Any:
         module = _MODULE_OF.get(name)

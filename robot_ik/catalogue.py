@@ -182,7 +182,9 @@ def _config_error(path: Path, error: ValidationError) -> ConfigError:
     if first["type"] == "extra_forbidden":
         table: Any = _File
         for part in first["loc"][:-1]:
-            annotation = table.model_fields[str(part)].annotation if hasattr(table, "model_fields") else None
+            if str(part) not in getattr(table, "model_fields", {}):
+                continue  # the name of an entry, such as a tool's
+            annotation = table.model_fields[str(part)].annotation
             table = next(
                 (a for a in getattr(annotation, "__args__", [annotation]) if hasattr(a, "model_fields")), None
             )

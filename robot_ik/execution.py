@@ -78,7 +78,7 @@ def execute(
         trajectory: Its own sampling is the tick.
         sinks: Each gets each sample, in order; `q` is read-only.
         source: Usually the arm: read once before the start, and after every tick.
-        clock: None is the machine's; an arm on a simulated bus brings its own.
+        clock: None takes the one that an arm among ``source`` and ``sinks`` runs on, else the machine's.
         on_tick: Called after each tick; must be quick.
         start_tolerance: How far the measured arm may be from the first sample, rad or m.
         settle: Seconds for which the last sample is repeated, so that servos can arrive.
@@ -86,7 +86,7 @@ def execute(
     Raises:
         TrajectoryError: The arm is not where the trajectory begins; nothing was sent.
     """
-    clock = RealClock() if clock is None else clock
+    clock = _clock(clock, source, sinks)
     if source is not None:
         _require_start(trajectory, source.read().q, start_tolerance)
     due, commanded = _with_settling(trajectory, settle)
@@ -114,6 +114,17 @@ def execute(
         slipped=schedule.slipped,
         samples=len(trajectory),
     )
+
+
+def _clock(clock: Clock | None, source: JointSource | None, sinks: Sequence[JointSink]) -> Clock:
+    """The given clock, else that of the arm: a simulated arm stands still on the machine's clock."""
+    if clock is not None:
+        return clock
+    for part in (source, *sinks):
+        own: Clock | None = getattr(part, "clock", None)
+        if own is not None:
+            return own
+    return RealClock()
 
 
 def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]:
@@ -176,7 +187,7 @@ def follow(
         solver: A name of `SOLVERS` or a solver.
         sinks: Each gets each command, in order; `q` is read-only.
         rate: Ticks a second, Hz.
-        clock: None is the machine's; an arm on a simulated bus brings its own.
+        clock: None takes the one that an arm among ``source`` and ``sinks`` runs on, else the machine's.
         duration: Seconds, or None.
         start: (nq,) where the arm is; None reads it from ``source`` once, unclipped.
         tolerance: When a solution counts as converged.
@@ -188,7 +199,7 @@ def follow(
     Raises:
         TrajectoryError: Neither ``start`` nor ``source``, or malformed options; nothing was sent.
     """
-    clock = RealClock() if clock is None else clock
+    clock = _clock(clock, source, sinks)
     require_positive("rate", rate, "Hz")
     if start is None:
         if source is None:

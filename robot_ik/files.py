@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from robot_ik.errors import OutputError
@@ -31,6 +33,22 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         raise _unwritable(path, error) from error
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def folder_for_results(path: Path) -> Iterator[Path]:
+    """Makes sure at once that files can be written to ``path``; takes back what stayed empty.
+
+    Raises:
+        OutputError: The folder cannot be made, or nothing can be written in it.
+    """
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        yield make_folder(path)
+    finally:
+        for folder in made:  # the innermost first; a folder that holds something stays
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 def make_folder(path: Path) -> Path:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -152,6 +153,12 @@ class Pose:
         """``pose_ba`` of ``pose_ab``."""
         conjugate = self.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
         return Pose(-(quat_to_matrix(conjugate) @ self.position), conjugate)
+
+    @overload
+    def __matmul__(self, other: Pose) -> Pose: ...
+
+    @overload
+    def __matmul__(self, other: ArrayLike) -> Array: ...
 
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | Array:
         if isinstance(other, Pose):

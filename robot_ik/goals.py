@@ -44,10 +44,23 @@ def _quaternion(values: ArrayLike, what: str) -> Array:
     return unit
 
 
+def _frame(name: object) -> str | None:
+    if name is None or isinstance(name, str):
+        return name
+    raise InvalidGoalError(
+        f"the frame must be a name (or None for the tool), not {name!r}",
+        hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
+    )
+
+
 def _weight(value: float, what: str) -> float:
-    if not isinstance(value, (int, float, np.number)) or not (np.isfinite(value) and value >= 0.0):
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = -1.0
+    if not (np.isfinite(number) and number >= 0.0):
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
-    return float(value)
+    return number
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +108,7 @@ class PositionGoal(Goal):
     has_position: ClassVar[bool] = True
 
     def __init__(self, frame: str | None = None, position: ArrayLike = (), *, weight: float = 1.0) -> None:
-        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "frame", _frame(frame))
         object.__setattr__(self, "position", _vector(position, 3, "position"))
         object.__setattr__(self, "weight", _weight(weight, "weight"))
 
@@ -126,7 +139,7 @@ class OrientationGoal(Goal):
     has_angle: ClassVar[bool] = True
 
     def __init__(self, frame: str | None = None, wxyz: ArrayLike = (), *, weight: float = 1.0) -> None:
-        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "frame", _frame(frame))
         object.__setattr__(self, "wxyz", _quaternion(wxyz, "wxyz"))
         object.__setattr__(self, "weight", _weight(weight, "weight"))
 
@@ -168,7 +181,7 @@ class PoseGoal(Goal):
         position_weight: float = 1.0,
         angle_weight: float = 1.0,
     ) -> None:
-        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "frame", _frame(frame))
         object.__setattr__(self, "position", _vector(position, 3, "position"))
         object.__setattr__(self, "wxyz", _quaternion(wxyz, "wxyz"))
         object.__setattr__(self, "position_weight", _weight(position_weight, "position_weight"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -195,3 +197,13 @@ def test_the_real_clock_is_the_default_and_keeps_order():
     done = execute(ramp(6), [recorder])
     assert isinstance(RealClock().now(), float)
     assert done.duration >= 0.05 * 0.99 and (np.diff(done.times) > 0.0).all()
+
+
+def test_the_arms_own_clock_is_taken_so_that_a_simulated_one_moves():
+    arm = LaggingArm(VirtualClock(), [0.0, 0.0])
+    began = time.monotonic()
+    by_source = execute(ramp(301), [arm], source=arm)
+    by_sink = execute(ramp(301), [arm])
+    assert arm.clock.now() == pytest.approx(6.0) and len(arm.sent) == 602
+    assert by_source.duration == by_sink.duration == pytest.approx(3.0)
+    assert time.monotonic() - began < 3.0  # two runs of 3 s on the real clock would take 6

@@ -1,64 +1,105 @@
-"""Any source as a live one: ``newest()`` never makes a control loop wait for a picture."""
+"""Looking beside the control loop: the newest goal is always at hand, and no tick waits for a picture."""
 
 from __future__ import annotations
 
+import logging
+import sys
 import threading
+from types import TracebackType
+from typing import Any, Self
 
-from robot_ik.camera.sources import ClosingSource, Frame, FrameSource
-from robot_ik.ports import Clock, RealClock
+from robot_ik.errors import FrameTimeoutError
+from robot_ik.ports import Clock, GoalSource, VirtualClock
+
+_log = logging.getLogger(__name__)
+
+# A goal older than this is history: then the arm holds.
+_MAX_AGE_S = 0.5
+# The interpreter changes threads every 5 ms by default, half a period of the loop: with pictures computed
+# in Python that cost a fifth of the loop's rate and answers of servos that came too late.
+_SWITCH_INTERVAL_S = 0.0005
+# How often a scene that exists only in numbers is looked at, Hz: as a cheap camera would.
+SYNTHETIC_RATE_HZ = 15.0
 
 
-class LatestFrame(ClosingSource):
-    """Reads a source on a thread (real time) or when a picture is due (virtual time), and keeps the newest.
+class LatestGoals:
+    """Asks a goal source on a thread of its own (real time), or whenever a picture is due (virtual time).
+
+    Taking a picture and finding a marker in it takes several periods of a control loop.
 
     Args:
-        source: What to read; closed together with this.
+        goals: What looks; asked from one thread only.
         clock: The run's clock.
-        rate_hz: On a virtual clock a picture is taken this often; on the real one as fast as they come.
+        rate_hz: How often to look; None, real time only: as fast as pictures come, for cameras that
+            have a rate of their own.
+
+    Attributes:
+        ended: The film is over, or the camera has stopped; from then on there is no goal.
     """
 
-    live = True
-
-    def __init__(self, source: FrameSource, clock: Clock, rate_hz: float = 15.0) -> None:
-        self._source, self._clock, self._period = source, clock, 1.0 / rate_hz
+    def __init__(self, goals: GoalSource[Any], clock: Clock, rate_hz: float | None = None) -> None:
+        self._goals, self._clock = goals, clock
+        self._period = 0.0 if rate_hz is None else 1.0 / rate_hz
+        self._virtual = isinstance(clock, VirtualClock)
         self._due = -float("inf")
         self._lock = threading.Lock()
-        self._latest: Frame | None = None
-        self._failure: Exception | None = None
+        self._latest: Any = None
+        self._seen_at = -float("inf")
+        self._failure: BaseException | None = None
+        self.ended = False
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        if isinstance(clock, RealClock):
-            self._thread = threading.Thread(target=self._run, daemon=True, name="latest frame")
+        self._switch_interval = sys.getswitchinterval()
+
+    def __enter__(self) -> Self:
+        if not self._virtual:
+            self._switch_interval = sys.getswitchinterval()
+            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, self._switch_interval))
+            self._thread = threading.Thread(target=self._run, daemon=True, name="looking")
             self._thread.start()
+        return self
 
-    def newest(self) -> Frame | None:
-        """The newest picture, or None before the first; raises what the source raised."""
-        if self._thread is None and self._clock.now() >= self._due:
-            self._due = self._clock.now() + self._period
-            return self._source.read()
-        with self._lock:
-            if self._failure is not None:
-                raise self._failure
-            return self._latest
-
-    def read(self) -> Frame:
-        """The source's next picture."""
-        return self._source.read()
-
-    def close(self) -> None:
-        """Stops the thread and closes the source."""
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stops looking; the source stays open."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
-        self._source.close()
+            sys.setswitchinterval(self._switch_interval)
+
+    def poll(self, now: float) -> Any:
+        """The newest goal; None, which means hold, when there is none or it is older than half a second.
+
+        Raises:
+            CameraError: What looking raised, except that pictures came to an end.
+        """
+        if self._virtual and now >= self._due and not self.ended:
+            self._due = now + self._period
+            self._look(now)
+        with self._lock:
+            if self._failure is not None:
+                raise self._failure
+            fresh = now - self._seen_at <= max(_MAX_AGE_S, 2.0 * self._period)
+            return self._latest if fresh else None
+
+    def _look(self, now: float) -> None:
+        try:
+            goal = self._goals.poll(now)
+        except FrameTimeoutError as error:
+            _log.info("no more pictures: %s", error)
+            self.ended = True
+            return
+        with self._lock:
+            self._latest, self._seen_at = goal, self._clock.now()
 
     def _run(self) -> None:
-        while not self._stop.is_set():
+        while not self._stop.is_set() and not self.ended:
+            begin = self._clock.now()
             try:
-                frame = self._source.read()
+                self._look(begin)
             except Exception as error:  # handed to whoever asks next
                 with self._lock:
                     self._failure = error
                 return
-            with self._lock:
-                self._latest = frame
+            self._stop.wait(max(0.0, begin + self._period - self._clock.now()))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.text import Text
@@ -71,23 +73,32 @@ def run_robots(options: RobotsOptions) -> int:
 
 
 def catalogue_facts() -> list[dict[str, Any]]:
-    """One row for each robot that comes along, from its ``robot.toml``; loads no model."""
+    """One row for each robot that comes along, from its files; MuJoCo is not asked."""
     from robot_ik.catalogue import catalogue, read_robot_file
 
     rows = []
     for name, folder in catalogue().items():
-        _, file = read_robot_file(folder / "robot.toml")
+        path, file = read_robot_file(folder / "robot.toml")
+        # Without a group of that name all joints of the model are active.
+        joints = list(file.groups.get("arm", ())) or _joints_of(path)
         arm = folder / "arm.toml"
         rows.append(
             {
                 "name": name,
                 "title": file.title,
-                "joints": list(file.groups.get("arm", ())),
+                "joints": joints,
                 "tools": sorted(file.tools, key=lambda tool: tool != file.tool),
                 "arm_file": str(arm) if arm.is_file() else None,
             }
         )
     return rows
+
+
+def _joints_of(model: Path) -> list[str]:
+    """Names of the joints in an MJCF file of the catalogue, in declared order."""
+    world = ElementTree.parse(model).getroot().find("worldbody")
+    assert world is not None
+    return [joint.get("name", "") for joint in world.iter() if joint.tag in ("joint", "freejoint")]
 
 
 def robot_facts(robot: Robot) -> dict[str, Any]:

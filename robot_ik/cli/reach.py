@@ -17,6 +17,7 @@ from robot_ik.errors import ConfigError, InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
+    from robot_ik.jobs.limbs import JointLimits
     from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal
 
 
@@ -51,7 +52,9 @@ class ReachOptions:
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
     """Method: see `robot-ik solvers`."""
-    goal: Annotated[tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: by camera)")] = ()
+    goal: Annotated[
+        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: by camera)")
+    ] = ()
     """Go there instead of to a marker: metres in the world, and an orientation as a quaternion."""
     frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
     """What shall get there: a tool, site or body of the robot."""
@@ -60,7 +63,8 @@ class ReachOptions:
     intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
     """Calibration of a real camera: OpenCV or ROS YAML."""
     camera_pose: Annotated[
-        tuple[float, ...], arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)")
+        tuple[float, ...],
+        arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
     ] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
     marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
@@ -70,7 +74,7 @@ class ReachOptions:
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the scene's)")] = ""
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, arg(metavar="pty|sim|none|PORT")] = "pty"
-    """pty: virtual servos on a real serial line; sim: in process, virtual time; none: no servos; else a port."""
+    """pty: virtual servos on a serial line; sim: in process, virtual time; none: no servos; else a port."""
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
     """Servo ids, signs, zeros and limits."""
     speed: float = 1.0
@@ -96,11 +100,12 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
+    from robot_ik.files import folder_for_results
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import reach_summary, run_folder, save_reach
 
-    folder = run_folder(Path(options.out) if options.out else None, "reach")
-    try:
+    # Before anything moves: a run whose results cannot be kept is not started.
+    with folder_for_results(run_folder(Path(options.out) if options.out else None, "reach")) as folder:
         with console.progress() as bar:
             task = bar.add_task("opening", total=1.0, note="")
 
@@ -108,16 +113,13 @@ def run(options: ReachOptions) -> int:
                 bar.update(task, description=stage, completed=share)
 
             report = run_reach(request, progress)
-    except BaseException:
-        if not any(folder.iterdir()):
-            folder.rmdir()  # nothing came of it: leave no empty folder behind
-        raise
-    files = save_reach(report, folder)
+        files = save_reach(report, folder)
     if options.json:
         console.print_json({**reach_summary(report), "folder": str(folder)})
     else:
         print_report(report)
-        console.out().print(Text("files    " + "  ".join(str(file) for file in files)), soft_wrap=True)
+        names = "  ".join(file.name for file in files)
+        console.out().print(Text(f"files in {folder}: {names}"), soft_wrap=True)
     if report.problem is not None:
         console.show_error(report.problem)
     return console.DONE if report.reached else console.NOT_ACHIEVED
@@ -183,10 +185,13 @@ def _rehearsal(options: RehearseOptions) -> Rehearsal:
         try:
             offsets[joint] = float(degrees)
         except ValueError:
-            raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2") from None
+            offsets[joint] = math.nan
+        if not math.isfinite(offsets[joint]):
+            raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     place = options.marker_at
     if place and len(place) not in (3, 4):
-        raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", "3 or 4: x y z in metres, yaw in degrees")
+        allowed = "3 or 4: x y z in metres, yaw in degrees"
+        raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
     marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
     return Rehearsal(
         zero_offset_deg=offsets,
@@ -208,8 +213,24 @@ def print_report(report: ReachReport) -> None:
     for name, text in _rows(report):
         rows.add_row(name, Text(text))
     verdict = ("REACHED" if report.reached else "NOT REACHED", "bold green" if report.reached else "bold red")
-    rows.add_row("result", Text.assemble(verdict, f"  {report.verdict}" if report.verdict else ""))
+    why = _why(report)
+    rows.add_row("result", Text.assemble(verdict, f"  {why}" if why else ""))
     screen.print(rows)
+
+
+def _why(report: ReachReport) -> str:
+    """One sentence on the result; servos that stopped short are named before the camera's view of it."""
+    if report.read_back is None or report.read_back.passed or report.execution is None:
+        return report.verdict
+    off = report.execution.final_error
+    if off is None:
+        return report.verdict
+    worst = int(abs(off).argmax())
+    joint = report.execution.joints[worst]
+    return (
+        f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
+        "is it held, overloaded or too slow?"
+    )
 
 
 def _rows(report: ReachReport) -> list[tuple[str, str]]:
@@ -223,7 +244,10 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
         rows.append((f"marker {seen.observation.id}", f"seen at {_mm(seen.pose_world_marker.position)} mm"))
         if seen.true_pose is not None:
             metres, radians = seen.pose_world_marker.distance(seen.true_pose)
-            text = f"true at {_mm(seen.true_pose.position)} mm; seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            text = (
+                f"true at {_mm(seen.true_pose.position)} mm; "
+                f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            )
             rows.append(("", text))
         elif report.eyes is not None:
             pose = seen.observation.pose
@@ -244,7 +268,7 @@ def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
     miss = solution.miss
     return [
         ("solver", f"{solution.solver}: {solution.status.name.lower()}, {steps}{restarts}{took}"),
-        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (MuJoCo's forward pass)"),
+        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (by MuJoCo)"),
     ]
 
 
@@ -259,45 +283,65 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
             text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
         rows.append(("motion", text))
     if following is not None:
-        text = f"{following.duration:.1f} s, {following.ticks} ticks: {following.solved} solved, {following.held} held"
+        text = f"{following.duration:.1f} s; {following.held} of {following.ticks} ticks without a goal"
         rows.append(("following", text))
+    if report.behind is not None:
+        median, largest = (1e3 * metres for metres in report.behind)
+        rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
     if report.counters:
-        count = report.counters
-        rate = f"{run.rate:.1f} Hz; " if run is not None else ""
-        rows.append(
-            (
-                f"bus {report.request.bus}",
-                f"{rate}{count['cycles']} cycles, {count['timeouts']} timeouts, {count['corrupt']} corrupt, "
-                f"{count['retries']} retries, {count['alerts']} alerts",
-            )
+        rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
+        counts = ", ".join(
+            f"{report.counters[name]} {name}"
+            for name in ("cycles", "timeouts", "corrupt", "retries", "alerts")
         )
+        rows.append((f"bus {_shortened(report.request.bus)}", "; ".join([*rates, counts])))
     return rows
+
+
+def _shortened(bus: str) -> str:
+    """The last part of a port's path: the column of names stays narrow."""
+    return bus.rsplit("/", 1)[-1]
 
 
 def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
     rows = []
     if report.read_back is not None:
         judged = report.read_back
-        rows.append(("read back", f"{_miss(judged)}  allowed {_bound(judged)} (servo ticks)"))
+        why = "servo ticks" if report.limbs.arm is not None else "tolerance of the solver"
+        rows.append(("read back", f"{_miss(judged)}; allowed {_bound(judged)} ({why})"))
     if report.by_camera is not None:
         judged = report.by_camera
-        sigma = f"σ {1e3 * judged.sigma.position:.2f} mm, {math.degrees(judged.sigma.angle):.2f}°"
-        rows.append(("camera", f"{_miss(judged)}  allowed {_bound(judged)} (3 σ + ticks; {sigma})"))
+        sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
+        rows.append(("camera", f"{_miss(judged)}; allowed {_bound(judged)} (3 σ + ticks, {sigma})"))
     return rows
 
 
 def _print_limits(report: ReachReport, screen: Any) -> None:
-    rows = console.table("joint", "model", "servo and map", "used")
+    rows = console.table("joint", "limits used", "narrowed by")
     for limit in report.limbs.limits:
-        servo = "-" if limit.servo is None else _range(limit.servo)
-        rows.add_row(limit.joint, _range(limit.model), servo, _range(limit.used))
-    screen.print(Text("joint limits, degrees (metres for slides)", style="dim"))
+        rows.add_row(limit.joint, _range(limit.used, limit.unit), _narrowed(limit))
     screen.print(rows)
     screen.print()
 
 
-def _range(pair: tuple[float, float]) -> str:
-    return " … ".join("free" if math.isinf(v) else f"{math.degrees(v):.1f}" for v in pair)
+def _narrowed(limit: JointLimits) -> str:
+    """Which side gave way to the servo, and what the model alone would allow."""
+    sides = [
+        f"{name} end by the servo (model: {_limit(model, limit.unit)})"
+        for name, model, used in zip(("lower", "upper"), limit.model, limit.used, strict=True)
+        if abs(model - used) > 1e-9
+    ]
+    return ", ".join(sides) or ("-" if limit.servo is not None else "")
+
+
+def _range(pair: tuple[float, float], unit: str) -> str:
+    return " … ".join(_limit(value, unit) for value in pair)
+
+
+def _limit(value: float, unit: str) -> str:
+    if math.isinf(value):
+        return "free"
+    return f"{value:.3f} m" if unit == "m" else f"{math.degrees(value):.1f}°"
 
 
 def _mm(position: Any) -> str:

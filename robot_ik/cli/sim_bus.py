@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.errors import ConfigError, HardwareError, UnknownRobotError
+from robot_ik.errors import ConfigError, HardwareError, RobotIkError, UnknownRobotError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.faults import Faults
     from robot_ik.hardware.virtual.pty import PtyPort
+    from robot_ik.ports import Array
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def run(options: SimBusOptions) -> int:
 
     _check_numbers(options)
     config = load_arm(options.arm)
-    bus = VirtualBus.from_config(config, RealClock(), faults=_faults(options, config))
+    bus = VirtualBus.from_config(config, RealClock(), _home(config), _faults(options, config))
     with (
         _ended_by_signal() as ended,
         PtyPort(
@@ -108,6 +109,17 @@ def load_arm(name: str) -> ArmConfig:
     elif not path.suffix and not path.exists() and path.name == name:
         raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
     return ArmConfig.load(path)
+
+
+def _home(config: ArmConfig) -> Array | None:
+    """Where the servos stand at first: the robot's home, where its model is at hand, else q = 0."""
+    from robot_ik.robot import load_robot
+
+    try:
+        robot = load_robot(config.robot, joints=config.names)
+    except RobotIkError:
+        return None
+    return robot.home if robot.joints == config.names else None
 
 
 def _faults(options: SimBusOptions, config: ArmConfig) -> Faults:

@@ -13,15 +13,24 @@ from numpy.typing import NDArray
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.goals import MarkerGoalSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.latest import LatestFrame
+from robot_ik.camera.latest import SYNTHETIC_RATE_HZ, LatestGoals
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
-from robot_ik.camera.sources import ClosingSource, Frame, FrameSource, open_source
+from robot_ik.camera.sources import (
+    ClosingSource,
+    FolderSource,
+    Frame,
+    FrameSource,
+    ImageSource,
+    VideoSource,
+    open_source,
+)
 from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.stage import Stage, stage_for
+from robot_ik.jobs.verdict import Bound, sigma_at
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
@@ -30,13 +39,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# How often a live camera is asked again before a marker counts as not there.
+# How often a camera or a film is asked again before a marker counts as not there.
 _LIVE_TRIES = 20
 _SYNTHETIC_TRIES = 2
 # With fewer degrees of freedom a full pose is out of reach in general, so only the place is asked for.
-_FREEDOMS_OF_A_POSE = 6
+FREEDOMS_OF_A_POSE = 6
 # While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
-_WANDER, _REST_SECONDS = 0.6, 1.5
+_WANDER, _REST_SECONDS = 0.4, 1.5
+_RECORDED = (ImageSource, FolderSource, VideoSource)
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,11 @@ class Seen:
     pose_world_marker: Pose
     true_pose: Pose | None
 
+    def uncertainty(self, place: Array) -> Bound:
+        """Standard deviation of a point ``place`` (3,), seen from the marker, in the worst direction."""
+        pose = self.observation.pose
+        return sigma_at(self.observation.covariance, pose.rotation @ place)
+
 
 class Blindfold(ClosingSource):
     """A source whose pictures come without their truth; the truth is kept aside for the report."""
@@ -64,6 +79,11 @@ class Blindfold(ClosingSource):
         self.live = source.live
         self.truth: Any = None
         self.image: Any = None
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether nothing more would come."""
+        return bool(getattr(self._source, "exhausted", False))
 
     def read(self) -> Frame:
         """The next picture, without truth."""
@@ -100,6 +120,7 @@ class Eyes:
     Attributes:
         pose_world_camera: Where it stands.
         live: It can look again.
+        recorded: Its pictures were taken before; a photograph is not live either.
         sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
         last_image: The last picture taken.
     """
@@ -115,17 +136,22 @@ class Eyes:
         *,
         why_blind: str = "",
         synthetic: SyntheticSource | None = None,
+        seed: int = 0,
     ) -> None:
         self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
         self.live = source.live
+        self.recorded = isinstance(source, _RECORDED)
+        # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
+        self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
+        self._seed = seed
         self.sees_arm, self.why_blind = not why_blind, why_blind
         self._limbs, self._frame, self._synthetic = limbs, frame, synthetic
         self._source = Blindfold(source)
-        self._targets = MarkerTracker(
-            intrinsics, stage.dictionary, {stage.marker_id: stage.marker_size}, [stage.marker_id]
-        )
-        self._cubes = MarkerTracker(intrinsics, stage.dictionary, {id: side for id, (side, _) in stage.cube.items()})
-        self._goals = self._goal_source(self._source)
+        sides = {id: side for id, (side, _) in stage.cube.items()}
+        self._cubes = MarkerTracker(intrinsics, stage.dictionary, sides)
+        self._goals = self.goal_source(self._source)
+        self._followed: Seen | None = None
+        self._moving: SyntheticSource | None = None
         self._cover_gripper = False
 
     @property
@@ -148,18 +174,28 @@ class Eyes:
             MarkerNotFoundError: Not there, or not told apart from its mirror image; says what is there.
         """
         tries = _SYNTHETIC_TRIES if self._synthetic is not None else _LIVE_TRIES
-        k = 0
-        while k < tries or not self.live:
+        # A recording is searched to its end: there is no hurry, and nothing else to see.
+        while tries > 0 or self.recorded:
             try:
                 goal = self._goals.poll(self._limbs.clock.now())
             except FrameTimeoutError:
-                break  # the film is over
-            if goal is not None and self._goals.last is not None:
-                return self._seen(goal, self._goals.last)
-            k += 1
-            if not self.live and self._goals.last_frame is not None and getattr(self._source, "exhausted", False):
                 break
+            if goal is not None and self._goals.last is not None:
+                return self.seen(goal, self._goals.last, self._source.truth)
+            if self._source.exhausted:
+                break
+            tries -= 1
         raise self._not_found()
+
+    def find_target_again(self) -> Seen:
+        """The target where it is now: after following, the last one of a recording, else a new look.
+
+        Raises:
+            MarkerNotFoundError: As ``find_target``.
+        """
+        if self.recorded and self._followed is not None:
+            return self._followed
+        return self.find_target()
 
     def find_gripper(self) -> BodyObservation | None:
         """The gripper's markers in a new picture; None when none is in view."""
@@ -173,39 +209,67 @@ class Eyes:
         body = robot.forward(q, self.stage.cube_frame).compose(self.stage.cube_offset)
         return body.inverse().compose(robot.forward(q, self._frame))
 
+    def get_ready_to_follow(self) -> None:
+        """Does what would keep an arm with torque waiting: the first picture of a stage takes longest."""
+        if self._synthetic is None or self._moving is not None:
+            return
+        self._moving = SyntheticSource(
+            self._synthetic.scene,
+            self._limbs.true_q,
+            seed=self._seed,
+            clock=self._limbs.clock,
+            quality="fast",
+        )
+        self._moving.read()
+
     @contextlib.contextmanager
-    def following(self, clock: Clock, seconds: float) -> Iterator[Any]:
+    def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
         if self._synthetic is None:
-            yield _Patient(self._goals)
+            aimed = _Aimed(self, self._source)
+            with LatestGoals(aimed, clock, self._rate) as latest:
+                yield latest
+            self._followed = aimed.seen
             return
         scene = self._synthetic.scene
         home = next(m.pose for m in scene.markers if m.id == self.stage.marker_id)
         assert isinstance(home, Pose)
-        path = Wandering(home, clock.now() + 1.0, seconds - 1.0, _WANDER * self.stage.hover)
-        moving = SyntheticSource(
-            scene.with_marker(self.stage.marker_id, pose=path), self._limbs.true_q, clock=clock, quality="fast"
-        )
-        with LatestFrame(moving, clock) as latest:
-            goals = self._goal_source(latest)
-            yield _Patient(goals)
+        self.get_ready_to_follow()
+        moving = self._moving
+        assert moving is not None
+        begin, size = clock.now() + _REST_SECONDS, _WANDER * self.stage.hover
+        path = Wandering(home, begin, seconds - _REST_SECONDS, size)
+        moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
+        with LatestGoals(_Aimed(self, Blindfold(moving)), clock, self._rate) as latest:
+            yield latest
         self._synthetic.scene = scene.with_marker(self.stage.marker_id, pose=path(clock.now()))
 
-    def _goal_source(self, source: Any) -> MarkerGoalSource:
+    def goal_source(self, source: Blindfold, *, window: bool = False) -> MarkerGoalSource:
+        """Goals from the target marker in the pictures of ``source``; ``window``: for following."""
         return MarkerGoalSource(
             source,
-            self._targets,
+            self._tracker(window),
             self.pose_world_camera,
             self.stage.marker_id,
             self.stage.pose_marker_tool,
             self._frame,
         )
 
-    def _seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation) -> Seen:
-        if self._limbs.robot.nv < _FREEDOMS_OF_A_POSE:
+    def _tracker(self, window: bool) -> MarkerTracker:
+        stage = self.stage
+        return MarkerTracker(
+            self.intrinsics,
+            stage.dictionary,
+            {stage.marker_id: stage.marker_size},
+            [stage.marker_id],
+            window=window,
+        )
+
+    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> Seen:
+        """What an observation means for this arm: with too few joints only the place counts."""
+        if self._limbs.freedoms < FREEDOMS_OF_A_POSE:
             goal = PositionGoal(self._frame, goal.position)
-        truth = self._source.truth or {}
-        true_pose = truth.get("pose_world_marker", {}).get(self.stage.marker_id)
+        true_pose = (truth or {}).get("pose_world_marker", {}).get(self.stage.marker_id)
         return Seen(goal, observation, self.pose_world_camera.compose(observation.pose), true_pose)
 
     def _not_found(self) -> MarkerNotFoundError:
@@ -216,25 +280,30 @@ class Eyes:
                 f"{wanted} is in view, but its two possible orientations cannot be told apart",
                 hint="show it larger, sharper or more from the side",
             )
-        others = [] if image is None else sorted({d.id for d in MarkerDetector(self.stage.dictionary).detect(image)})
-        there = f"in view: {', '.join(map(str, others))}" if others else "no marker of that dictionary is in view"
+        found = [] if image is None else MarkerDetector(self.stage.dictionary).detect(image)
+        others = ", ".join(str(id) for id in sorted({detection.id for detection in found}))
+        there = f"in view: {others}" if others else "no marker of that dictionary is in view"
         return MarkerNotFoundError(
             f"{wanted} was not found; {there}",
             hint="check id (--marker), dictionary (--dictionary), light, focus and the white margin round it",
         )
 
 
-class _Patient:
-    """Holds where a film ends: a goal source on top of another."""
+class _Aimed:
+    """Goals for following one arm; remembers what was seen last."""
 
-    def __init__(self, goals: MarkerGoalSource) -> None:
-        self._goals = goals
+    def __init__(self, eyes: Eyes, source: Blindfold) -> None:
+        self._eyes, self._source = eyes, source
+        self._goals = eyes.goal_source(source, window=True)
+        self.seen: Seen | None = None
 
-    def poll(self, now: float) -> Any:
-        try:
-            return self._goals.poll(now)
-        except FrameTimeoutError:
+    def poll(self, now: float) -> PoseGoal | PositionGoal | None:
+        """The goal at ``now``, or None."""
+        goal = self._goals.poll(now)
+        if goal is None or self._goals.last is None:
             return None
+        self.seen = self._eyes.seen(goal, self._goals.last, self._source.truth)
+        return self.seen.goal
 
 
 def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib.ExitStack) -> Eyes | None:
@@ -247,7 +316,7 @@ def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib
     if not synthetic:
         return None if request.goal is not None else _real_eyes(request, limbs, frame, stack)
     try:
-        stage = _adapted(stage_for(limbs.robot, frame), request)
+        stage = _stage(request, limbs, frame)
     except CameraError:
         if request.goal is None:
             raise
@@ -259,7 +328,7 @@ def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib
     metal = limbs.arm is not None and limbs.arm.virtual_bus is None
     eyes = Eyes(
         stage, source, stage.intrinsics, stage.pose_world_camera, limbs, frame, synthetic=source,
-        why_blind="the synthetic camera cannot see real servos" if metal else "",
+        why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
     )  # fmt: skip
     if request.rehearsal.cover_gripper:
         eyes.cover_gripper_later()
@@ -284,14 +353,19 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
             hint="give the side of its black square in metres: --marker-size 0.05",
         )
     intrinsics = CameraIntrinsics.load(request.intrinsics)
+    stage = _stage(request, limbs, frame)
     source = stack.enter_context(open_source(request.camera))
     size = getattr(source, "size", None)
     if size is not None:
         intrinsics.require_size(*size)
-    stage = _adapted(stage_for(limbs.robot, frame), request)
+    if request.follow > 0.0 and not source.live:
+        raise ConfigError(
+            "a photograph does not go on, so there is nothing to follow",
+            file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
+        )  # fmt: skip
     pose = request.pose_world_camera or stage.pose_world_camera
     why = ""
-    if not source.live:
+    if isinstance(source, _RECORDED):
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
     elif limbs.arm is None or limbs.arm.virtual_bus is not None:
         why = "the arm is simulated, so a real camera cannot see it"
@@ -300,8 +374,9 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
     return Eyes(stage, source, intrinsics, pose, limbs, frame, why_blind=why)
 
 
-def _adapted(stage: Stage, request: ReachRequest) -> Stage:
-    """The stage with what the request says about the target marker."""
+def _stage(request: ReachRequest, limbs: Limbs, frame: str) -> Stage:
+    """The robot's stage, with what the request says about the target marker."""
+    stage = stage_for(limbs.robot, frame, upright=limbs.freedoms < FREEDOMS_OF_A_POSE)
     changes: dict[str, Any] = {}
     if request.marker_id is not None:
         changes["marker_id"] = request.marker_id
@@ -311,5 +386,10 @@ def _adapted(stage: Stage, request: ReachRequest) -> Stage:
         changes["dictionary"] = request.dictionary
     if request.rehearsal.marker_at is not None:
         x, y, z, yaw = request.rehearsal.marker_at
+        if not np.isfinite(request.rehearsal.marker_at).all():
+            raise ConfigError(
+                f"no marker can be put at {request.rehearsal.marker_at}",
+                file="command line", key="--rehearse.marker-at", allowed="finite numbers",
+            )  # fmt: skip
         changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
     return replace(stage, **changes)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedJointError
-from robot_ik.kernels.tree import HINGE
+from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Clock, JointSink, JointSource, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
 
@@ -64,6 +64,7 @@ class JointLimits:
     """Where the limits of one joint come from: rad (m for slides), ``servo`` None without a bus."""
 
     joint: str
+    unit: str
     model: tuple[float, float]
     servo: tuple[float, float] | None
     used: tuple[float, float]
@@ -74,14 +75,26 @@ class Limbs:
 
     Attributes:
         robot: Inside the intersection of model, servo mode and joint map.
+        frame: What shall be moved.
+        freedoms: How many joints move it.
         limits: How that intersection came about.
         config, arm: None without a bus.
         clock: Of the run; virtual where nothing real waits.
         scene: Driven by what is read back (by what is commanded, without a bus).
     """
 
-    def __init__(self, robot: Robot, limits: list[JointLimits], config: ArmConfig | None, arm: Arm | None, clock: Clock) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        limits: list[JointLimits],
+        config: ArmConfig | None,
+        arm: Arm | None,
+        clock: Clock,
+    ) -> None:
         self.robot, self.limits, self.config, self.arm, self.clock = robot, limits, config, arm, clock
+        self.frame = frame
+        self.freedoms = len(joints_that_move(robot, frame))
         self.scene = KinematicScene(robot)
         self._command = LastCommand(robot.home)
 
@@ -179,34 +192,34 @@ def prepare_limbs(request: ReachRequest) -> Limbs:
         ModelError, ConfigError: Robot or arm file is wrong, or they do not belong together.
     """
     robot = load_robot(request.robot)
+    frame = robot.frame(request.frame).name
     if request.bus == "none":
         _refuse_servo_faults(request.rehearsal)
         clock: Clock = RealClock() if request.view else VirtualClock()
-        limits = [JointLimits(n, r, None, r) for n, r in _ranges(robot)]
-        return Limbs(robot, limits, None, None, clock)
+        robot = _only_what_moves(robot, request.robot, frame)
+        limits = [JointLimits(n, unit, r, None, r) for n, unit, r in _ranges(robot)]
+        return Limbs(robot, frame, limits, None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Faults
 
-    robot, config = _arm_of(robot, request.robot, request.arm_file)
-    before = dict(_ranges(robot))
+    robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
+    before = {name: limits for name, _, limits in _ranges(robot)}
     limited = robot.with_limits(config.lower, config.upper)
     limits = [
-        JointLimits(joint.name, before[joint.name], joint.limits, used)
-        for joint, (_, used) in zip(config.joints, _ranges(limited), strict=True)
+        JointLimits(joint.name, unit, before[joint.name], joint.limits, used)
+        for joint, (_, unit, used) in zip(config.joints, _ranges(limited), strict=True)
     ]
     row = bus_row(request.bus)
     if not row.virtual:
         _refuse_servo_faults(request.rehearsal)
         arm = open_arm(config, request.bus)
-        return Limbs(limited, limits, config, arm, arm.clock)
+        return Limbs(limited, frame, limits, config, arm, arm.clock)
     rehearsal = request.rehearsal
-    faults = Faults.for_joints(
-        config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck
-    )
+    faults = Faults.for_joints(config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck)
     clock = row.clock()
     servos = VirtualBus.from_config(config, clock, limited.home, faults)
-    return Limbs(limited, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock)
+    return Limbs(limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock)
 
 
 def _refuse_servo_faults(rehearsal: Rehearsal) -> None:
@@ -217,20 +230,37 @@ def _refuse_servo_faults(rehearsal: Rehearsal) -> None:
         )  # fmt: skip
 
 
-def _ranges(robot: Robot) -> list[tuple[str, tuple[float, float]]]:
+def joints_that_move(robot: Robot, frame: str) -> tuple[str, ...]:
+    """The active joints between the world and ``frame``: fingers beside it are none of them."""
+    model, body, found = robot.model, robot.frame(frame).body, set()
+    while body > 0:
+        found |= {int(model.body_jntadr[body]) + k for k in range(int(model.body_jntnum[body]))}
+        body = int(model.body_parentid[body])
+    ids = robot.tree.joint_ids
+    return tuple(joint for joint, id in zip(robot.joints, ids, strict=True) if int(id) in found)
+
+
+def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
+    """The robot without the joints that do not move ``frame``: they stay at home and need no servo."""
+    chain = joints_that_move(robot, frame)
+    return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
+
+
+def _ranges(robot: Robot) -> list[tuple[str, str, tuple[float, float]]]:
     tree = robot.tree
     return [
-        (joint, (float(robot.lower[tree.vadr[k]]), float(robot.upper[tree.vadr[k]])))
-        for k, joint in enumerate(robot.joints)
+        (joint, "m" if kind == SLIDE else "rad", (float(robot.lower[at]), float(robot.upper[at])))
+        for joint, kind, at in zip(robot.joints, tree.kind, tree.vadr, strict=True)
     ]
 
 
-def _arm_of(robot: Robot, name: str, file: Path | None) -> tuple[Robot, Any]:
+def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, Any]:
     """The arm's configuration in the robot's joint order, and the robot with only the arm's joints active."""
     from robot_ik.hardware.config import ArmConfig
 
     path = file or robot.arm_file
     if path is None:
+        robot = _only_what_moves(robot, name, frame)
         for k, joint in enumerate(robot.joints):
             if robot.tree.kind[k] != HINGE:
                 raise UnsupportedJointError(

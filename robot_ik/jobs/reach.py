@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import (
+    ConfigError,
     MarkerNotFoundError,
     MotorFaultError,
     NotConvergedError,
@@ -23,7 +24,14 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.jobs.eyes import Eyes, Seen, open_eyes
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
-from robot_ik.jobs.verdict import Bound, Judgement, judge_by_camera, judge_read_back, quantisation
+from robot_ik.jobs.verdict import (
+    SIGMAS,
+    Bound,
+    Judgement,
+    judge_by_camera,
+    judge_read_back,
+    quantisation,
+)
 from robot_ik.motion.line import line_move
 from robot_ik.motion.reports import Execution, FollowReport
 from robot_ik.motion.trajectory import Trajectory, joint_move
@@ -115,6 +123,8 @@ class ReachReport:
         frame: What was to reach the goal.
         seen: The target marker in the first picture.
         goal, target: What was wanted; its pose in the world.
+        tolerance: What the solution's miss may be; part of ``bound``.
+        behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
         problem: Why it ended early: an error that means "not achieved".
         read_back, by_camera: The two judgements.
         verdict: One sentence on the camera's judgement.
@@ -135,6 +145,8 @@ class ReachReport:
     following: FollowReport | None = None
     q_start: Array | None = None
     q_end: Array | None = None
+    tolerance: Tolerance = _TOLERANCE
+    behind: tuple[float, float] | None = None
     bound: Bound | None = None
     read_back: Judgement | None = None
     by_camera: Judgement | None = None
@@ -174,8 +186,13 @@ def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: N
     """
     if request.solver:
         make_solver(request.solver)  # a misspelt name shall cost nothing
+    if request.follow > 0.0 and request.goal is not None:
+        raise ConfigError(
+            "a goal that is given does not move, so there is nothing to follow",
+            file="command line", key="--follow", allowed="without --goal, so that a marker is the goal",
+        )  # fmt: skip
     limbs = prepare_limbs(request)
-    frame = limbs.robot.frame(request.frame).name
+    frame = limbs.frame
     with contextlib.ExitStack() as stack:
         eyes = open_eyes(request, limbs, frame, stack)
         window = _window(request, limbs, stack)
@@ -204,7 +221,7 @@ def _aim(report: ReachReport, progress: Progress) -> None:
     request, robot, eyes = report.request, report.robot, report.eyes
     if request.goal is not None:
         report.goal = request.goal
-        if eyes is not None and eyes.live:
+        if eyes is not None:
             report.before = eyes.picture()
     else:
         assert eyes is not None  # open_eyes made some, because there is no other goal
@@ -214,6 +231,8 @@ def _aim(report: ReachReport, progress: Progress) -> None:
         finally:
             report.before = eyes.last_image
         report.goal = report.seen.goal
+        if request.follow > 0.0:
+            eyes.get_ready_to_follow()
     report.target = report.goal.target
     report.q_start = report.limbs.q.copy()
     progress("solving", 0.0)
@@ -223,7 +242,28 @@ def _aim(report: ReachReport, progress: Progress) -> None:
     report.solution = solver.solve(problem, report.q_start)
     # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
     report.microseconds = 1e6 * solver.solve(problem, report.q_start).seconds
-    report.solution.require()
+    _accept(report)
+
+
+def _accept(report: ReachReport) -> None:
+    """Goes on with a solution that met the tolerance, or missed a seen goal by less than is known of it.
+
+    An arm that moves in a plane cannot go to a marker that is seen some micrometres beside that plane.
+
+    Raises:
+        NotConvergedError: Neither.
+    """
+    solution, seen = report.solution, report.seen
+    assert solution is not None
+    if seen is not None and not solution.converged:
+        known = seen.uncertainty(report.eyes.stage.pose_marker_tool.position)  # type: ignore[union-attr]
+        miss = solution.miss
+        if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
+            report.tolerance = Tolerance(
+                position=max(_TOLERANCE.position, miss.position), angle=max(_TOLERANCE.angle, miss.angle)
+            )
+            return
+    solution.require()
 
 
 def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
@@ -251,7 +291,7 @@ def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
     if request.follow > 0.0:
         _follow(report, window, progress)
     report.q_end = limbs.q.copy()
-    report.bound = quantisation(robot, report.q_end, limbs.resolution, report.frame, _TOLERANCE)
+    report.bound = quantisation(robot, report.q_end, limbs.resolution, report.frame, report.tolerance)
     report.read_back = judge_read_back(
         robot, report.q_end, report.goal, report.target, report.frame, report.bound
     )
@@ -274,23 +314,23 @@ def _plan(report: ReachReport) -> Trajectory:
     if not report.goal.has_angle:  # type: ignore[union-attr]
         # A position says nothing of the turn on the way: keep the one the tool has.
         target = Pose(target.position, report.robot.forward(report.q_start, report.frame).wxyz)
-    return line_move(
-        report.robot, report.q_start, target, frame=report.frame, **caps
-    )
+    return line_move(report.robot, report.q_start, target, frame=report.frame, **caps)
 
 
 def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
     from robot_ik.execution import follow
 
     request, limbs, eyes = report.request, report.limbs, report.eyes
-    if eyes is None or not eyes.live:
-        raise MarkerNotFoundError(
-            "there is nothing to follow: the goal is fixed or the pictures do not go on",
-            hint="--follow wants a camera, a stream or a video",
-        )
+    assert eyes is not None  # without a goal there are eyes
+
+    behind: list[float] = []
 
     def show(tick: Any) -> None:
-        limbs.scene.send(tick.q if tick.measured is None else tick.measured, tick.time)
+        q = tick.q if tick.measured is None else tick.measured
+        limbs.scene.send(q, tick.time)
+        if tick.goal is not None:
+            place = report.robot.forward(q, report.frame).position
+            behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
         if window is not None:
             window.send(limbs.scene.q, tick.time)
         progress("following", min(1.0, tick.time / request.follow))
@@ -310,9 +350,11 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
             source=limbs.source,
             on_tick=show,
         )
+    if behind:
+        report.behind = float(np.median(behind)), float(np.max(behind))
     limbs.settle(_SETTLE_SECONDS)
     # What counts in the end is where the marker is now.
-    report.seen = eyes.find_target()
+    report.seen = eyes.find_target_again()
     report.goal, report.target = report.seen.goal, report.seen.goal.target
 
 
@@ -333,6 +375,8 @@ def _judge(report: ReachReport) -> None:
     report.by_camera = judge_by_camera(
         body, eyes.pose_world_camera, pose_body_tool, report.goal, report.target, report.bound
     )
-    report.verdict = "within what the servos' ticks and the camera explain" if report.by_camera.passed else (
-        "farther off than the servos' ticks and the camera can explain: check zeros, horns and limits"
+    report.verdict = (
+        "within what the servos' ticks and the camera explain"
+        if report.by_camera.passed
+        else "farther off than the servos' ticks and the camera can explain: check zeros, horns and limits"
     )

@@ -15,8 +15,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.overlay import before_after, draw_axes, draw_marker_outline, draw_robot
-from robot_ik.files import make_folder, write_atomically
+from robot_ik.camera.overlay import (
+    GREEN,
+    ORANGE,
+    RED,
+    before_after,
+    draw_axes,
+    draw_marker_outline,
+    draw_robot,
+)
+from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.verdict import Judgement
@@ -27,20 +35,16 @@ _AXES_PER_HOVER = 0.6
 
 
 def run_folder(out: Path | None, job: str) -> Path:
-    """The folder for a run: as asked, or ``runs/<time>-<job>``.
-
-    Raises:
-        OutputError: It cannot be made or written.
-    """
+    """The folder for a run, not made yet: as asked, or ``runs/<time>-<job>``."""
     if out is not None:
-        return make_folder(out)
+        return out
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
     base, k = Path("runs") / f"{stamp}-{job}", 1
     folder = base
     while folder.exists():
         k += 1
         folder = base.with_name(f"{base.name}-{k}")
-    return make_folder(folder)
+    return folder
 
 
 def save_reach(report: ReachReport, folder: Path) -> list[Path]:
@@ -81,13 +85,16 @@ def reach_picture(report: ReachReport) -> Any:
     if end is None:
         return before
     after = _drawn(report, report.before if report.after is None else report.after, end)
-    captions.append(("After: " if report.q_end is not None else "Nearest found, not moved: ") + _outcome(report))
+    captions.append(
+        ("After: " if report.q_end is not None else "Nearest found, not moved: ") + _outcome(report)
+    )
     # Drawn without the hand of a designer, but captions and colours say what is measured and what is model.
     return before_after(
         before, after, captions,
         title=f"{report.robot.file.title or report.robot.name}: {report.frame} to the goal",
         footer="blue: the robot's model at the joint angles read back, drawn over the camera's picture; "
         "axes: the goal",
+        accents=(ORANGE, GREEN if report.reached else RED),
     )  # fmt: skip
 
 
@@ -144,12 +151,12 @@ def _table(report: ReachReport) -> str:
 
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:
-    """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says otherwise."""
+    """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says more."""
     request, limbs, run = report.request, report.limbs, report.execution
     return {
         "schema": SCHEMA,
         "job": "reach",
-        "created": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "reached": report.reached,
         "problem": None if report.problem is None else str(report.problem),
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
@@ -157,7 +164,9 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "camera": request.camera if report.eyes is not None else None,
         "marker": _marker_facts(report),
         "goal": None if report.target is None or report.goal is None else {
-            **_pose(report.target), "position_asked": report.goal.has_position, "angle_asked": report.goal.has_angle,
+            **_pose(report.target),
+            "position_asked": report.goal.has_position,
+            "angle_asked": report.goal.has_angle,
         },
         "limits": [asdict(limit) for limit in limbs.limits],
         "solution": _solution_facts(report),
@@ -175,6 +184,8 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "capped": report.following.capped,
             "rate_hz": report.following.rate,
             "tracking_error_rad": report.following.tracking_error,
+            "behind_median_m": None if report.behind is None else report.behind[0],
+            "behind_largest_m": None if report.behind is None else report.behind[1],
         },
         "q": report.q_end,
         "read_back": _judgement(report.read_back),

@@ -6,7 +6,7 @@ kinematics: a goal that it can reach, a marker in front of that, and a camera th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -30,9 +30,12 @@ FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
 
 # Proportions of a made-up stage, in reaches of the robot.
 _MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
-_CUBE_PER_MARKER = 1.2  # paper margin round the markers on the cube
+_CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
 _MADE_UP_IDS = (20, 21, 22, 23)
+_DISTORTION = (-0.12, 0.05, 0.0005, -0.0003, 0.0)
 _TRIES = 60
+# Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
+_GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,10 @@ class Stage:
         """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
         return Pose((0.0, 0.0, self.hover)).compose(FACING)
 
-    def scene(self, robot: Robot, pose_world_marker: Pose | Callable[[float], Pose] | None = None) -> SyntheticScene:
+    def scene(self, robot: Robot) -> SyntheticScene:
         """The scene for the synthetic camera."""
         target = SyntheticMarker(
-            self.marker_id,
-            self.marker_size,
-            self.pose_world_marker if pose_world_marker is None else pose_world_marker,
-            dictionary=self.dictionary,
+            self.marker_id, self.marker_size, self.pose_world_marker, dictionary=self.dictionary
         )
         carried = tuple(
             # Wider paper would stick out and hide the edge of the marker round the corner.
@@ -96,9 +96,21 @@ class Stage:
         )
 
 
-def stage_for(robot: Robot, frame: str | None = None) -> Stage:
-    """The stage of ``robot.toml``, or one made up from the kinematics of ``frame`` (default: the tool)."""
-    return _described(robot) if robot.file.reach is not None else _made_up(robot, frame or robot.tool)
+def stage_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Stage:
+    """The stage of ``robot.toml``, or one made up from the kinematics of ``frame`` (default: the tool).
+
+    Args:
+        robot: Whose stage.
+        frame: What shall reach the marker.
+        upright: Made up only: the marker lies flat below the goal, however the tool is turned there; for
+            arms that are asked for a place alone.
+
+    Raises:
+        CameraError: No camera place shows a goal.
+    """
+    if robot.file.reach is not None:
+        return _described(robot)
+    return _made_up(robot, frame or robot.tool, upright)
 
 
 def _described(robot: Robot) -> Stage:
@@ -142,14 +154,16 @@ def _cube_side(k: int, edge: float) -> Pose:
     return Pose.from_rotation(np.column_stack([np.cross(up, out), up, out]), out * edge / 2)
 
 
-def _made_up(robot: Robot, frame: str) -> Stage:
+def _made_up(robot: Robot, frame: str, upright: bool) -> Stage:
     ball = robot.reach(frame)
     reach = 1.0 if ball is None else max(ball[1], 1e-3)
     side = _TOOL_MARKER_SIDE * reach
     cube = {id: (side, _cube_side(k, side * _CUBE_PER_MARKER)) for k, id in enumerate(_MADE_UP_IDS)}
     focal = 1100.0
     stage = Stage(
-        intrinsics=CameraIntrinsics(1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)),
+        intrinsics=CameraIntrinsics(
+            1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)
+        ),
         pose_world_camera=Pose(),
         marker_id=7,
         dictionary="DICT_5X5_50",
@@ -163,10 +177,10 @@ def _made_up(robot: Robot, frame: str) -> Stage:
         cube_margin=0.5 * (_CUBE_PER_MARKER - 1.0) * side,
         made_up=True,
     )
-    return _best_view(robot, frame, stage, reach)
+    return _best_view(robot, frame, stage, reach, upright)
 
 
-def _best_view(robot: Robot, frame: str, stage: Stage, reach: float) -> Stage:
+def _best_view(robot: Robot, frame: str, stage: Stage, reach: float, upright: bool) -> Stage:
     """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
     rng = np.random.default_rng(0)
     best, best_score = None, 0.0
@@ -178,13 +192,17 @@ def _best_view(robot: Robot, frame: str, stage: Stage, reach: float) -> Stage:
         tool = robot.forward(q, frame)
         if not 0.05 * reach < tool.distance(home)[0]:
             continue
-        marker = tool.compose(stage.pose_marker_tool.inverse())
+        marker = _marker_for(tool, stage, upright)
         placed = replace(stage, pose_world_marker=marker)
+        placed = replace(placed, table=_ground(robot, placed, q, reach))
+        ground = 0.0 if placed.table is None else placed.table.height
         for pose in _cameras(marker.position, tool.position, reach):
+            if pose.position[2] < ground + 0.1 * reach:
+                continue
             score = _visibility(robot, replace(placed, pose_world_camera=pose), q)
             if score > best_score:
                 best, best_score = replace(placed, pose_world_camera=pose), score
-        if best_score > 0.35:
+        if best_score > _GOOD_VIEW:
             break
     if best is None:
         raise CameraError(
@@ -195,6 +213,22 @@ def _best_view(robot: Robot, frame: str, stage: Stage, reach: float) -> Stage:
     return best
 
 
+def _marker_for(tool: Pose, stage: Stage, upright: bool) -> Pose:
+    """Where the marker lies whose goal is ``tool``, or the place of ``tool`` where that is enough."""
+    if upright:
+        return Pose(tool.position - [0.0, 0.0, stage.hover])
+    return tool.compose(stage.pose_marker_tool.inverse())
+
+
+def _ground(robot: Robot, stage: Stage, q_goal: Array, reach: float) -> Table | None:
+    """A table top below marker and tool where the floor, at height 0, would hide them."""
+    cube = robot.forward(q_goal, stage.cube_frame).compose(stage.cube_offset)
+    side = next(side for side, _ in stage.cube.values())
+    lowest = min(stage.pose_world_marker.position[2] - stage.marker_size, cube.position[2] - 1.2 * side)
+    height = float(lowest) - 0.02 * reach
+    return None if height > 0.0 else Table(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
+
+
 def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:
     """A configuration on the way from a to b; b itself where q is no vector space (ball and free joints)."""
     return a + share * (b - a) if robot.nq == robot.nv else b
@@ -203,7 +237,7 @@ def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:
 def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
     middle = 0.5 * (marker + tool)
     found = []
-    for elevation in np.deg2rad([20.0, 40.0, 60.0]):
+    for elevation in np.deg2rad([20.0, 40.0, 60.0, -15.0, -35.0]):
         for azimuth in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
             direction = np.array(
                 [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -213,36 +247,38 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
 
 
 def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
-    """0 when marker or cube cannot be seen, towards 1 when both face the camera squarely."""
+    """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
     at_home = _facing(robot, stage, robot.home, [stage.pose_world_marker], [stage.marker_size])
-    if at_home <= 0.0:
+    if not at_home:
         return 0.0
     cube = robot.forward(q_goal, stage.cube_frame).compose(stage.cube_offset)
     sides = [cube.compose(pose) for _, pose in stage.cube.values()]
-    return min(at_home, _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()]))
+    seen = _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()])
+    # Two sides at once tell how the cube is turned far better than one seen squarely.
+    return min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
 
 
-def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> float:
-    """Cosine between view and paper of the marker that is seen best and whole; 0 when none is."""
+def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:
+    """Cosines between view and paper of the markers that are seen whole, the best first."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_kinematics(robot.model, data)
     eye = stage.pose_world_camera.position
     width, height = stage.intrinsics.size
-    best = 0.0
+    found = []
     for pose, side in zip(markers, sides, strict=True):
         h = 0.6 * side
-        points = pose.apply([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]])
+        points = pose.apply(np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]]))
         view = eye - pose.position
         cosine = float(pose.rotation[:, 2] @ view / np.linalg.norm(view))
-        if cosine <= max(best, 0.25):
+        if cosine <= _WORST_VIEW:
             continue
         pixels = stage.intrinsics.project(stage.pose_world_camera.inverse().apply(points))
         if not ((pixels > 20).all() and (pixels < [width - 20, height - 20]).all()):
             continue
         if all(_clear(robot.model, data, eye, point) for point in points):
-            best = cosine
-    return best
+            found.append(cosine)
+    return sorted(found, reverse=True)
 
 
 def _clear(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array) -> bool:
@@ -251,4 +287,4 @@ def _clear(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array)
     length = float(np.linalg.norm(ray))
     geom = np.zeros(1, dtype=np.int32)
     hit = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, geom, None)
-    return hit < 0 or hit > length - 1e-4
+    return bool(hit < 0 or hit > length - 1e-4)

@@ -57,7 +57,7 @@ class Judgement:
     @property
     def passed(self) -> bool:
         """Whether the miss is within the bound."""
-        return self.position <= self.allowed.position and self.angle <= self.allowed.angle
+        return bool(self.position <= self.allowed.position and self.angle <= self.allowed.angle)
 
 
 def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, tolerance: Tolerance) -> Bound:
@@ -116,7 +116,7 @@ def judge_by_camera(
     """
     pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
     metres, radians = distance(pose, goal, target)
-    sigma = _sigma_at(seen, seen.pose_camera_body.rotation @ pose_body_tool.position)
+    sigma = sigma_at(seen.covariance, seen.pose_camera_body.rotation @ pose_body_tool.position)
     allowed = Bound(
         min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
@@ -124,16 +124,20 @@ def judge_by_camera(
     return Judgement(metres, radians, allowed, sigma, pose)
 
 
-def _sigma_at(seen: BodyObservation, lever: Array) -> Bound:
-    """Standard deviation in the worst direction, at a point ``lever`` (3,) away from the body's origin.
+def sigma_at(covariance: Array, lever: Array) -> Bound:
+    """Standard deviation in the worst direction, at a point ``lever`` (3,) away from a body's origin.
 
-    A small turn ω of the body moves that point by ω × lever; lever and covariance along camera axes.
+    A small turn ω of the body moves that point by ω × lever.
+
+    Args:
+        covariance: (6, 6) of the body's pose, translation over rotation, along camera axes.
+        lever: Along camera axes too.
     """
     x, y, z = lever
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     jacobian = np.hstack([np.eye(3), -cross])
-    at_point = jacobian @ seen.covariance @ jacobian.T
+    at_point = jacobian @ covariance @ jacobian.T
     return Bound(
         float(np.sqrt(np.linalg.eigvalsh(at_point)[-1])),
-        float(np.sqrt(np.linalg.eigvalsh(seen.covariance[3:, 3:])[-1])),
+        float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])),
     )

@@ -29,6 +29,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # All of fastmath that keeps isnan, isinf and isfinite meaning what they say.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
+_OPTIONS: dict[str, Any] = {
+    "cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,
+}  # fmt: skip
 
 
 def _sources() -> list[Path]:
@@ -72,9 +75,7 @@ def _compile(function: F, **options: Any) -> F:
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder())
     try:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH, **options)(
-            function
-        )
+        compiled = numba.njit(**_OPTIONS, **options)(function)
     finally:
         numba_config.CACHE_DIR = previous
     return compiled
@@ -94,7 +95,7 @@ def pure(function: F) -> F:
     Without this, numba counts references at every array that passes through a tuple or a call: a solver
     step then costs 4 µs instead of 0.5.  Such a function may be called from compiled code only.
     """
-    return _compile(function, _nrt=False, forceinline=True)
+    return _compile(function, _nrt=False, forceinline=True, no_cpython_wrapper=True)
 
 
 def outlined(function: F) -> F:

@@ -56,8 +56,10 @@ from robot_ik.kernels.work import (
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its answer from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
-# Steps granted to the last, polishing descent from the best point found.
+# The last, polishing descent from the best point found: steps granted, and the share of the cost that
+# counts as progress.  Far finer than in a try: an answer that still creeps would move at every tick.
 _POLISH_STEPS = 100
+_POLISH_PROGRESS = 1e-9
 
 
 @pure
@@ -283,7 +285,8 @@ def advance(tree, goal, work):
     bar = value[BEST_COST] if same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
     if cost < bar:
         keep_best(work)
-    if cost < value[TRY_COST] * (1.0 - value[PROGRESS]):
+    progress = _POLISH_PROGRESS if state[POLISHING] == 1 else value[PROGRESS]
+    if cost < value[TRY_COST] * (1.0 - progress):
         value[TRY_COST] = cost
         state[STALLS] = 0
     else:

@@ -112,11 +112,12 @@ class Tree:
             local: (3,) or longer, the point seen from the node.
         """
         chain = self.ancestors(node)
-        if not chain or self.kind[chain[0]] in (FREE, SLIDE):
+        if not chain or self.kind[chain[0]] == FREE:
             return None
         radius = float(np.linalg.norm(local[:3]))
-        for k in chain[1:]:
-            radius += float(np.linalg.norm(self.constant[k, :3]))
+        for k in chain:
+            if k != chain[0]:
+                radius += float(np.linalg.norm(self.constant[k, :3]))
             if self.kind[k] == SLIDE:
                 v = self.vadr[k]
                 radius += float(np.max(np.abs([self.lower[v], self.upper[v]])))

@@ -16,6 +16,9 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 # Entries of work.value (float64).
 COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, VALUE_SIZE = range(8)
 
+# As a limit of steps: none.
+NO_LIMIT = 1 << 60
+
 # Columns of a trace row.
 TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
 

@@ -227,9 +227,7 @@ def _oriented(
     return lambda t: Pose(position(t), turned.wxyz)
 
 
-def _plane(
-    center: ArrayLike, radius: float, period: float, normal: ArrayLike
-) -> tuple[Array, Array, Array]:
+def _plane(center: ArrayLike, radius: float, period: float, normal: ArrayLike) -> tuple[Array, Array, Array]:
     """Center and two unit vectors (3,) that span the plane of ``normal``; right-handed with it."""
     middle, axis = np.asarray(center, dtype=float), np.asarray(normal, dtype=float)
     numbers = np.concatenate([middle.ravel(), axis.ravel(), [radius, period]])

@@ -1,4 +1,4 @@
-"""``SOLVERS``: one row for each method, the only place of registration.
+"""``SOLVERS``: one row for each method, the only place of registration; ``auto`` is the default.
 
 CLI, docs table, tests and benchmarks are made from it.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import Any
 
 from robot_ik.errors import ConfigError, UnknownSolverError, close_matches
@@ -15,25 +16,25 @@ from robot_ik.solvers.base import Solver
 
 # name -> module and class; a method is imported when it is first used.
 _ROWS: dict[str, tuple[str, str]] = {
+    "auto": ("combined", "Auto"),
+    "analytic": ("analytic", "Analytic"),
     "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
     "dls": ("damped_least_squares", "DampedLeastSquares"),
     "ccd": ("ccd", "CyclicCoordinateDescent"),
     "fabrik": ("fabrik", "Fabrik"),
     "triangulation": ("triangulation", "Triangulation"),
     "recursive": ("recursive", "Recursive"),
+    "combined": ("combined", "Combined"),
 }
-
-# ``auto`` names the method that serves any goal best; the default of ``solve``.
-AUTO = "lm"
 
 
 class _Solvers(Mapping[str, type[Solver]]):
     """Name -> solver class, imported on access."""
 
     def __getitem__(self, name: str) -> type[Solver]:
-        row = _ROWS.get(AUTO if name == "auto" else name)
+        row = _ROWS.get(name)
         if row is None:
-            raise UnknownSolverError(name, ("auto", *_ROWS))
+            raise UnknownSolverError(name, _ROWS)
         found: type[Solver] = getattr(importlib.import_module(f"robot_ik.solvers.{row[0]}"), row[1])
         return found
 
@@ -44,7 +45,8 @@ class _Solvers(Mapping[str, type[Solver]]):
         return len(_ROWS)
 
     def __contains__(self, name: object) -> bool:
-        return name == "auto" or name in _ROWS
+        # Mapping's own would let UnknownSolverError through, which is no KeyError.
+        return name in _ROWS
 
 
 SOLVERS: Mapping[str, type[Solver]] = _Solvers()
@@ -58,9 +60,14 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
         ConfigError: An option that the method does not have, or out of range.
     """
     if isinstance(solver, Solver):
+        if options:
+            raise ConfigError(
+                f"{', '.join(options)} cannot be set on a solver that is made already",
+                file=f"solver {solver.name}", hint="give them where it is made, or name the solver instead",
+            )  # fmt: skip
         return solver
     kind = SOLVERS[solver]
-    known = list(kind.__dataclass_fields__)
+    known = [item.name for item in fields(kind)]
     for key in options:
         if key not in known:
             close = close_matches(key, known)

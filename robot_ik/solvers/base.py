@@ -27,12 +27,32 @@ Array = NDArray[np.float64]
 # With a time budget the kernel runs in slices of about this long between looks at the clock.
 _SLICE_SECONDS = 1e-3
 _FIRST_SLICE = 16
-_NO_LIMIT = 1 << 60
 
 
-def option(default: Any, help: str, *, low: float, high: float, unit: str = "") -> Any:
-    """A field of a solver: its default, range, unit and one line of help."""
-    return field(default=default, metadata={"help": help, "low": low, "high": high, "unit": unit})
+def option(
+    default: Any, help: str, *, low: float | None = None, high: float | None = None, unit: str = ""
+) -> Any:
+    """A field of a solver: its default, range (numbers only), unit and one line of help."""
+    limits = {} if low is None else {"low": low, "high": high}
+    return field(default=default, metadata={"help": help, "unit": unit, **limits})
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Where a batch puts its answers: q (n, nq), status (n,), miss (n, 2) in metres and radians."""
+
+    q: Array
+    status: NDArray[np.int64]
+    miss: Array
+
+    @classmethod
+    def empty(cls, count: int, nq: int) -> Answers:
+        """Room for ``count`` answers."""
+        return cls(np.zeros((count, nq)), np.zeros(count, dtype=np.int64), np.zeros((count, 2)))
+
+    def part(self, rows: slice) -> Answers:
+        """A view of some rows: what is written there is written here."""
+        return Answers(self.q[rows], self.status[rows], self.miss[rows])
 
 
 @dataclass(frozen=True)
@@ -63,6 +83,10 @@ class Solver(ABC):
         """Whether it serves this kind of goal."""
         return isinstance(goal, self.goals)
 
+    def applies(self, problem: Problem) -> bool:
+        """Whether it can try this problem at all."""
+        return all(self.supports(goal) for goal in problem.goals)
+
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
         for goal in problem.goals:
@@ -74,6 +98,18 @@ class Solver(ABC):
     @abstractmethod
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         """Solves from ``start`` (nq,), default home.  No solution is a result, never an exception."""
+
+    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
+        """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
+
+        Methods with a compiled batch override this loop.
+        """
+        for row in range(len(targets)):
+            problem.target[0] = targets[row]
+            solution = self.solve(problem, starts[row])
+            answers.q[row] = solution.q
+            answers.status[row] = solution.status
+            answers.miss[row] = solution.miss.position, solution.miss.angle
 
 
 @dataclass(frozen=True)
@@ -132,25 +168,28 @@ class IterativeSolver(Solver):
 
     def _prepare(self, problem: Problem, q: Array) -> bool:
         """Sets the loop's state for a new solve; returns whether the goal is proven out of reach."""
-        arrays, budget = problem.arrays, problem.budget
         unreachable = problem.out_of_reach()
-        restarts = self.restarts if budget.restarts is None else budget.restarts
-        if unreachable:
-            restarts = 0  # the proof says that no start will help
+        self._set_state(problem, 0 if unreachable else None)  # the proof says that no start will help
+        problem.arrays["start"][:] = q
+        return unreachable
+
+    def _set_state(self, problem: Problem, restarts: int | None = None) -> None:
+        """The state a solve begins with; ``restarts`` None: as budget and options say."""
+        arrays, budget = problem.arrays, problem.budget
+        if restarts is None:
+            restarts = self.restarts if budget.restarts is None else budget.restarts
         state, value = arrays["state"], arrays["value"]
         state[:] = 0
         state[work.MAX_ITERATIONS] = budget.iterations
         state[work.MAX_RESTARTS] = restarts
-        state[work.FIRST_STEPS] = self.first_steps if restarts else _NO_LIMIT
+        state[work.FIRST_STEPS] = self.first_steps if restarts else work.NO_LIMIT
         state[work.TRY_LIMIT] = self.try_steps
         state[work.PATIENCE] = self.patience
-        state[work.SLICE_END] = _NO_LIMIT
+        state[work.SLICE_END] = work.NO_LIMIT
         value[:] = 0.0
         value[work.PROGRESS] = self.progress
-        arrays["start"][:] = q
         # Any seed, zero included, becomes a nonzero state of the generator.
         state[work.SEED] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
-        return unreachable
 
     @staticmethod
     def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:

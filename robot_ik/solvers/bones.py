@@ -27,39 +27,44 @@ class BoneSolver(IterativeSolver):
     kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
     several: ClassVar[bool] = False
 
+    def applies(self, problem: Problem) -> bool:
+        return super().applies(problem) and not self._beyond(problem) and not self._stiff(problem)
+
     def require_support(self, problem: Problem) -> None:
         """As every method, and also refuses what cannot be made into bones.
 
         Raises:
             UnsupportedGoalError: A kind of goal, a goal without a position, or several at once.
-            UnsupportedJointError: A joint that is neither turned nor shifted by this method.
+            UnsupportedJointError: A joint that this method cannot move.
         """
         super().require_support(problem)
+        if beyond := self._beyond(problem):
+            from robot_ik.solvers import SOLVERS
+
+            able = [name for name, method in SOLVERS.items() if method().applies(problem)]
+            raise UnsupportedGoalError(self.name, beyond, able)
+        if stiff := self._stiff(problem):
+            raise UnsupportedJointError(
+                f"solver {self.name!r} cannot use the {stiff}; "
+                f"it takes {' and '.join(_WORDS[kind] for kind in self.kinds)} joints",
+                path=problem.robot.path,
+                hint="freeze it with load_robot(…, joints=[…]), or use another solver",
+            )
+
+    def _beyond(self, problem: Problem) -> str:
+        """What about the goals is beyond this method, beside their kind; empty when nothing is."""
         if len(problem.goals) > 1 and not self.several:
-            raise UnsupportedGoalError(self.name, "several goals at once", self._others(problem))
+            return "several goals at once"
         for goal in problem.goals:
             if goal.weights[0] <= 0.0 < goal.weights[1]:
-                raise UnsupportedGoalError(
-                    self.name, f"a {goal.name} whose position weighs nothing", self._others(problem)
-                )
-        tree = problem.robot.tree
+                return f"a {goal.name} whose position weighs nothing"
+        return ""
+
+    def _stiff(self, problem: Problem) -> str:
+        """The first joint that this method cannot move; empty when there is none."""
+        robot = problem.robot
         for k in problem.nodes:
-            if int(tree.kind[k]) not in self.kinds:
-                raise UnsupportedJointError(
-                    f"solver {self.name!r} cannot use the {_WORDS[int(tree.kind[k])]} joint "
-                    f"{problem.robot.joints[int(k)]!r}; "
-                    f"it takes {' and '.join(_WORDS[kind] for kind in self.kinds)} joints",
-                    path=problem.robot.path,
-                    hint="freeze it with load_robot(…, joints=[…]), or use another solver",
-                )
-
-    def _others(self, problem: Problem) -> tuple[str, ...]:
-        """Methods that take these goals together, whatever they weigh."""
-        from robot_ik.solvers import SOLVERS
-
-        kinds = tuple({type(goal) for goal in problem.goals})
-        return tuple(
-            name
-            for name, method in SOLVERS.items()
-            if all(issubclass(kind, method.goals) for kind in kinds) and not issubclass(method, BoneSolver)
-        )
+            kind = int(robot.tree.kind[k])
+            if kind not in self.kinds:
+                return f"{_WORDS[kind]} joint {robot.joints[int(k)]!r}"
+        return ""

@@ -13,23 +13,48 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import advance, begin, copy, proceed, room
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, room
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import ACCEPTED, COST, DAMPING, PRESSED, TRY_STEPS, open_work
-from robot_ik.solvers.base import IterativeSolver, option
+from robot_ik.kernels.work import (
+    ACCEPTED,
+    CONVERGED,
+    COST,
+    DAMPING,
+    FIRST_STEPS,
+    MAX_RESTARTS,
+    NO_LIMIT,
+    PRESSED,
+    STATUS,
+    TRY_STEPS,
+    UNREACHABLE,
+    open_work,
+)
+from robot_ik.problem import Problem
+from robot_ik.solvers.base import Answers, IterativeSolver, option
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LevenbergMarquardt(IterativeSolver):
     """Damped Gauss-Newton inside the joint limits; adaptive damping, seeded restarts."""
 
+    # Chosen for the fewest steps, mean and 99th percentile, on 3000 cold poses each of PUMA 560, UR5e and
+    # Panda; of 30 000 such poses two needed more than 200 restarts, none 500.
+    restarts: int = option(1000, "random restarts when a try stalls", low=0, high=100_000)
+    try_steps: int = option(20, "steps granted to a try from a random point", low=1, high=100_000)
+    progress: float = option(0.1, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     damping: float = option(0.1, "damping per unit of cost at the start of a try", low=1e-9, high=1e3)
     increase: float = option(4.0, "factor on the damping when a step failed", low=1.01, high=100.0)
-    decrease: float = option(0.5, "factor on the damping when a step helped", low=0.01, high=1.0)
-    least: float = option(1e-3, "smallest damping per unit of cost", low=0.0, high=1e3)
+    decrease: float = option(0.7, "factor on the damping when a step helped", low=0.01, high=1.0)
+    least: float = option(0.05, "smallest damping per unit of cost", low=0.0, high=1e3)
     floor: float = option(1e-12, "damping that always remains", low=0.0, high=1.0)
 
     name: ClassVar[str] = "lm"
@@ -41,6 +66,19 @@ class LevenbergMarquardt(IterativeSolver):
 
     def parameters(self) -> tuple[float, ...]:
         return (self.floor, self.damping, self.increase, self.decrease, self.least)
+
+    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
+        self.require_support(problem)
+        if problem.budget.seconds is not None:
+            super().solve_many(problem, targets, starts, answers)  # a clock can be read in Python only
+            return
+        jit.announce(lm_many, f"batches of solver {self.name!r}")
+        self._set_state(problem)
+        lm_many(
+            problem.robot.tree.handle, problem.handle, problem.work, self._options,
+            problem.arrays["state"].copy(), problem.rows_out_of_reach(targets), targets, starts,
+            answers.q, answers.status, answers.miss,
+        )  # fmt: skip
 
 
 @outlined
@@ -84,3 +122,31 @@ def lm(tree, goals, work, options):
     while proceed(tree, goal, work):
         lm_step(tree, goal, work, options)
         advance(tree, goal, work)
+
+
+@kernel
+def lm_many(tree, goals, work, options, fresh, beyond, targets, starts, q, status, miss):
+    """One solve for each row of targets (n, 12), starts (n, nq): fills q (n, nq), status (n,), miss (n, 2).
+
+    ``fresh`` is the state a solve begins with; ``beyond`` (n,) says whose target is proven out of reach.
+    """
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    target, start, state, now, best = goal.target, work.start, work.state, work.miss, work.best
+    for row in range(targets.shape[0]):
+        for i in range(12):
+            target[0, i] = targets[row, i]
+        for i in range(start.shape[0]):
+            start[i] = starts[row, i]
+        copy(fresh, state)
+        if beyond[row]:
+            state[MAX_RESTARTS], state[FIRST_STEPS] = 0, NO_LIMIT
+        begin(tree, goal, work)
+        while proceed(tree, goal, work):
+            lm_step(tree, goal, work, options)
+            advance(tree, goal, work)
+        copy(best, work.q)
+        measure(tree, goal, work)
+        for i in range(best.shape[0]):
+            q[row, i] = best[i]
+        status[row] = UNREACHABLE if beyond[row] and state[STATUS] != CONVERGED else state[STATUS]
+        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]

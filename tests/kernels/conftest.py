@@ -17,7 +17,16 @@ VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
 # Axes and quaternions of any length but zero: MuJoCo normalises them, and so must the tree.
 AXIS = VECTOR.filter(lambda v: sum(x * x for x in v) > 1e-4)
 QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(lambda v: sum(x * x for x in v) > 1e-4)
-MIXTURES = [[], ["hinge"], ["hinge"], ["slide"], ["ball"], ["hinge", "hinge"], ["slide", "hinge"], ["slide", "ball"]]
+MIXTURES = [
+    [],
+    ["hinge"],
+    ["hinge"],
+    ["slide"],
+    ["ball"],
+    ["hinge", "hinge"],
+    ["slide", "hinge"],
+    ["slide", "ball"],
+]
 
 
 def _text(values: tuple[float, ...]) -> str:
@@ -49,7 +58,9 @@ def random_models(draw: Any) -> RandomModel:
     names: list[str] = []
     bodies: list[str] = []
     for i in range(count):
-        kinds = ["free"] if parents[i] < 0 and draw(st.integers(0, 5)) == 0 else draw(st.sampled_from(MIXTURES))
+        kinds = (
+            ["free"] if parents[i] < 0 and draw(st.integers(0, 5)) == 0 else draw(st.sampled_from(MIXTURES))
+        )
         if i == count - 1 and not names and not kinds:
             kinds = ["hinge"]
         joints = ""

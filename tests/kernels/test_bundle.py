@@ -3,17 +3,21 @@
 import numpy as np
 import pytest
 
+from robot_ik.goals import PositionGoal
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.work import WORK
 from robot_ik.problem import Problem
-from robot_ik.goals import PositionGoal
 
 PAIR = Layout("Pair", numbers="floats", places="ints", grid="table")
 open_pair = PAIR.open
 
 
 def arrays(**changed):
-    made = {"numbers": np.array([1.5, 2.5]), "places": np.array([3, 4, 5]), "grid": np.arange(6.0).reshape(2, 3)}
+    made = {
+        "numbers": np.array([1.5, 2.5]),
+        "places": np.array([3, 4, 5]),
+        "grid": np.arange(6.0).reshape(2, 3),
+    }
     return made | changed
 
 
@@ -49,6 +53,8 @@ def test_memory_of_another_shape_is_refused(changed):
 
 
 def test_every_field_of_the_work_space_is_made(load_xml):
-    robot = load_xml("<mujoco><worldbody><body name='b'><joint name='j'/><geom size='1'/></body></worldbody></mujoco>")
+    robot = load_xml(
+        "<mujoco><worldbody><body name='b'><joint name='j'/><geom size='1'/></body></worldbody></mujoco>"
+    )
     problem = Problem(robot, PositionGoal(None, (1, 0, 0)))
     assert set(problem.arrays) == set(WORK.fields)

@@ -52,7 +52,9 @@ def test_a_step_is_feasible_and_never_uphill(problem):
     assert value(matrix, gradient, step) <= 1e-12
     # It stands still only where no step inside the box leads down (Kuhn-Tucker).
     if not step.any():
-        stuck = ((gradient <= 0) & (high >= 0) & (low == 0)) | ((gradient >= 0) & (high == 0)) | (gradient == 0)
+        stuck = (
+            ((gradient <= 0) & (high >= 0) & (low == 0)) | ((gradient >= 0) & (high == 0)) | (gradient == 0)
+        )
         assert stuck.all()
 
 

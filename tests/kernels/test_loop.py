@@ -11,7 +11,8 @@ MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
  <geom size="0.1"/>
  <body name="b"><joint name="ball" type="ball" range="0 0.7" limited="true"/><geom size="0.1"/>
-  <body name="c"><joint name="still" range="-1 1"/><joint name="endless"/><geom size="0.1"/></body></body></body>
+  <body name="c"><joint name="still" range="-1 1"/><joint name="endless"/><geom size="0.1"/></body>
+ </body></body>
 <body name="f"><freejoint name="free"/><geom size="0.1"/></body>
 </worldbody></mujoco>"""
 
@@ -37,7 +38,14 @@ def test_starts_are_inside_the_limits_and_fill_them(load_xml):
     out = starts(robot, 12345)
     for q in out[:300]:
         np.testing.assert_allclose(robot.clip(q), q, atol=1e-12)
-    for column, low, high in [(0, 0.2, 0.9), (1, -0.3, 0.1), (6, -1, 1), (7, -np.pi, np.pi), (8, 0, 2), (10, 2, 4)]:
+    for column, low, high in [
+        (0, 0.2, 0.9),
+        (1, -0.3, 0.1),
+        (6, -1, 1),
+        (7, -np.pi, np.pi),
+        (8, 0, 2),
+        (10, 2, 4),
+    ]:
         spread = (out[:, column] - low) / (high - low)
         assert 0.0 <= spread.min() < 0.01 and 0.99 < spread.max() <= 1.0, column
         assert abs(spread.mean() - 0.5) < 0.04 and abs(spread.std() - 12**-0.5) < 0.02, column

@@ -27,9 +27,7 @@ def make_goal(kind, frame, pose, weights):
         return PositionGoal(frame, pose.position, weight=weights[0])
     if kind is OrientationGoal:
         return OrientationGoal(frame, pose.wxyz, weight=weights[1])
-    return PoseGoal(
-        frame, pose.position, pose.wxyz, position_weight=weights[0], angle_weight=weights[1]
-    )
+    return PoseGoal(frame, pose.position, pose.wxyz, position_weight=weights[0], angle_weight=weights[1])
 
 
 def differences(problem, q, step=1e-6):
@@ -39,11 +37,15 @@ def differences(problem, q, step=1e-6):
     for v in problem.dofs:
         dq = np.zeros(robot.nv)
         dq[v] = step
-        ahead, behind = evaluate(problem, robot.integrate(q, dq))[1], evaluate(problem, robot.integrate(q, -dq))[1]
+        ahead, behind = (
+            evaluate(problem, robot.integrate(q, dq))[1],
+            evaluate(problem, robot.integrate(q, -dq))[1],
+        )
         columns.append((behind - ahead) / (2 * step))
     return np.array(columns).T.reshape(problem.rows, len(problem.dofs))
 
 
+KIND = st.sampled_from(GOALS)
 WEIGHT = st.sampled_from([0.0, 0.3, 1.0, 5.0])
 
 
@@ -56,7 +58,7 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     there, here = robot.sample(rng), robot.sample(rng)
     frames = data.draw(st.lists(st.sampled_from(robot.frames), min_size=1, max_size=3))
     goals = [
-        make_goal(data.draw(st.sampled_from(GOALS)), f, robot.forward(there, f), data.draw(st.tuples(WEIGHT, WEIGHT)))
+        make_goal(data.draw(KIND), f, robot.forward(there, f), data.draw(st.tuples(WEIGHT, WEIGHT)))
         for f in frames
     ]  # fmt: skip
     problem = Problem(robot, goals)
@@ -71,7 +73,9 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
         assert row[1] == pytest.approx(radians if goal.has_angle else 0.0, abs=1e-9)
         if goal.has_angle and radians > np.pi - 1e-3:
             return  # within a step of pi the residual jumps, and differences say nothing; see below
-    np.testing.assert_allclose(jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0)))
+    np.testing.assert_allclose(
+        jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0))
+    )
 
 
 ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>

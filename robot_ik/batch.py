@@ -1,0 +1,166 @@
+"""Many poses at once: arrays in, arrays out, all cores, no Python for each pose."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import InvalidGoalError
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import Robot
+from robot_ik.solution import Status
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.base import Answers, Solver
+
+Array = NDArray[np.float64]
+
+# Below this many poses for each thread, starting threads costs more than it gains.
+_LEAST_PER_THREAD = 256
+
+
+@dataclass(frozen=True, eq=False)
+class BatchSolution:
+    """Answers to many poses; row i belongs to pose i.
+
+    Attributes:
+        q: (n, nq) best found, inside the limits.
+        status: (n,) numbers of ``Status``.
+        position_miss, angle_miss: (n,) metres and radians, by the compiled forward pass (which the tests
+            hold to MuJoCo's); 0 for a part that was not asked for.
+        seconds: Wall-clock time of all.
+        solver: Name of the method.
+    """
+
+    q: Array
+    status: NDArray[np.int64]
+    position_miss: Array
+    angle_miss: Array
+    seconds: float
+    solver: str
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """(n,) whether each goal is within tolerance."""
+        return np.asarray(self.status == Status.CONVERGED)
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+
+def solve_batch(
+    robot: Robot,
+    poses: ArrayLike,
+    *,
+    frame: str | None = None,
+    starts: ArrayLike | None = None,
+    solver: str | Solver = "auto",
+    tolerance: Tolerance | None = None,
+    budget: Budget | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+) -> BatchSolution:
+    """Solves each pose on its own, the same answers as ``solve`` one by one.
+
+    Args:
+        robot: From ``load_robot``.
+        poses: (n, 4, 4) homogeneous matrices, (n, 7) position and quaternion wxyz, or (n, 3) positions
+            whose orientation is free.
+        frame: What shall get there; default the tool.
+        starts: (nq,) for all or (n, nq); default ``robot.home``.
+        solver: Name or instance; ``auto`` and ``lm`` run compiled from end to end.
+        tolerance: As in ``solve``.
+        budget: For each pose.
+        seed: Of the restarts, the same for each pose.
+        threads: Default: one for each core this process may use.
+
+    Raises:
+        InvalidGoalError: Wrong shape, or a pose or start that is not finite.
+        UnsupportedGoalError: As in ``solve``.
+    """
+    targets, with_angle = _rows(poses)
+    begin = _starts(robot, starts, len(targets))
+    goal = PoseGoal(frame, (0.0, 0.0, 0.0)) if with_angle else PositionGoal(frame, (0.0, 0.0, 0.0))
+    method = make_solver(solver)
+    answers = Answers.empty(len(targets), robot.nq)
+    cores = threads or usable_cores()
+    count = max(1, min(cores, len(targets) // _LEAST_PER_THREAD))
+    edges = np.linspace(0, len(targets), count + 1).astype(int)
+
+    def part(k: int) -> None:
+        problem = Problem(robot, goal, tolerance=tolerance, budget=budget, seed=seed)
+        here = slice(edges[k], edges[k + 1])
+        method.solve_many(problem, targets[here], begin[here], answers.part(here))
+
+    began = time.perf_counter()
+    if count == 1:
+        part(0)
+    else:
+        with ThreadPoolExecutor(count) as pool:
+            list(pool.map(part, range(count)))
+    return BatchSolution(
+        answers.q,
+        answers.status,
+        answers.miss[:, 0],
+        answers.miss[:, 1],
+        time.perf_counter() - began,
+        method.name,
+    )
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def _rows(poses: ArrayLike) -> tuple[Array, bool]:
+    """Targets as pose rows (n, 12), and whether their orientation counts."""
+    array = np.asarray(poses, dtype=float)
+    if not np.isfinite(array).all():
+        raise InvalidGoalError(f"{int((~np.isfinite(array)).sum())} numbers of the poses are not finite")
+    rows = np.zeros((len(array), 12))
+    if array.ndim == 2 and array.shape[1] == 3:
+        rows[:, :3] = array
+        rows[:, [3, 7, 11]] = 1.0
+        return rows, False
+    if array.ndim == 3 and array.shape[1:] == (4, 4):
+        rows[:, :3] = array[:, :3, 3]
+        rows[:, 3:] = array[:, :3, :3].reshape(-1, 9)
+        return rows, True
+    if array.ndim == 2 and array.shape[1] == 7:
+        rows[:, :3] = array[:, :3]
+        norm = np.linalg.norm(array[:, 3:], axis=1)
+        if (norm < 1e-9).any():
+            raise InvalidGoalError(
+                f"pose {int(np.argmin(norm))} has a zero quaternion, which is no orientation"
+            )
+        w, x, y, z = (array[:, 3:] / norm[:, None]).T
+        rows[:, 3:] = np.stack(
+            [
+                1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+            ],
+            axis=1,
+        )  # fmt: skip
+        return rows, True
+    raise InvalidGoalError(
+        f"poses have shape {array.shape}",
+        hint="give (n, 4, 4) matrices, (n, 7) position and wxyz, or (n, 3) positions",
+    )
+
+
+def _starts(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
+    array = robot.home if starts is None else np.asarray(starts, dtype=float)
+    if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
+        raise InvalidGoalError(
+            f"starts have shape {array.shape}",
+            hint=f"give finite ({robot.nq},) for all or ({count}, {robot.nq})",
+        )
+    return np.ascontiguousarray(np.broadcast_to(array, (count, robot.nq)))

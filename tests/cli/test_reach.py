@@ -1,0 +1,257 @@
+"""``robot-ik reach`` as a user meets it: exit codes, one-screen errors, nothing left half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.cli.reach import ReachOptions
+from robot_ik.jobs import eyes
+from robot_ik.robot import load_robot
+
+GOAL = ("--goal", "-0.42", "-0.08", "0.80")
+SIM = ("--bus", "sim")
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs start in an empty folder; in this process the robot is painted coarsely (markers stay exact)."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(eyes, "SyntheticSource", partial(eyes.SyntheticSource, quality="fast"))
+
+
+def left(folder: Path) -> list[str]:
+    """Every file and folder below."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_the_whole_product_through_a_real_serial_line(robot_ik_child: Any, tmp_path: Path) -> None:
+    run = robot_ik_child("reach", "--out", tmp_path / "run")
+    assert run.code == 0, run
+    for text in (
+        "marker 7",
+        "lm: converged",
+        "tracking error",
+        "cycles",
+        "read back",
+        "3 σ",
+        "REACHED",
+        "joint6",
+    ):
+        assert text in run.out, text
+    assert "\x1b" not in run.out + run.err and "Traceback" not in run.err
+    assert left(tmp_path) == ["run", "run/reach.png", "run/summary.json", "run/trajectory.csv"]
+    facts = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert facts["reached"] and facts["bus"] == "pty" and facts["bus_counters"]["cycles"] > 100
+    assert facts["bus_counters"]["bytes_received"] > 10_000
+    picture = cv2.imread(str(tmp_path / "run" / "reach.png"))
+    assert picture.shape[1] > 1000
+
+
+def test_json_is_all_there_is_on_stdout(robot_ik: Any, tmp_path: Path) -> None:
+    run = robot_ik("reach", *SIM, *GOAL, "--json")
+    facts = json.loads(run.out)
+    assert run.code == 0 and facts["reached"] and run.out.startswith("{")
+    assert (tmp_path / facts["folder"] / "summary.json").is_file()
+    assert facts["goal"]["position"] == [-0.42, -0.08, 0.80]
+
+
+def test_no_line_is_wider_than_a_terminal(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    run = robot_ik("reach", *SIM, *GOAL)
+    lines = [line for line in run.out.splitlines() if not line.startswith("files")]
+    assert run.code == 0 and max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--rehearse.zero-offset", "joint4=2"], "NOT REACHED"),
+        (["--rehearse.stuck", "joint3"], "joint3"),
+        (["--rehearse.cover-gripper"], "unproven"),
+    ],
+)
+def test_what_must_not_pass(arguments: list[str], said: str, robot_ik: Any) -> None:
+    run = robot_ik("reach", *SIM, *arguments)
+    assert run.code == 1 and said in run.out and "NOT REACHED" in run.out
+
+
+def test_an_unreachable_goal(robot_ik: Any) -> None:
+    run = robot_ik("reach", *SIM, "--goal", 9, 0, 0, "--json")
+    facts = json.loads(run.out)
+    assert run.code == 1 and facts["solution"]["status"] == "unreachable" and facts["motion"] is None
+    assert facts["solution"]["miss_position_m"] > 7 and len(facts["solution"]["q"]) == 6
+    assert "nearest" in run.err and "Traceback" not in run.err
+
+
+def test_a_marker_that_is_not_there(robot_ik: Any) -> None:
+    run = robot_ik("reach", *SIM, "--rehearse.blank-marker")
+    assert run.code == 1 and "marker 7" in run.err and "in view: 20, 23" in run.err
+
+
+def arm_file(tmp_path: Path, old: str, new: str) -> Path:
+    file = load_robot("puma560").arm_file
+    assert file is not None
+    (tmp_path / "arm.toml").write_text(file.read_text().replace(old, new, 1))
+    return tmp_path / "arm.toml"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--robot", "pumma560"], ["'puma560'"]),
+        (["--solver", "lmm"], ["'lm'"]),
+        (["--frame", "griper"], ["'gripper'"]),
+        (["--goal", "nan", "0", "0"], ["finite"]),
+        (["--goal", "0", "0", "0", "0", "0", "0", "0"], ["zero quaternion"]),
+        (["--goal", "1", "2"], ["2 numbers"]),
+        (["--camera", "nowhere.png", "--marker-size", "0.1"], ["--intrinsics"]),
+        (["--bus", "/dev/robot_ik_nowhere"], ["no such port"]),
+        (["--bus", "/dev/null"], ["not a serial port"]),
+        (["--bus", "plain.txt"], ["not a serial port"]),
+        (["--arm", "nowhere.toml"], ["nowhere.toml"]),
+        (["--out", "plain.txt"], ["plain.txt", "cannot write"]),
+        (["--out", "plain.txt/deeper"], ["cannot write"]),
+        (["--speed", "0"], ["--speed", "above 0"]),
+        (["--speed", "1.01"], ["--speed"]),
+        (["--speed", "nan"], ["--speed"]),
+        (["--follow", "--seconds", "0"], ["--seconds"]),
+        (["--follow", *GOAL], ["--follow"]),
+        (["--camera-pose", "1", "2", "3"], ["--camera-pose", "7"]),
+        (["--camera-pose", "0", "0", "0", "0", "0", "0", "0"], ["--camera-pose", "zero quaternion"]),
+        ([*SIM, "--rehearse.stuck", "joint9"], ["joint9", "'joint6'"]),
+        ([*SIM, "--rehearse.zero-offset", "joint2"], ["--rehearse.zero-offset"]),
+        ([*SIM, "--rehearse.zero-offset", "joint2=nan"], ["--rehearse.zero-offset"]),
+        ([*SIM, "--rehearse.marker-at", "1", "2"], ["--rehearse.marker-at"]),
+        ([*SIM, "--rehearse.marker-at", "1", "2", "nan"], ["--rehearse.marker-at"]),
+        (["--bus", "none", "--rehearse.stuck", "joint1"], ["simulated"]),
+        ([*SIM, "--dictionary", "DICT_9"], ["DICT_5X5_50"]),
+        ([*SIM, "--marker", "99"], ["99", "0 to 49"]),
+    ],
+)
+def test_wrong_input(arguments: list[str], named: list[str], robot_ik: Any, tmp_path: Path) -> None:
+    (tmp_path / "plain.txt").write_text("no port, no folder")
+    run = robot_ik("reach", *arguments)
+    run.assert_one_screen_error()
+    for text in named:
+        assert text in run.err, run.err
+    assert left(tmp_path) == ["plain.txt"]
+
+
+def test_a_broken_model_names_file_and_reason(robot_ik: Any, tmp_path: Path) -> None:
+    (tmp_path / "broken.xml").write_text(
+        '<mujoco><worldbody><body><joint type="hindge"/></body></worldbody></mujoco>'
+    )
+    run = robot_ik("reach", "--robot", "broken.xml")
+    run.assert_one_screen_error()
+    assert "broken.xml" in run.err and "hindge" in run.err
+
+
+def test_an_arm_file_with_an_unknown_key(robot_ik: Any, tmp_path: Path) -> None:
+    file = arm_file(tmp_path, "velocity_deg = 90.0", "velocty_deg = 90.0")
+    run = robot_ik("reach", "--arm", file)
+    run.assert_one_screen_error()
+    assert "arm.toml" in run.err and "velocty_deg" in run.err and "velocity_deg" in run.err
+    assert left(tmp_path) == ["arm.toml"]
+
+
+def test_pictures_for_another_calibration(robot_ik: Any, tmp_path: Path) -> None:
+    from robot_ik.camera.intrinsics import CameraIntrinsics
+
+    CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5).save(tmp_path / "camera.yaml")
+    cv2.imwrite("small.png", np.full((120, 160, 3), 200, np.uint8))
+    run = robot_ik(
+        "reach", *SIM, "--camera", "small.png", "--intrinsics", "camera.yaml", "--marker-size", ".05"
+    )
+    run.assert_one_screen_error()
+    assert "640x480" in run.err and "160x120" in run.err
+    cv2.imwrite("right.png", np.full((480, 640, 3), 200, np.uint8))
+    run = robot_ik(
+        "reach", *SIM, "--camera", "right.png", "--intrinsics", "camera.yaml", "--marker-size", ".05"
+    )
+    assert run.code == 1 and "no marker of that dictionary" in run.err
+
+
+def test_a_window_needs_a_display(robot_ik: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    if sys.platform != "linux":
+        pytest.skip("only X and Wayland tell beforehand")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    run = robot_ik("reach", *SIM, "--view")
+    run.assert_one_screen_error()
+    assert "DISPLAY" in run.err and left(tmp_path) == []
+
+
+def test_the_limits_name_the_side_that_gave_way(robot_ik: Any, tmp_path: Path) -> None:
+    file = arm_file(tmp_path, "upper_deg = 160.0", "upper_deg = 100.0")
+    run = robot_ik("reach", *SIM, *GOAL, "--arm", file)
+    line = next(line for line in run.out.splitlines() if line.startswith("joint1"))
+    assert run.code == 0 and "upper end" in line and "160.0" in line
+    line = next(line for line in run.out.splitlines() if line.startswith("joint2"))
+    assert "end" not in line
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
+    number: int, code: int, robot_ik_child: Any, tmp_path: Path
+) -> None:
+    """Asked of the servos themselves, which live in another process."""
+    from robot_ik.hardware import open_bus
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.startup import shared_register
+
+    program = [sys.executable, "-m", "robot_ik"]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    port = tmp_path / "arm"
+    servos = subprocess.Popen([*program, "sim-bus", "--arm", "puma560", "--link", str(port)], **pipes)
+    try:
+        wait_for(port.exists)
+        run = subprocess.Popen([*program, "reach", *GOAL, "--bus", str(port), "--speed", "0.01"], **pipes)
+        runs = tmp_path / "runs"
+        wait_for(runs.exists)
+        time.sleep(6.0)  # the motion takes a minute at this speed
+        assert run.poll() is None
+        run.send_signal(number)
+        out, err = run.communicate(timeout=60)
+        assert run.returncode == code, err
+        assert out == "" and len(err.splitlines()) <= 1 and "Traceback" not in err
+        assert not runs.exists()
+        file = load_robot("puma560").arm_file
+        assert file is not None
+        config = ArmConfig.load(file)
+        bus = open_bus(str(port), config)
+        told = bus.sync_read([joint.id for joint in config.joints], shared_register(config, "torque_enable"))
+        bus.close()
+        assert [status.data for status in told.values()] == [0] * 6
+    finally:
+        servos.send_signal(signal.SIGINT)
+        servos.communicate(timeout=60)
+    assert os.path.basename(port) not in os.listdir(tmp_path)
+
+
+def wait_for(happened: Any, patience: float = 60.0) -> None:
+    end = time.monotonic() + patience
+    while not happened():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
+
+
+def test_the_help_names_every_option(robot_ik: Any) -> None:
+    run = robot_ik("reach", "--help")
+    assert run.code == 0
+    rehearsals = ("zero-offset", "stuck", "cover-gripper", "blank-marker", "marker-at")
+    names = [*ReachOptions.__dataclass_fields__, *(f"rehearse.{name}" for name in rehearsals)]
+    for name in names:
+        if name != "rehearse":
+            assert f"--{name.replace('_', '-')}" in run.out, name

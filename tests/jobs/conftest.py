@@ -1,0 +1,115 @@
+"""Arms of other people, and runs of the job on virtual time; one stage is painted once for all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_ik.camera import synthetic
+from robot_ik.jobs import eyes
+from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
+
+UR = """
+<mujoco model="urlike"><compiler angle="radian"/><worldbody>
+<body name="base"><geom type="cylinder" size=".06 .05"/>
+<body name="shoulder" pos="0 0 .16"><joint name="pan" axis="0 0 1" range="-6.28 6.28"/>
+ <geom type="cylinder" size=".05 .06"/>
+<body name="upper" pos="0 .13 0"><joint name="lift" axis="0 1 0" range="-3.14 3.14"/>
+ <geom type="capsule" fromto="0 0 0 0 0 .42" size=".045"/>
+<body name="fore" pos="0 -.12 .42"><joint name="elbow" axis="0 1 0" range="-2.8 2.8"/>
+ <geom type="capsule" fromto="0 0 0 0 0 .39" size=".04"/>
+<body name="w1" pos="0 0 .39"><joint name="wrist1" axis="0 1 0" range="-3.14 3.14"/>
+ <geom type="cylinder" size=".035 .04" zaxis="0 1 0"/>
+<body name="w2" pos="0 .1 0"><joint name="wrist2" axis="0 0 1" range="-3.14 3.14"/>
+ <geom type="cylinder" size=".035 .04"/>
+<body name="w3" pos="0 0 .09"><joint name="wrist3" axis="0 1 0" range="-6.28 6.28"/>
+ <geom type="cylinder" size=".03 .02" zaxis="0 1 0"/>
+ <site name="tool" pos="0 .08 0" quat=".7071 -.7071 0 0"/>
+</body></body></body></body></body></body></body></worldbody>
+<keyframe><key name="home" qpos="0 -.5 1.2 .6 -1.57 0"/></keyframe></mujoco>
+"""
+
+PLANAR = """
+<mujoco model="planar3"><worldbody>
+<body name="a"><joint name="j1" axis="0 0 1" range="-170 170"/>
+ <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"/>
+<body name="b" pos=".3 0 0"><joint name="j2" axis="0 0 1" range="-150 150"/>
+ <geom type="capsule" fromto="0 0 0 .25 0 0" size=".02"/>
+<body name="c" pos=".25 0 0"><joint name="j3" axis="0 0 1" range="-150 150"/>
+ <geom type="capsule" fromto="0 0 0 .15 0 0" size=".02"/>
+ <site name="tip" pos=".15 0 0"/></body></body></body></worldbody></mujoco>
+"""
+
+# Four servos and two fingers on slides.
+DESK = """
+<mujoco model="desk4"><worldbody>
+<body name="base" pos="0 0 .05"><geom type="box" size=".04 .04 .05"/>
+<body name="turn" pos="0 0 .05"><joint name="waist" axis="0 0 1" range="-180 180"/>
+ <geom type="cylinder" size=".03 .02"/>
+<body name="upper" pos="0 0 .03"><joint name="shoulder" axis="0 1 0" range="-110 110"/>
+ <geom type="capsule" fromto="0 0 0 0.02 0 .13" size=".015"/>
+<body name="fore" pos=".024 0 .128"><joint name="elbow" axis="0 1 0" range="-90 90"/>
+ <geom type="capsule" fromto="0 0 0 .124 0 0" size=".014"/>
+<body name="hand" pos=".124 0 0"><joint name="wrist" axis="0 1 0" range="-100 115"/>
+ <geom type="capsule" fromto="0 0 0 .1 0 0" size=".012"/>
+ <body name="left" pos=".1 0 0"><joint name="left_finger" type="slide" axis="0 1 0" range="0 .02"/>
+  <geom type="box" size=".02 .004 .01" pos="0.02 .01 0"/></body>
+ <body name="right" pos=".1 0 0"><joint name="right_finger" type="slide" axis="0 -1 0" range="0 .02"/>
+  <geom type="box" size=".02 .004 .01" pos="0.02 -.01 0"/></body>
+ <site name="ee" pos=".126 0 0"/>
+</body></body></body></body></body></worldbody></mujoco>
+"""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _stages_painted_once() -> Iterator[None]:
+    """A stage does not change between pictures; painting it takes longer than everything else here."""
+    real, kept = synthetic.Photographer, {}
+
+    def shared(model: Any, intrinsics: Any, pose: Any, table: Any, *rest: Any) -> Any:
+        key = (model.names, model.geom_pos.tobytes(), str(intrinsics), str(pose), str(table))
+        if key not in kept:
+            kept[key] = real(model, intrinsics, pose, table, *rest)
+        return kept[key]
+
+    class Sketched(synthetic.SyntheticSource):
+        """The markers are as exact as in a full picture, only the robot is coarse."""
+
+        def __init__(self, *arguments: Any, quality: str = "fast", **options: Any) -> None:
+            super().__init__(*arguments, quality="fast", **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic, "Photographer", shared)
+        patch.setattr(eyes, "SyntheticSource", Sketched)
+        yield
+
+
+@pytest.fixture
+def reach() -> Callable[..., ReachReport]:
+    """``reach(rehearse={...}, **request)``: the job on servos in this process and virtual time."""
+
+    def run(rehearse: dict[str, Any] | None = None, **request: Any) -> ReachReport:
+        request = {"bus": "sim", "rehearsal": Rehearsal(**(rehearse or {})), **request}
+        return run_reach(ReachRequest(**request))
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def healthy() -> ReachReport:
+    """One run with nothing wrong; not to be changed."""
+    return run_reach(ReachRequest(bus="sim"))
+
+
+@pytest.fixture(scope="session")
+def arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Model files by name: ``ur`` (six axes), ``planar`` (three), ``desk`` (four and two fingers)."""
+    folder = tmp_path_factory.mktemp("arms")
+    files = {}
+    for name, text in {"ur": UR, "planar": PLANAR, "desk": DESK}.items():
+        files[name] = folder / f"{name}.xml"
+        files[name].write_text(text)
+    return files

@@ -1,0 +1,225 @@
+"""The whole job on virtual time: it reaches, it says by how much, and it notices what it should."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import (
+    ConfigError,
+    MarkerNotFoundError,
+    NotConvergedError,
+    UnknownFrameError,
+    UnknownJointError,
+    UnknownSolverError,
+)
+from robot_ik.geometry import Pose
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.jobs.reach import ReachReport
+from robot_ik.jobs.verdict import LARGEST_MISS, SIGMAS
+
+JOINTS = [f"joint{k}" for k in range(1, 7)]
+
+
+def shafts(report: ReachReport) -> Pose:
+    """Where the tool really is."""
+    return report.robot.forward(report.limbs.true_q(), report.frame)
+
+
+def test_a_healthy_arm_reaches_its_marker(healthy: ReachReport) -> None:
+    report = healthy
+    assert report.reached and report.problem is None and report.camera_counts
+    assert report.seen is not None and report.seen.true_pose is not None and report.eyes is not None
+    assert report.target is not None and report.execution is not None and report.bound is not None
+    assert report.seen.pose_world_marker.distance(report.seen.true_pose)[0] < 1e-3
+    wanted = report.seen.pose_world_marker.compose(report.eyes.stage.pose_marker_tool)
+    assert report.target.distance(wanted)[0] < 1e-9
+    # the truth: the shafts hold the tool where it was wanted, and the camera is right about it
+    assert shafts(report).distance(report.target)[0] <= report.bound.position
+    assert report.by_camera is not None and report.read_back is not None
+    assert report.by_camera.pose.distance(shafts(report))[0] < SIGMAS * report.by_camera.sigma.position + 2e-4
+    assert report.by_camera.sigma.position < 5e-4  # sharp enough for ticks to be what limits the verdict
+
+
+def test_exit_is_literally_what_the_two_judgements_say(healthy: ReachReport) -> None:
+    read_back, camera, bound = healthy.read_back, healthy.by_camera, healthy.bound
+    assert read_back is not None and camera is not None and bound is not None
+    assert read_back.allowed == bound and read_back.position <= bound.position
+    explained = SIGMAS * camera.sigma.position + bound.position
+    assert camera.allowed.position == min(LARGEST_MISS, explained) and camera.position <= explained
+
+
+def test_the_motion_is_timed_and_capped(healthy: ReachReport) -> None:
+    run, limbs = healthy.execution, healthy.limbs
+    assert run is not None and run.measured is not None
+    assert run.rate == pytest.approx(100.0, rel=0.01) and run.overruns == 0
+    speed = np.abs(np.diff(run.commanded, axis=0)) * run.rate
+    assert limbs.velocity is not None
+    assert (speed <= limbs.velocity * 1.01).all()
+    np.testing.assert_allclose(run.measured[-1], run.commanded[-1], atol=limbs.resolution.max())
+    assert healthy.counters["cycles"] >= len(run.times) and healthy.counters["timeouts"] == 0
+    assert limbs.scene.data.time == 0.0
+    np.testing.assert_allclose(limbs.scene.q, healthy.q_end, atol=limbs.resolution.max())
+    assert limbs.arm is not None and limbs.arm.virtual_bus is not None
+    assert not any(servo.torque for servo in limbs.arm.virtual_bus.servos)  # left without torque
+
+
+@pytest.mark.parametrize(("joint", "degrees"), list(zip(JOINTS, [2.0, -2.0] * 3, strict=True)))
+def test_a_hidden_zero_offset_is_noticed_by_the_camera_alone(joint: str, degrees: float, reach: Any) -> None:
+    report = reach({"zero_offset_deg": {joint: degrees}})
+    assert not report.reached and report.problem is None
+    assert report.read_back.passed and not report.by_camera.passed
+    # and the camera says how much: what the shafts really do
+    metres, radians = shafts(report).distance(report.target)
+    assert np.rad2deg(report.by_camera.angle) == pytest.approx(np.rad2deg(radians), abs=0.15)
+    assert report.by_camera.position == pytest.approx(metres, abs=1.5e-3)
+    assert "zeros" in report.verdict
+
+
+@pytest.mark.parametrize("joint", ["joint2", "joint3", "joint6"])
+def test_a_stuck_servo_is_noticed_by_both(joint: str, reach: Any) -> None:
+    report = reach({"stuck": (joint,)})
+    assert not report.reached
+    assert not report.read_back.passed and not report.by_camera.passed
+
+
+def test_a_covered_gripper_proves_nothing(reach: Any) -> None:
+    report = reach({"cover_gripper": True})
+    assert not report.reached and report.read_back.passed and report.by_camera is None
+    assert "unproven" in report.verdict
+
+
+def test_a_blank_marker_moves_nothing(reach: Any) -> None:
+    report = reach({"blank_marker": True})
+    assert not report.reached and isinstance(report.problem, MarkerNotFoundError)
+    assert "marker 7" in str(report.problem)
+    assert report.execution is None and report.solution is None and report.before is not None
+    np.testing.assert_allclose(report.limbs.true_q(), report.robot.home, atol=1e-2)
+
+
+def test_goal_arm_and_verdict_move_with_the_rendered_marker(healthy: ReachReport, reach: Any) -> None:
+    home = healthy.eyes.stage.pose_world_marker  # type: ignore[union-attr]
+    shift, yaw = np.array([0.03, 0.04, 0.0]), -80.0
+    report = reach({"marker_at": (*(home.position + shift), yaw)})
+    assert report.reached
+    for name, one, other in [
+        ("goal", report.target, healthy.target),
+        ("shafts", shafts(report), shafts(healthy)),
+        ("camera", report.by_camera.pose, healthy.by_camera.pose),  # type: ignore[union-attr]
+        ("read back", report.read_back.pose, healthy.read_back.pose),  # type: ignore[union-attr]
+    ]:
+        np.testing.assert_allclose(one.position - other.position, shift, atol=2e-3, err_msg=name)
+        assert np.rad2deg(one.distance(other)[1]) == pytest.approx(10.0, abs=0.5), name
+
+
+def test_an_unreachable_marker_is_a_result(reach: Any) -> None:
+    report = reach({"marker_at": (-0.6, -0.3, 0.66, 100.0)})
+    assert isinstance(report.problem, NotConvergedError) and not report.reached
+    assert report.solution is not None and report.execution is None and report.solution.miss.position > 1e-3
+    assert report.robot.outside(report.solution.q) == []
+
+
+def test_a_given_place(reach: Any) -> None:
+    place = np.array([-0.42, -0.08, 0.80])
+    report = reach(goal=PositionGoal(None, place))
+    assert report.reached and report.seen is None
+    assert report.read_back.angle == 0.0
+    assert np.linalg.norm(shafts(report).position - place) <= report.bound.position
+
+
+def test_a_given_pose_of_another_frame(reach: Any) -> None:
+    target = Pose((-0.40, -0.10, 0.90), (0.0, 1.0, 0.0, 0.0))
+    goal = PoseGoal("flange", position=target.position, wxyz=target.wxyz)
+    report = reach(goal=goal, frame="flange")
+    assert report.reached and report.frame == "flange"
+    metres, radians = report.robot.forward(report.limbs.true_q(), "flange").distance(target)
+    assert metres <= report.bound.position and radians <= report.bound.angle
+
+
+def test_a_straight_line_is_straight(reach: Any) -> None:
+    report = reach(line=True)
+    assert report.reached
+    start, end = (report.robot.forward(q, report.frame).position for q in (report.q_start, report.q_end))
+    way = (end - start) / np.linalg.norm(end - start)
+    places = [report.robot.forward(q, report.frame).position - start for q in report.execution.commanded]
+    off = [np.linalg.norm(place - (place @ way) * way) for place in places]
+    assert max(off) < 2.5e-3
+
+
+def test_speed_is_a_share(healthy: ReachReport, reach: Any) -> None:
+    slow = reach(speed=0.5, goal=PositionGoal(None, healthy.target.position))  # type: ignore[union-attr]
+    fast = reach(speed=1.0, goal=PositionGoal(None, healthy.target.position))  # type: ignore[union-attr]
+    assert slow.trajectory.times[-1] > 1.3 * fast.trajectory.times[-1]
+
+
+def test_following_the_marker(reach: Any) -> None:
+    report = reach(follow=3.5)
+    assert report.reached and report.following.ticks == 350 and report.following.held < 40
+    assert report.following.statuses["CONVERGED"] > 300
+    # it went somewhere, the arm went along, and the verdict is about the last place
+    home = report.eyes.stage.pose_world_marker.position
+    away = np.linalg.norm(report.seen.pose_world_marker.position - home)
+    assert away > 0.02
+    assert np.linalg.norm(shafts(report).position - report.target.position) < 2e-3
+    median, largest = report.behind
+    assert median < 0.01 and largest < 0.2
+
+
+def test_there_is_nothing_to_follow_at_a_fixed_goal(reach: Any) -> None:
+    with pytest.raises(ConfigError, match="follow"):
+        reach(goal=PositionGoal(None, (-0.4, -0.1, 0.8)), follow=1.0)
+
+
+@pytest.mark.parametrize("name", ["ur", "planar", "desk"])
+def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any) -> None:
+    report = reach(robot=str(arms[name]))
+    assert report.reached, (report.problem, report.verdict)
+    assert report.camera_counts and report.by_camera is not None
+    assert report.goal.has_angle is (name == "ur")
+    assert report.by_camera.allowed.position < LARGEST_MISS
+
+
+def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: Any) -> None:
+    report = reach(bus="none", robot=str(arms["planar"]))
+    assert report.reached and report.execution.measured is None and report.counters == {}
+    assert report.read_back.position < 1e-4
+
+
+@pytest.mark.parametrize("solver", ["dls", "ccd", "auto"])
+def test_every_method_does_the_job(solver: str, reach: Any) -> None:
+    report = reach(solver=solver, goal=PositionGoal(None, (-0.42, -0.08, 0.80)))
+    assert report.reached, report.problem
+
+
+def test_the_same_seed_gives_the_same_run(healthy: ReachReport, reach: Any) -> None:
+    again = reach()
+    np.testing.assert_array_equal(again.execution.commanded, healthy.execution.commanded)  # type: ignore[union-attr]
+    assert again.by_camera.position == healthy.by_camera.position  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("request_", "error"),
+    [
+        ({"solver": "lmm"}, UnknownSolverError),
+        ({"frame": "griper"}, UnknownFrameError),
+        ({"rehearse": {"stuck": ("joint9",)}}, UnknownJointError),
+        ({"rehearse": {"marker_at": (0.0, float("nan"), 0.0, 0.0)}}, ConfigError),
+    ],
+)
+def test_wrong_input(request_: dict[str, Any], error: type[Exception], reach: Any) -> None:
+    with pytest.raises(error):
+        reach(**request_)
+
+
+def test_progress_only_grows_within_a_stage(reach: Any) -> None:
+    from robot_ik.jobs.reach import ReachRequest, run_reach
+
+    told: list[tuple[str, float]] = []
+    goal = PositionGoal(None, (-0.42, -0.08, 0.80))
+    run_reach(ReachRequest(bus="sim", goal=goal), lambda stage, share: told.append((stage, share)))
+    assert [*dict.fromkeys(stage for stage, _ in told)] == ["solving", "moving", "looking again"]
+    moving = [share for stage, share in told if stage == "moving"]
+    assert moving == sorted(moving) and moving[0] == 0.0 and moving[-1] == 1.0

@@ -1,0 +1,185 @@
+"""What a run leaves behind: read back with other readers, and compared with what happened."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.overlay import draw_robot
+from robot_ik.errors import OutputError
+from robot_ik.files import folder_for_results
+from robot_ik.jobs.reach import ReachReport
+from robot_ik.jobs.reach_files import plain, reach_picture, reach_summary, run_folder, save_reach
+
+# Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
+DOCUMENTED = {
+    "schema": int,
+    "job": str,
+    "created": str,
+    "reached": bool,
+    "problem": str,
+    "robot": dict,
+    "bus": str,
+    "camera": str,
+    "marker": dict,
+    "goal": dict,
+    "limits": list,
+    "solution": dict,
+    "motion": dict,
+    "following": dict,
+    "q": list,
+    "read_back": dict,
+    "by_camera": dict,
+    "verdict": str,
+    "bus_counters": dict,
+}
+
+
+def strict(text: str) -> Any:
+    """JSON without NaN or Infinity."""
+
+    def refuse(name: str) -> float:
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def saved(healthy: ReachReport, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    files = save_reach(healthy, folder)
+    assert [file.name for file in files] == ["reach.png", "trajectory.csv", "summary.json"]
+    assert sorted(file.name for file in folder.iterdir()) == sorted(file.name for file in files)
+    return folder
+
+
+def check_keys(facts: dict[str, Any]) -> None:
+    assert set(facts) == set(DOCUMENTED)
+    for key, kind in DOCUMENTED.items():
+        assert facts[key] is None or isinstance(facts[key], kind), key
+
+
+def test_the_summary_says_what_happened(healthy: ReachReport, saved: Path) -> None:
+    facts = strict((saved / "summary.json").read_text("utf-8"))
+    check_keys(facts)
+    assert facts["schema"] == 1 and facts["reached"] is True and facts["problem"] is None
+    np.testing.assert_array_equal(facts["q"], healthy.q_end)
+    for name in ("read_back", "by_camera"):
+        judged = getattr(healthy, name)
+        assert facts[name]["position_m"] == judged.position
+        assert facts[name]["allowed_position_m"] == judged.allowed.position
+        assert facts[name]["passed"] is True
+    assert facts["by_camera"]["sigma_position_m"] > 0 == facts["read_back"]["sigma_position_m"]
+    assert len(facts["limits"]) == 6 and set(facts["limits"][0]) == {
+        "joint",
+        "unit",
+        "model",
+        "servo",
+        "used",
+    }
+    assert np.shape(facts["marker"]["covariance"]) == (6, 6) and np.shape(facts["marker"]["corners_px"]) == (
+        4,
+        2,
+    )
+    assert facts["motion"]["samples"] == len(healthy.execution.times)  # type: ignore[union-attr]
+    assert facts["bus_counters"]["timeouts"] == 0
+
+
+def test_the_table_of_the_motion_reads_back(healthy: ReachReport, saved: Path) -> None:
+    run = healthy.execution
+    assert run is not None and run.measured is not None
+    with (saved / "trajectory.csv").open(newline="") as stream:
+        head, *rows = list(csv.reader(stream))
+    joints = healthy.robot.joints
+    assert head == ["time_s", *(f"{j}_commanded" for j in joints), *(f"{j}_measured" for j in joints)]
+    values = np.array(rows, dtype=float)
+    np.testing.assert_allclose(values, np.column_stack([run.times, run.commanded, run.measured]), atol=1e-7)
+    assert (np.diff(values[:, 0]) > 0).all()
+
+
+def test_runs_that_end_early_leave_what_there_is(reach: Any, tmp_path: Path) -> None:
+    report = reach({"blank_marker": True})
+    files = [file.name for file in save_reach(report, tmp_path / ".")]
+    assert files == ["reach.png", "summary.json"]
+    facts = strict((tmp_path / "summary.json").read_text("utf-8"))
+    check_keys(facts)
+    assert facts["reached"] is False and "marker 7" in facts["problem"] and facts["q"] is None
+
+
+def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
+    """The drawn lines follow the picture's own edges, and no longer do so when shifted by some pixels."""
+    eyes, robot = healthy.eyes, healthy.robot
+    assert eyes is not None and healthy.q_end is not None
+    for image, q in [(healthy.before, healthy.q_start), (healthy.after, healthy.q_end)]:
+        pose = eyes.pose_world_camera
+        drawn = draw_robot(
+            image, robot.model, robot.qpos(q), eyes.intrinsics, pose, alpha=0.0, style="registered"
+        )
+        lines = np.abs(drawn.astype(int) - image.astype(int)).max(axis=2) > 40
+        assert lines.sum() > 1000
+        gray = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0)
+        slope = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
+        here = slope[lines].mean()
+        for shift in [(12, 0), (-12, 0), (0, 12), (0, -12)]:
+            assert here > 1.3 * slope[np.roll(lines, shift, axis=(0, 1))].mean()
+
+
+def test_the_picture_says_whether_it_was_reached(healthy: ReachReport, reach: Any) -> None:
+    def bars(report: ReachReport) -> set[tuple[int, ...]]:
+        picture = reach_picture(report)
+        right = picture[:, picture.shape[1] * 3 // 4]
+        return {tuple(colour) for colour in right.tolist()}
+
+    green, red = (90, 190, 60), (60, 60, 230)
+    good, bad = bars(healthy), bars(reach({"zero_offset_deg": {"joint2": 2.0}}))
+    assert green in good and red not in good
+    assert red in bad and green not in bad
+
+
+def test_without_a_camera_there_is_no_picture(healthy: ReachReport, reach: Any, tmp_path: Path) -> None:
+    from robot_ik.goals import PositionGoal
+
+    box = tmp_path / "hidden.xml"
+    box.write_text(
+        '<mujoco><worldbody><body><joint name="j" axis="0 0 1" range="-90 90"/>'
+        '<geom size=".2" pos=".3 0 0"/><site name="tip" pos=".3 0 0"/></body></worldbody></mujoco>'
+    )
+    goal = PositionGoal(None, (0.3 * math.cos(0.5), 0.3 * math.sin(0.5), 0.0))
+    report = reach(robot=str(box), goal=goal)
+    assert report.reached and reach_picture(report) is None and "no camera" in report.verdict
+    check_keys(plain(reach_summary(report)))
+
+
+def test_folders_are_named_by_time_and_never_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first = run_folder(None, "reach")
+    assert first.parent.name == "runs" and first.name.endswith("-reach") and not first.exists()
+    first.mkdir(parents=True)
+    assert run_folder(None, "reach") != first
+    assert run_folder(Path("here"), "reach") == Path("here")
+
+
+def test_a_folder_is_taken_back_when_it_stays_empty(tmp_path: Path) -> None:
+    deep = tmp_path / "a" / "b"
+    with pytest.raises(RuntimeError), folder_for_results(deep) as folder:
+        assert folder.is_dir()
+        raise RuntimeError
+    assert not (tmp_path / "a").exists()
+    with folder_for_results(deep) as folder:
+        (folder / "x").write_text("x")
+    assert (deep / "x").exists()
+    (tmp_path / "old").mkdir()
+    with folder_for_results(tmp_path / "old"):
+        pass
+    assert (tmp_path / "old").is_dir()  # it was there before
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        with pytest.raises(OutputError), folder_for_results(path):
+            raise AssertionError("never entered")

@@ -1,0 +1,117 @@
+"""The two judgements: bounds against brute force, uncertainty against dice, limits from both sides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_ik.camera.pose import BodyObservation
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.jobs.verdict import (
+    LARGEST_ANGLE,
+    LARGEST_MISS,
+    SIGMAS,
+    Bound,
+    judge_by_camera,
+    judge_read_back,
+    quantisation,
+    sigma_at,
+)
+from robot_ik.problem import Tolerance
+from robot_ik.robot import Robot, load_robot
+
+EXACT = Tolerance(position=1e-9, angle=1e-9)
+
+
+@pytest.fixture(scope="module")
+def puma() -> Robot:
+    return load_robot("puma560")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_rounding_of_the_servos_leaves_the_bound(seed: int, puma: Robot) -> None:
+    rng = np.random.default_rng(seed)
+    q, ticks = puma.sample(rng), rng.uniform(2e-4, 2e-3, puma.nv)
+    bound = quantisation(puma, q, ticks, "gripper", EXACT)
+    there = puma.forward(q, "gripper")
+    corners = rng.choice([-1.0, 1.0], (60, puma.nv)) * ticks
+    misses = np.array([puma.forward(q + dq, "gripper").distance(there) for dq in corners])
+    assert (misses[:, 0] <= 1.01 * bound.position).all() and (misses[:, 1] <= 1.01 * bound.angle).all()
+    # and it is no mere large number: single joints reach their share of it
+    alone = sum(puma.forward(q + dq, "gripper").distance(there)[0] for dq in np.diag(ticks))
+    assert bound.position == pytest.approx(alone, rel=0.01)
+
+
+def test_without_servos_only_the_solver_may_be_off(puma: Robot) -> None:
+    bound = quantisation(puma, puma.home, np.zeros(6), "gripper", Tolerance(position=1e-5, angle=1e-4))
+    assert bound == Bound(1e-5, 1e-4)
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+def test_read_back_passes_up_to_its_bound(factor: float, puma: Robot) -> None:
+    pose = puma.forward(puma.home, "gripper")
+    target = Pose(np.add(pose.position, [0.0, factor * 1e-3, 0.0]), pose.wxyz)
+    goal = PoseGoal("gripper", position=target.position, wxyz=target.wxyz)
+    judged = judge_read_back(puma, puma.home, goal, target, "gripper", Bound(1e-3, 1e-3))
+    assert judged.position == pytest.approx(factor * 1e-3) and judged.passed is (factor < 1)
+    turned = Pose(pose.position, pose.compose(Pose((0, 0, 0), rotation_exp([0, 0, factor * 1e-3]))).wxyz)
+    goal = PoseGoal("gripper", position=turned.position, wxyz=turned.wxyz)
+    judged = judge_read_back(puma, puma.home, goal, turned, "gripper", Bound(1e-3, 1e-3))
+    assert judged.angle == pytest.approx(factor * 1e-3, rel=1e-6) and judged.passed is (factor < 1)
+
+
+def test_a_goal_of_a_place_asks_for_no_angle(puma: Robot) -> None:
+    pose = puma.forward(puma.home, "gripper")
+    goal = PositionGoal("gripper", pose.position)
+    judged = judge_read_back(puma, puma.home, goal, Pose(pose.position), "gripper", Bound(1e-6, 1e-6))
+    assert judged.passed and judged.angle == 0.0
+
+
+def test_uncertainty_at_the_tool_against_dice() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.standard_normal((6, 6)) * np.array([1e-3] * 3 + [4e-3] * 3)[:, None]
+    covariance, lever = root @ root.T, np.array([0.05, -0.1, 0.2])
+    twists = rng.multivariate_normal(np.zeros(6), covariance, 40_000)
+    moved = twists[:, :3] + np.cross(twists[:, 3:], lever)
+    worst = np.sqrt(np.linalg.eigvalsh(np.cov(moved.T))[-1])
+    sigma = sigma_at(covariance, lever)
+    assert sigma.position == pytest.approx(worst, rel=0.03)
+    assert sigma.angle == pytest.approx(np.sqrt(np.linalg.eigvalsh(np.cov(twists[:, 3:].T))[-1]), rel=0.03)
+
+
+def by_camera(miss: float, angle: float, sigma: float, bound: Bound):  # type: ignore[no-untyped-def]
+    target = Pose((0.3, -0.2, 0.9), rotation_exp([0.3, 1.2, -0.4]))
+    pose_world_camera = Pose((1.0, 1.0, 1.5), rotation_exp([2.0, 0.3, 0.1]))
+    pose_body_tool = Pose((0.0, 0.01, 0.12), rotation_exp([0.0, 0.2, 0.0]))
+    tool = target.compose(Pose((0.0, miss, 0.0), rotation_exp([angle, 0.0, 0.0])))
+    body = pose_world_camera.inverse().compose(tool).compose(pose_body_tool.inverse())
+    seen = BodyObservation(body, np.diag([sigma**2] * 3 + [1e-18] * 3), 0.1, (20,))
+    goal = PoseGoal("gripper", position=target.position, wxyz=target.wxyz)
+    return judge_by_camera(seen, pose_world_camera, pose_body_tool, goal, target, bound)
+
+
+@pytest.mark.parametrize(
+    ("miss", "sigma", "ticks", "allowed"),
+    [
+        (0.0012, 1e-4, 1e-3, 3e-4 + 1e-3),
+        (0.0014, 1e-4, 1e-3, 3e-4 + 1e-3),
+        (0.0049, 3e-3, 1e-3, LARGEST_MISS),
+        (0.0051, 3e-3, 1e-3, LARGEST_MISS),
+    ],
+)
+def test_the_camera_allows_three_sigma_and_ticks_but_never_more_than_5_mm(
+    miss: float, sigma: float, ticks: float, allowed: float
+) -> None:
+    judged = by_camera(miss, 0.0, sigma, Bound(ticks, 0.01))
+    assert judged.position == pytest.approx(miss, rel=1e-6)
+    assert judged.allowed.position == pytest.approx(allowed, rel=1e-6)
+    assert judged.allowed.position <= SIGMAS * judged.sigma.position + ticks + 1e-12
+    assert judged.passed is (miss < allowed)
+
+
+@pytest.mark.parametrize(("angle_deg", "passed"), [(0.9, True), (1.1, False)])
+def test_no_more_than_one_degree(angle_deg: float, passed: bool) -> None:
+    judged = by_camera(0.0, np.deg2rad(angle_deg), 1e-4, Bound(1e-3, 0.5))
+    assert judged.allowed.angle == LARGEST_ANGLE and judged.angle == pytest.approx(np.deg2rad(angle_deg))
+    assert judged.passed is passed

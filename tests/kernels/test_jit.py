@@ -1,0 +1,131 @@
+"""The cache of compiled code: never stale, never in the way, and a first compilation is said once."""
+
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import robot_ik
+from robot_ik.kernels import jit
+
+PACKAGE = Path(robot_ik.__file__).parent
+
+PRINT_FOLDER = "from robot_ik.kernels.jit import cache_folder; print(cache_folder())"
+
+# A caller in one file and its callee in another: what numba's own cache gets wrong.
+CALLER = """
+from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.callee import twice
+@kernel
+def caller(x):
+    return twice(x) + 1.0
+"""
+CALLEE = """
+from robot_ik.kernels.jit import outlined
+@outlined
+def twice(x):
+    return FACTOR * x
+"""
+
+
+# An editable install has a finder of its own, which comes before sys.path.
+USE_COPY = """
+import os, sys
+sys.meta_path[:] = [finder for finder in sys.meta_path if "editable" not in repr(finder).lower()]
+sys.path.insert(0, os.environ["COPY"])
+"""
+
+
+def run(code: str, **environment: str | Path) -> subprocess.CompletedProcess[str]:
+    env = os.environ | {name: str(value) for name, value in environment.items()}
+    if "COPY" in environment:
+        code = USE_COPY + code
+    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=100)
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A copy of the compiled part of the package, to be changed at will."""
+    for part in ("kernels", "solvers", "errors"):
+        shutil.copytree(
+            PACKAGE / part, tmp_path / "lib" / "robot_ik" / part, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    shutil.copy(PACKAGE / "__init__.py", tmp_path / "lib" / "robot_ik")
+    return tmp_path / "lib"
+
+
+def test_an_edit_of_any_compiled_source_starts_another_cache(copied: Path, tmp_path: Path):
+    def folder() -> Path:
+        return Path(run(PRINT_FOLDER, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache").stdout.strip())
+
+    first = folder()
+    assert first.is_relative_to(tmp_path / "cache" / "robot-ik")
+    for name in ("kernels/linalg.py", "solvers/ccd.py"):
+        source = copied / "robot_ik" / name
+        source.write_text(source.read_text() + "\n# changed\n")
+        second = folder()
+        assert second != first
+        first = second
+
+
+def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tmp_path: Path):
+    kernels = copied / "robot_ik" / "kernels"
+    (kernels / "caller.py").write_text(CALLER)
+    answers = []
+    for factor in ("2.0", "2.0", "5.0"):
+        (kernels / "callee.py").write_text(CALLEE.replace("FACTOR", factor))
+        code = (
+            "from robot_ik.kernels.caller import caller; print(caller(10.0), dict(caller.stats.cache_hits))"
+        )
+        done = run(code, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache")
+        assert done.returncode == 0, done.stderr
+        answers.append(done.stdout.split(maxsplit=1))
+    assert [value for value, _ in answers] == ["21.0", "21.0", "51.0"]
+    assert [hits.strip() != "{}" for _, hits in answers] == [False, True, False]
+
+
+def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(tmp_path: Path):
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder can be made below a file, whoever asks")
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    done = run(
+        PRINT_FOLDER + "; from robot_ik.kernels.jit import kernel; import numpy as np"
+        "\nfrom robot_ik.kernels.kinematics import turn_quat; q = np.array([1.0, 0, 0, 0])"
+        "\nturn_quat(q, 0, 0.0, 0.0, 1.0); print(q[3])",
+        XDG_CACHE_HOME=blocked, TMPDIR=temporary,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    folder, value = done.stdout.split()
+    assert Path(folder).is_relative_to(temporary) and float(value) == pytest.approx(0.479425538604203)
+    assert any(Path(folder).rglob("*.nbi"))
+
+
+def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
+    monkeypatch.setattr(jit, "_announced", set())
+    monkeypatch.setattr(jit, "cache_folder", lambda: tmp_path)
+    caplog.set_level(logging.INFO, logger="robot_ik.kernels")
+
+    def fresh() -> None: ...
+
+    def known() -> None: ...
+
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "module.known-12.py311.nbi").touch()
+    for _ in range(3):
+        jit.announce(fresh, "solver 'fresh'")
+        jit.announce(known, "solver 'known'")
+    assert [record.getMessage() for record in caplog.records] == [
+        "compiling solver 'fresh': some seconds, once on this machine"
+    ]
+
+
+def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
+    done = run(
+        "import sys, robot_ik; print([m for m in ('numba', 'cv2', 'mujoco', 'numpy') if m in sys.modules])"
+    )
+    assert done.stdout.strip() == "[]", done.stderr

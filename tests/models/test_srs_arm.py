@@ -1,0 +1,172 @@
+"""The seven-axis limb: its DH product, three axes through one point twice, and what follows from that."""
+
+import math
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from robot_ik.robot import load_robot
+
+Array = NDArray[np.float64]
+
+FOLDER = Path(__file__).parents[2] / "models" / "srs_arm"
+JOINTS = tuple(f"joint{i}" for i in range(1, 8))
+LIMIT = np.radians([170.0, 115.0, 170.0, 135.0, 170.0, 115.0, 175.0])
+# alpha / 90 deg, d of the README's standard DH table (every a is 0); typed again here, the XML is not read.
+DH = ((-1, 0.36), (1, 0.0), (-1, 0.42), (1, 0.0), (-1, 0.40), (1, 0.0), (0, 0.126))
+
+
+@cache
+def load(name: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(FOLDER / name))
+
+
+@cache
+def settings() -> dict[str, Any]:
+    return tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))
+
+
+def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
+    found = data.site(name)
+    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
+
+
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
+    pairs = data.contact.geom[: data.ncon]
+    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
+
+
+def quarter(count: int) -> tuple[int, int]:
+    """Cosine and sine of so many right angles, exact."""
+    return ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
+
+
+def dh_flange(q: Array) -> Array:
+    """DH frame 7, (4, 4), as Rz(q) Tz(d) Rx(alpha) products."""
+    pose = np.eye(4)
+    for angle, (turns, d) in zip(q, DH, strict=True):
+        c, s = math.cos(angle), math.sin(angle)
+        ca, sa = quarter(turns)
+        pose = pose @ np.array(
+            [[c, -s * ca, s * sa, 0], [s, c * ca, -c * sa, 0], [0, sa, ca, d], [0, 0, 0, 1.0]]
+        )
+    return pose
+
+
+angles = st.tuples(*(st.floats(-v, v) for v in LIMIT)).map(np.array)
+
+
+@given(q=angles)
+def test_flange_is_dh_frame_7(q: Array) -> None:
+    position, rotation = site(posed(load("srs_arm.xml"), q), "flange")
+    expected = dh_flange(q)
+    assert np.abs(position - expected[:3, 3]).max() < 1e-12
+    assert np.abs(rotation - expected[:3, :3]).max() < 1e-12
+
+
+@given(q=angles)
+def test_shoulder_and_wrist_are_points_and_the_elbow_has_no_offset(q: Array) -> None:
+    data = posed(load("srs_arm.xml"), q)
+    anchor, axis = data.xanchor, data.xaxis
+    shoulder, elbow, wrist = anchor[0], anchor[3], anchor[4]
+    assert np.array_equal(anchor[1], shoulder) and np.array_equal(anchor[2], shoulder)
+    assert np.array_equal(anchor[5], wrist) and np.array_equal(anchor[6], wrist)
+    assert shoulder == pytest.approx([0, 0, 0.36], abs=1e-15)
+    assert axis[2] == pytest.approx((elbow - shoulder) / 0.42, abs=1e-12)
+    assert axis[4] == pytest.approx((wrist - elbow) / 0.40, abs=1e-12)
+    for k in (0, 1, 4, 5):
+        assert axis[k] @ axis[k + 1] == pytest.approx(0, abs=1e-12)
+    between = math.sqrt(0.42**2 + 0.40**2 + 2 * 0.42 * 0.40 * math.cos(q[3]))
+    assert np.linalg.norm(wrist - shoulder) == pytest.approx(between, abs=1e-12)
+
+
+def test_the_elbow_swivels_without_moving_the_hand() -> None:
+    """What makes it a limb: one freedom is left over at every pose, and it moves the elbow."""
+    model = load("srs_arm.xml")
+    data = posed(model, model.key("ready").qpos)
+    jacobian, elbow = np.zeros((6, 7)), np.zeros((3, 7))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
+    mujoco.mj_jac(model, data, elbow, None, data.body("link4").xpos, model.body("link4").id)
+    free = np.linalg.svd(jacobian)[2][-1]
+    assert np.abs(jacobian @ free).max() < 1e-12
+    assert np.linalg.norm(elbow @ free) > 0.05  # m per unit of the freedom
+
+
+def test_known_pose_upright() -> None:
+    position, rotation = site(posed(load("srs_arm.xml"), np.zeros(7)), "flange")
+    assert position == pytest.approx([0, 0, 0.36 + 0.42 + 0.40 + 0.126], abs=1e-15)
+    assert rotation == pytest.approx(np.eye(3), abs=1e-15)
+
+
+def test_joints_and_limits_are_those_of_the_readme() -> None:
+    model = load("srs_arm.xml")
+    assert tuple(model.joint(i).name for i in range(model.njnt)) == JOINTS
+    assert np.abs(model.jnt_range - LIMIT[:, None] * [-1.0, 1.0]).max() < 1e-15
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    for joint, (limit, (_, d)) in enumerate(zip(np.degrees(LIMIT), DH, strict=True), 1):
+        row = next(line.split("|") for line in text.splitlines() if line.startswith(f"| {joint} |"))
+        assert float(row[4]) == d and row[5].strip() == f"±{limit:.0f}"
+
+
+def test_folding_the_hand_into_the_base_is_a_contact() -> None:
+    model = load("srs_arm.xml")
+    assert touching(model, posed(model, np.radians([0, 110.0, 0, 135.0, 0, 0, 0])))
+
+
+@pytest.mark.parametrize("xml", ["srs_arm.xml", "scene.xml"])
+@pytest.mark.parametrize("key", ["home", "ready"])
+def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
+    model = load(xml)
+    q = model.key(key).qpos
+    lower, upper = model.jnt_range.T
+    assert np.minimum(q - lower, upper - q).min() > math.radians(30)
+    assert np.array_equal(model.key(key).ctrl, q)
+    data = posed(model, q)
+    assert touching(model, data) == []
+    jacobian = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
+    assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.05
+    assert 0.8 < -site(data, "gripper")[1][2, 2] <= 1.0 + 1e-12
+
+
+def test_position_actuators_hold_the_ready_pose() -> None:
+    model = load("scene.xml")
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("ready").id)
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qpos - model.key("ready").qpos).max() < math.radians(1.5)
+    assert model.actuator_forcerange[:, 1] == pytest.approx([180, 180, 100, 100, 60, 40, 40])
+
+
+def test_masses_and_inertias_are_those_of_rigid_bodies() -> None:
+    model = load("srs_arm.xml")
+    moving = model.body_mass > 0
+    inertia = model.body_inertia[moving]
+    assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) >= 2 * inertia.max(axis=1) - 1e-9)
+    assert 15 < model.body_mass.sum() < 20
+
+
+def test_robot_toml_names_what_the_model_has() -> None:
+    robot, model = load_robot("srs_arm"), load("srs_arm.xml")
+    assert robot.joints == JOINTS and robot.tool == "gripper"
+    assert set(settings()["tools"]) <= set(robot.frames)
+    assert robot.home == pytest.approx(model.key(settings()["home"]).qpos)
+    assert all(joint in JOINTS for group in settings()["groups"].values() for joint in group)
+    assert np.degrees(robot.velocity) == pytest.approx(settings()["motion"]["velocity_deg"])
+    assert robot.file.sources

@@ -1,0 +1,330 @@
+"""The ten laws that every solver keeps, on every robot of the contract."""
+
+import itertools
+import tomllib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.geometry import Pose
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers.base import IterativeSolver
+
+FLOORS = tomllib.loads((Path(__file__).parent / "floors.toml").read_text())
+NAMES = list(SOLVERS)
+ROBOTS = ["puma560", "planar", "tree"]
+KINDS = ["position", "orientation", "pose"]
+TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
+
+
+def serves(name, robot_name, kind):
+    """Whether the contract covers this: floors.toml has a row for all that a method can do at all."""
+    row = FLOORS[name].get(robot_name, {})
+    return ("position" in row and "pose" in row) if kind == "orientation" else kind in row
+
+
+def cases(*kinds):
+    """Every (name, robot_name, kind) of the contract."""
+    found = itertools.product(NAMES, ROBOTS, kinds or KINDS)
+    return pytest.mark.parametrize(("name", "robot_name", "kind"), [c for c in found if serves(*c)])
+
+
+# Methods that serve every robot and every kind of goal.
+GENERAL = [n for n in NAMES if all(serves(n, r, k) for r in ROBOTS for k in KINDS)]
+# Of those, the ones that take steps until a budget ends them.
+STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
+general = pytest.mark.parametrize("name", GENERAL)
+stepping = pytest.mark.parametrize("name", STEPPING)
+all_robots = pytest.mark.parametrize("robot_name", ROBOTS)
+
+
+def goal_of(robot, q, kind="pose", frame=None):
+    pose = robot.forward(q, frame)
+    if kind == "position":
+        return PositionGoal(frame, pose.position)
+    return OrientationGoal(frame, pose.wxyz) if kind == "orientation" else PoseGoal.at(frame, pose)
+
+
+def measured(robot, q, goal):
+    """Metres and radians off, by MuJoCo alone, from the full qpos."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_forward(robot.model, data)
+    site = robot.model.site(goal.frame or robot.tool).id
+    wxyz = np.zeros(4)
+    mujoco.mju_mat2Quat(wxyz, data.site_xmat[site])
+    metres, radians = Pose(data.site_xpos[site], wxyz).distance(goal.target)
+    return metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0
+
+
+def inside(robot, q):
+    return np.abs(robot.clip(q) - q).max() < 1e-12
+
+
+def outcome(solution):
+    return solution.status, solution.iterations, solution.restarts, solution.q.tobytes()
+
+
+@cases()
+def test_laws_1_2_what_is_reported_is_true(name, robot_name, kind, robots, reachable):
+    robot = robots(robot_name)
+    solver = make_solver(name)
+    for q in reachable(robot, 5):
+        goal = goal_of(robot, q, kind)
+        solution = solver.solve(Problem(robot, goal, tolerance=TOLERANCE))
+        metres, radians = measured(robot, solution.q, goal)
+        assert solution.miss.position == pytest.approx(metres, abs=1e-12)
+        assert solution.miss.angle == pytest.approx(radians, abs=1e-7)
+        assert inside(robot, solution.q)
+        reached = metres <= TOLERANCE.position and radians <= TOLERANCE.angle
+        assert solution.converged == reached == (solution.status is Status.CONVERGED)
+
+
+@cases()
+def test_law_3_a_start_at_the_goal_is_the_answer(name, robot_name, kind, robots, reachable):
+    robot = robots(robot_name)
+    for q in reachable(robot, 5):
+        solution = make_solver(name).solve(Problem(robot, goal_of(robot, q, kind)), q)
+        assert solution.converged and solution.iterations == 0 and solution.restarts == 0
+        assert solution.q.tobytes() == q.tobytes() and solution.q is not q
+
+
+@cases("pose", "position")
+def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
+    name, robot_name, kind, robots, reachable
+):
+    robot = robots(robot_name)
+    solver = make_solver(name)
+    goals = [goal_of(robot, q, kind) for q in reachable(robot, 6)]
+    budget = Budget(iterations=600)
+    fresh = [outcome(make_solver(name).solve(Problem(robot, g, budget=budget, seed=3))) for g in goals]
+    hot = Problem(robot, goals[0], budget=budget, seed=3)
+    for order in (range(6), reversed(range(6))):
+        for i in order:
+            hot.retarget(goals[i].target)
+            assert outcome(solver.solve(hot)) == fresh[i]
+
+
+@cases("pose", "position")
+def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_name, kind, robots, reachable):
+    robot = robots(robot_name)
+    solver = make_solver(name)
+    start, there, other = reachable(robot, 3)
+    goal = goal_of(robot, there, kind)
+    kept = [start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy(), goal.target.matrix]
+    start.flags.writeable = False
+    problem = Problem(robot, goal)
+    first = solver.solve(problem, start)
+    answer = first.q.copy()
+    problem.retarget(robot.forward(other))
+    solver.solve(problem, start)
+    assert np.array_equal(first.q, answer)
+    assert first.miss.position == pytest.approx(measured(robot, answer, goal)[0], abs=1e-12)
+    for before, now in zip(
+        kept, [start, robot.lower, robot.upper, robot.home, goal.target.matrix], strict=True
+    ):
+        assert np.array_equal(before, now)
+
+
+def out_of_reach(robot_name, kind, where):
+    """Goals that cannot be met: far (provably), just out of reach, or behind the joint limits."""
+    position = {
+        ("puma560", "far"): (3.0, 1.0, 1.0), ("puma560", "near"): (0.85, 0.6, 0.9),
+        ("puma560", "limits"): (0.02, 0.03, -0.5),
+        ("planar", "far"): (4.0, 1.0, 0.0), ("planar", "near"): (0.6, 0.4, 0.05),
+        ("planar", "limits"): (-0.02, 0.0, 0.0),
+        ("tree", "far"): (5.0, 0.0, 5.0), ("tree", "near"): (1.2, 0.9, 1.2),
+        ("tree", "limits"): (-0.6, -0.6, -0.4),
+    }[robot_name, where]  # fmt: skip
+    if kind == "position":
+        return PositionGoal(None, position)
+    return PoseGoal(None, position, (0.5, 0.5, -0.5, 0.5))
+
+
+@cases("position", "pose")
+@pytest.mark.parametrize("where", ["far", "near", "limits"])
+def test_law_6_what_cannot_be_reached_is_said_and_approached(
+    name, robot_name, where, kind, robots, reachable
+):
+    robot = robots(robot_name)
+    goal = out_of_reach(robot_name, kind, where)
+    problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=4000))
+    for start in reachable(robot, 2):
+        solution = make_solver(name).solve(problem, start)
+        assert not solution.converged and inside(robot, solution.q)
+        if where == "far":
+            assert solution.status is Status.UNREACHABLE
+        assert worth(problem, robot, solution.q, goal) <= worth(problem, robot, start, goal) * (1 + 1e-9)
+
+
+def worth(problem, robot, q, goal):
+    """What solvers minimise, from MuJoCo's measurement: metres over the length scale and radians, squared."""
+    metres, radians = measured(robot, q, goal)
+    return (metres / problem.length(goal)) ** 2 + radians**2
+
+
+# Methods that come to rest on a target they cannot reach; the others are reported, not promised.
+RESTING = ("auto", "lm", "dls")
+TICKS, SETTLING, STILL = 500, 100, 1e-3
+
+
+@pytest.mark.parametrize("name", RESTING)
+@all_robots
+@pytest.mark.parametrize("where", ["far", "near", "limits"])
+@pytest.mark.parametrize("kind", ["position", "pose"])
+def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
+    robot = robots(robot_name)
+    budget = Budget(restarts=FLOORS["tracking_restarts"][name])
+    problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget)
+    solver = make_solver(name)
+    q, largest = robot.home, 0.0
+    for tick in range(TICKS):
+        solution = solver.solve(problem, q)
+        assert not solution.converged
+        if tick >= SETTLING:
+            largest = max(largest, float(np.abs(solution.q - q).max()))
+        q = solution.q
+    assert largest <= STILL
+
+
+@stepping
+@all_robots
+def test_law_7_budgets_hold(name, robot_name, robots):
+    robot = robots(robot_name)
+    goal = out_of_reach(robot_name, "pose", "near")
+    solver = make_solver(name)
+    for iterations in (0, 1, 7, 130):
+        solution = solver.solve(Problem(robot, goal, budget=Budget(iterations=iterations)))
+        assert solution.iterations <= iterations
+        if iterations < 130:
+            assert solution.status is Status.ITERATION_LIMIT
+    assert np.array_equal(solver.solve(Problem(robot, goal, budget=Budget(iterations=0))).q, robot.home)
+    assert solver.solve(Problem(robot, goal, budget=Budget(restarts=0))).restarts == 0
+    assert solver.solve(Problem(robot, goal, budget=Budget(restarts=3))).restarts <= 3
+    none = solver.solve(Problem(robot, goal, budget=Budget(seconds=0.0)))
+    assert none.status is Status.TIME_LIMIT and none.iterations == 0 and np.array_equal(none.q, robot.home)
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in STEPPING])
+def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
+    robot = robots("puma560")
+    never = out_of_reach("puma560", "pose", "near")
+    for budget, status in ((Budget(iterations=0), "ITERATION_LIMIT"), (Budget(seconds=0.0), "TIME_LIMIT")):
+        none = make_solver(name).solve(Problem(robot, never, budget=budget))
+        assert none.status.name == status and none.iterations == 0 and np.array_equal(none.q, robot.home)
+    for iterations in (1, 7):
+        solution = make_solver(name).solve(Problem(robot, never, budget=Budget(iterations=iterations)))
+        assert not solution.converged and solution.iterations <= iterations
+
+
+@stepping
+def test_law_7_time_is_kept(name, robots):
+    robot = robots("puma560")
+    endless = Budget(iterations=1 << 40, seconds=0.1, restarts=1 << 40)
+    solution = make_solver(name).solve(
+        Problem(robot, out_of_reach("puma560", "pose", "near"), budget=endless)
+    )
+    assert solution.status is Status.TIME_LIMIT and solution.iterations > 100
+    assert 0.1 <= solution.seconds < 2.0  # generous: the machine may be busy
+
+
+@general
+@pytest.mark.parametrize(
+    ("robot_name", "active"),
+    [("puma560", ["joint2", "joint3", "joint5"]), ("tree", ["rail", "shoulder", "swing"])],
+)
+def test_law_8_joints_that_are_frozen_or_do_not_matter_stay(name, robot_name, active, robots, reachable):
+    whole = robots(robot_name)
+    robot = load_robot(whole.path, joints=active, tool=whole.tool)
+    moved = Problem(robot, goal_of(whole, reachable(whole, 1)[0]), tolerance=TOLERANCE)
+    solution = make_solver(name).solve(moved, robot.home)
+    assert solution.restarts > 0 or solution.iterations > 0
+    qpos = robot.qpos(solution.q)
+    for joint in whole.joints:
+        first = int(robot.model.joint(joint).qposadr[0])
+        if joint not in active:
+            assert qpos[first] == robot.frozen_qpos[first]
+    if "swing" in active:  # active, but it carries a lamp and not the tool
+        assert solution.restarts > 0
+        assert solution.q[-1] == robot.home[-1]
+
+
+@cases("position", "pose")
+def test_law_10_solve_rate(name, robot_name, kind, robots, reachable):
+    robot = robots(robot_name)
+    floor = FLOORS[name][robot_name][kind]
+    solver = make_solver(name)
+    goals = [goal_of(robot, q, kind) for q in reachable(robot, FLOORS["poses"])]
+    problem = Problem(robot, goals[0], tolerance=TOLERANCE)
+    solved = 0
+    for goal in goals:
+        problem.retarget(goal.target)
+        solved += solver.solve(problem).converged
+    assert solved / len(goals) >= floor, f"{solved} of {len(goals)}"
+
+
+def test_law_10_low_floors_have_a_reason():
+    for name in NAMES:
+        for row in FLOORS[name].values():
+            assert row.get("reason") or row.get("position", 1.0) >= 0.9
+
+
+# ------------------------------------------------------------------------------ corners
+
+
+@general
+def test_a_start_outside_the_limits_is_brought_inside(name, robots):
+    robot = robots("planar")
+    outside = np.array([3.1, -2.9, 2.5])
+    kept = outside.copy()
+    solution = make_solver(name).solve(Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position")), outside)
+    assert solution.converged and inside(robot, solution.q) and np.array_equal(outside, kept)
+    none = make_solver(name).solve(
+        Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0)), outside
+    )
+    assert none.q.tolist() == [2.8, -2.6, 2.0]
+
+
+@general
+def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
+    robot = robots("planar")
+    there = make_solver(name).solve(Problem(robot, PositionGoal("nail", (0.3, 0.3, 0))))
+    assert there.converged and there.iterations == 0
+    never = make_solver(name).solve(Problem(robot, PoseGoal("nail", (0.5, 0.3, 0))))
+    assert not never.converged and np.array_equal(never.q, robot.home)
+    assert never.miss.position == pytest.approx(0.2)
+
+
+@general
+def test_several_goals_at_once(name, robots, reachable):
+    robot = robots("tree")
+    for q in reachable(robot, 4):
+        goals = [goal_of(robot, q, "position"), goal_of(robot, q, "position", "lamp")]
+        solution = make_solver(name).solve(Problem(robot, goals, tolerance=Tolerance(1e-4, 1e-3)))
+        worst = max(measured(robot, solution.q, goal)[0] for goal in goals)
+        assert solution.miss.position == pytest.approx(worst, abs=1e-12) and len(solution.misses) == 2
+        assert solution.converged == (worst <= 1e-4)
+        assert solution.converged or name == "ccd"
+
+
+@general
+def test_the_trace_tells_the_same_story(name, robots, reachable):
+    robot = robots("puma560")
+    goal = goal_of(robot, reachable(robot, 1)[0])
+    quiet = make_solver(name).solve(Problem(robot, goal, seed=2))
+    solution = make_solver(name).solve(Problem(robot, goal, seed=2, trace=True))
+    assert outcome(quiet) == outcome(solution) and quiet.trace == ()
+    trace = solution.trace
+    assert [row.iteration for row in trace] == list(range(1, solution.iterations + 1))
+    assert all(a.restart <= b.restart for a, b in itertools.pairwise(trace))
+    assert trace[-1].restart <= solution.restarts
+    assert all(row.cost >= 0 and row.step >= 0 for row in trace)
+    if solution.converged and trace:
+        assert trace[-1].position == pytest.approx(solution.miss.position, abs=1e-12)
+        assert trace[-1].angle == pytest.approx(solution.miss.angle, abs=1e-7)

@@ -1,0 +1,117 @@
+"""robot.toml: what it may say, and how wrong ones are answered."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik.catalogue import catalogue, find_robot, read_robot_file
+from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
+from robot_ik.robot import load_robot
+
+MODEL = """<mujoco><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
+<body name="b" pos="1 0 0"><joint name="two"/><joint name="finger" type="slide"/><geom size="0.1"/>
+<site name="tip" pos="0 0 1"/></body></body></worldbody>
+<keyframe><key name="ready" qpos="0.1 0.2 0.3"/></keyframe></mujoco>"""
+FILE = """schema = 1
+title = "a small arm"
+model = "arm.xml"
+tool = "grip"
+solver = "dls"
+home = "ready"
+[tools]
+grip = { site = "tip", about = "between the jaws" }
+wrist = { body = "b" }
+[groups]
+arm = ["one", "two"]
+all = ["one", "two", "finger"]
+[motion]
+velocity_deg = [90, 180]
+acceleration_deg = [360, 720]
+[provenance]
+sources = ["made up"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "small"
+    made.mkdir()
+    (made / "arm.xml").write_text(MODEL)
+    (made / "robot.toml").write_text(FILE)
+    return made
+
+
+def test_everything_said_is_heard(folder):
+    for asked in (folder, folder / "robot.toml", folder / "arm.xml"):
+        robot = load_robot(asked)
+        assert robot.name == "small" and robot.joints == ("one", "two") and robot.tool == "grip"
+        np.testing.assert_allclose(robot.velocity, np.radians([90, 180]))
+        np.testing.assert_allclose(robot.acceleration, np.radians([360, 720]))
+        np.testing.assert_allclose(robot.home, [0.1, 0.2])
+        assert robot.qpos(robot.home)[2] == 0.3
+        assert robot.frames[:2] == ("grip", "wrist") and robot.file.solver == "dls"
+        assert robot.forward(robot.home, "wrist").distance(robot.forward(robot.home, "b")) == (0, 0)
+        assert robot.file.title == "a small arm" and robot.file.sources == ("made up",)
+    assert load_robot(folder, joints="all").nq == 3
+
+
+def test_another_model_in_the_folder_is_not_meant(folder):
+    (folder / "other.xml").write_text(MODEL)
+    model, file = find_robot(folder / "other.xml")
+    assert model.name == "other.xml" and file.name == "other" and file.tool is None
+
+
+def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
+    assert "puma560" in catalogue()
+    for name in catalogue():
+        robot = load_robot(name)
+        assert robot.name == name and robot.file.title and robot.file.sources
+        assert not robot.outside(robot.home) and robot.tool in robot.frames
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "key", "says"),
+    [
+        ('solver = "dls"', 'solvr = "dls"', "solvr", "did you mean 'solver'"),
+        ('about = "between', 'abot = "between', "tools.grip.abot", "did you mean 'about'"),
+        ("[motion]", "[moton]", "moton", "did you mean 'motion'"),
+        ("schema = 1", "schema = 2", "schema", "1"),
+        ('title = "a small arm"', "", "title", "required"),
+        ("velocity_deg = [90, 180]", "velocity_deg = [90]", "motion.velocity_deg", "1 numbers for 2 joints"),
+        ("velocity_deg = [90, 180]", "velocity_deg = [90, -1]", "motion.velocity_deg", "positive"),
+        ("velocity_deg = [90, 180]", 'velocity_deg = "fast"', "motion.velocity_deg", "tuple"),
+    ],
+)
+def test_a_wrong_key_or_value_is_told_with_file_key_and_what_is_allowed(folder, before, after, key, says):
+    assert before in FILE
+    (folder / "robot.toml").write_text(FILE.replace(before, after))
+    with pytest.raises(ConfigError) as caught:
+        load_robot(folder)
+    assert caught.value.file == folder / "robot.toml" and caught.value.key == key
+    assert says in str(caught.value)
+
+
+def test_what_is_no_toml_or_no_file_is_told(folder):
+    (folder / "robot.toml").write_text("schema = = 1")
+    with pytest.raises(ConfigError, match=r"robot\.toml: cannot be read"):
+        load_robot(folder)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_robot_file(folder / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "error", "says"),
+    [
+        ('site = "tip"', 'site = "tipp"', UnknownFrameError, "did you mean 'tip'"),
+        ('arm = ["one", "two"]', 'arm = ["one", "too"]', UnknownJointError, "did you mean 'two'"),
+        ('home = "ready"', 'home = "redy"', ModelError, "no keyframe 'redy'; it has: ready"),
+        ('home = "ready"', "home = [1, 2]", ModelError, "home has 2 numbers, the model 3"),
+        ('model = "arm.xml"', 'model = "none.xml"', ModelError, r"none\.xml"),
+        ('tool = "grip"', 'tool = "gripp"', UnknownFrameError, "did you mean 'grip'"),
+    ],
+)
+def test_a_file_that_does_not_fit_its_model_is_told(folder, before, after, error, says):
+    (folder / "robot.toml").write_text(FILE.replace(before, after))
+    with pytest.raises(error, match=says):
+        load_robot(folder)

@@ -1,0 +1,71 @@
+"""The error tree: one root, data kept as attributes, close names offered, hints at the end."""
+
+import inspect
+
+import pytest
+
+from robot_ik import errors
+
+CLASSES = [thing for _, thing in inspect.getmembers(errors, inspect.isclass)]
+
+
+def test_every_error_has_the_one_root_and_is_exported():
+    assert len(CLASSES) > 30
+    for error in CLASSES:
+        assert issubclass(error, errors.RobotIkError) and error.__doc__
+        assert error.__name__ in errors.__all__
+
+
+@pytest.mark.parametrize(
+    ("error", "builtin"),
+    [
+        (errors.UnknownFrameError, LookupError), (errors.UnknownSolverError, LookupError),
+        (errors.InvalidGoalError, ValueError), (errors.UnsupportedGoalError, ValueError),
+        (errors.ConfigError, ValueError), (errors.UnsafeCommandError, ValueError),
+        (errors.MissingExtraError, ImportError), (errors.OutputError, OSError),
+    ],
+)  # fmt: skip
+def test_an_error_is_also_what_python_calls_it(error, builtin):
+    assert issubclass(error, builtin)
+
+
+def test_a_wrong_name_lists_the_close_ones_then_the_known():
+    error = errors.UnknownJointError("joint_1", ["joint1", "joint2", "gripper"])
+    assert error.name == "joint_1" and error.close[0] == "joint1" and error.known[2] == "gripper"
+    text = str(error)
+    assert "unknown joint 'joint_1'; did you mean 'joint1'" in text and "gripper" in text
+    far = str(errors.UnknownRobotError("zzz", ["puma560"]))
+    assert "did you mean" not in far and "known: puma560" in far
+    assert "no frame at all" in str(errors.UnknownFrameError("x", []))
+    assert "…" in str(errors.UnknownFrameError("x", [f"name{i}" for i in range(99)]))
+
+
+def test_close_names_ignore_case():
+    assert errors.close_matches("PUMA560", ["puma560", "ur5e"]) == ["puma560"]
+
+
+def test_the_hint_comes_last_and_only_once():
+    error = errors.ModelError("it is broken", path="a.xml", reason="no", hint="mend it")
+    assert str(error) == "it is broken\nmend it" and (error.path, error.reason) == ("a.xml", "no")
+    assert str(errors.ModelError("it is broken")) == "it is broken"
+
+
+def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
+    assert str(errors.ConfigError("is no number", file="arm.toml", key="bus.baud", allowed="9600 …")) == (
+        "arm.toml: bus.baud: is no number; allowed: 9600 …"
+    )
+    assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
+        "these can: lm, dls"
+    )
+    assert 'pip install "robot_ik[web]"' in str(errors.MissingExtraError("viser", "web", "the browser view"))
+    timeout = errors.BusTimeoutError(
+        id=3, register="present_position", port="/dev/x", joint="elbow", last_good=0.5
+    )
+    for part in ("servo id 3", "'elbow'", "present_position", "/dev/x", "0.50 s ago", "baud"):
+        assert part in str(timeout)
+    table = str(errors.ServoMismatchError({1: "a: XM430"}, {2: "XL330"}, port="p"))
+    assert "missing" in table and "nothing was switched on" in table
+    assert str(errors.UnsafeCommandError("NaN", "numbers")).endswith("Nothing was sent to any servo.")
+    assert "overheating" in str(errors.MotorFaultError("wrist", ["overheating"]))
+    refused = errors.ServoRefusedError(id=4, register="goal_position", code=6, reason="data limit")
+    assert refused.code == 6 and "refused goal_position: data limit (error 6)" in str(refused)

@@ -1,0 +1,116 @@
+"""Poses: against SciPy's rotations and by the laws of a group."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from robot_ik.geometry import (
+    Pose,
+    matrix_to_quat,
+    quat_multiply,
+    quat_to_matrix,
+    rotation_exp,
+    rotation_log,
+)
+
+NUMBER = st.floats(-10, 10)
+VECTOR = st.tuples(NUMBER, NUMBER, NUMBER).map(np.array)
+QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(lambda q: sum(x * x for x in q) > 1e-3)
+POSE = st.builds(Pose, VECTOR, QUATERNION)
+TURN = st.builds(
+    lambda axis, angle: angle * axis / np.linalg.norm(axis),
+    VECTOR.filter(lambda v: np.linalg.norm(v) > 1e-3),
+    st.sampled_from([0.0, 1e-12, 1e-9, 1e-7, 1e-4, 0.5, 2.0, 3.0, 3.1415, np.pi - 1e-9]),
+)
+
+
+def scipy_rotation(wxyz):
+    return Rotation.from_quat(np.roll(wxyz, -1))
+
+
+@given(POSE, POSE, VECTOR)
+def test_composition_is_what_it_does_to_points(a, b, point):
+    assert isinstance(a @ b, Pose)
+    np.testing.assert_allclose((a @ b) @ point, a @ (b @ point), atol=1e-11)
+    np.testing.assert_allclose((a @ b).matrix, a.matrix @ b.matrix, atol=1e-11)
+    np.testing.assert_allclose(a.apply(np.tile(point, (3, 1)))[2], a.apply(point), atol=1e-12)
+
+
+@given(POSE)
+def test_a_pose_and_its_inverse_undo_each_other(pose):
+    np.testing.assert_allclose(pose.compose(pose.inverse()).matrix, np.eye(4), atol=1e-11)
+    np.testing.assert_allclose(pose.inverse().compose(pose).matrix, np.eye(4), atol=1e-11)
+
+
+@given(POSE, POSE)
+def test_rotations_are_scipys(a, b):
+    np.testing.assert_allclose(a.rotation, scipy_rotation(a.wxyz).as_matrix(), atol=1e-12)
+    both = scipy_rotation(a.wxyz) * scipy_rotation(b.wxyz)
+    np.testing.assert_allclose(quat_to_matrix(quat_multiply(a.wxyz, b.wxyz)), both.as_matrix(), atol=1e-12)
+    metres, radians = a.distance(b)
+    assert metres == pytest.approx(np.linalg.norm(a.position - b.position))
+    assert radians == pytest.approx(
+        (scipy_rotation(a.wxyz).inv() * scipy_rotation(b.wxyz)).magnitude(), abs=1e-7
+    )
+
+
+@given(QUATERNION)
+def test_a_matrix_gives_its_quaternion_back(wxyz):
+    unit = Pose((0, 0, 0), wxyz).wxyz
+    back = matrix_to_quat(quat_to_matrix(unit))
+    assert back[0] >= 0
+    assert min(np.abs(back - unit).max(), np.abs(back + unit).max()) < 1e-12
+
+
+@pytest.mark.parametrize("axis", np.eye(3).tolist())
+def test_half_turns_survive_the_matrix(axis):
+    assert np.abs(matrix_to_quat(quat_to_matrix(np.array([0.0, *axis])))[1:]).tolist() == axis
+
+
+@given(TURN, VECTOR)
+def test_log_undoes_exp_from_nothing_to_half_a_turn(turn, position):
+    np.testing.assert_allclose(rotation_log(rotation_exp(turn)), turn, atol=1e-12)
+    np.testing.assert_allclose(rotation_log(-rotation_exp(turn)), turn, atol=1e-12)
+    np.testing.assert_allclose(
+        quat_to_matrix(rotation_exp(turn)), Rotation.from_rotvec(turn).as_matrix(), atol=1e-12
+    )
+    twist = np.concatenate([position, turn])
+    np.testing.assert_allclose(Pose.exp(twist).log(), twist, atol=1e-12)
+
+
+@given(POSE)
+def test_matrices_are_read_as_written(pose):
+    again = Pose.from_matrix(pose.matrix)
+    np.testing.assert_allclose(again.matrix, pose.matrix, atol=1e-12)
+    np.testing.assert_allclose(
+        Pose.from_rotation(pose.rotation, pose.position).matrix, pose.matrix, atol=1e-12
+    )
+
+
+def test_a_pose_owns_its_numbers_and_keeps_them():
+    position, wxyz = np.zeros(3), np.array([2.0, 0, 0, 0])
+    pose = Pose(position, wxyz)
+    position[0] = wxyz[1] = 9.0
+    assert pose.position.tolist() == [0, 0, 0] and pose.wxyz.tolist() == [1, 0, 0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        pose.position[0] = 1.0
+    assert repr(pose) == "Pose(position=(0, 0, 0), wxyz=(1, 0, 0, 0))"
+
+
+@pytest.mark.parametrize(
+    ("position", "wxyz", "says"),
+    [
+        ((0, 0), (1, 0, 0, 0), r"\(2,\)"),
+        ((0, 0, 0), (1, 0, 0), r"\(3,\)"),
+        ((0, np.nan, 0), (1, 0, 0, 0), "finite"),
+        ((0, 0, 0), (np.inf, 0, 0, 0), "finite"),
+        ((0, 0, 0), (0, 0, 0, 0), "zero quaternion"),
+    ],
+)
+def test_nonsense_is_no_pose(position, wxyz, says):
+    with pytest.raises(ValueError, match=says):
+        Pose(position, wxyz)
+    with pytest.raises(ValueError, match="homogeneous"):
+        Pose.from_matrix(np.eye(3))

@@ -1,0 +1,186 @@
+"""Robots: from names, files and folders; joints, frames and limits by name; wrong input told in full."""
+
+import copy
+import pickle
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.errors import (
+    ModelError,
+    UnknownFrameError,
+    UnknownJointError,
+    UnknownRobotError,
+    UnsupportedJointError,
+)
+from robot_ik.robot import load_robot
+
+ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
+<body name="link"><joint name="shoulder" axis="0 0 1" range="-1 2"/><geom size="0.1"/>
+ <body name="rod" pos="1 0 0"><joint name="rail" type="slide" axis="1 0 0" range="-0.1 0.4"/>
+  <geom size="0.1"/>
+  <body name="hand" pos="0.5 0 0"><joint name="wrist" type="ball"/><geom size="0.1"/>
+   <site name="tcp" pos="0 0.2 0"/></body></body></body>
+</worldbody>
+<keyframe><key name="rest" qpos="0.1 0.2 1 0 0 0"/>
+ <key name="home" qpos="0.5 0.3 1 0 0 0"/></keyframe></mujoco>"""
+INERTIA = (
+    """<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
+)
+URDF = f"""<robot name="two"><link name="base"/><link name="arm">{INERTIA}</link>
+<link name="tip">{INERTIA}</link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/>
+ <axis xyz="0 1 0"/><limit lower="-1.5" upper="1.5" effort="1" velocity="1"/></joint>
+<joint name="bend" type="continuous"><parent link="arm"/><child link="tip"/><origin xyz="0.5 0 0"/>
+ <axis xyz="0 1 0"/></joint></robot>"""
+
+
+@pytest.fixture
+def arm_file(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    return path
+
+
+def test_a_file_is_a_robot(arm_file):
+    robot = load_robot(arm_file)
+    assert (robot.name, robot.path, robot.folder) == ("arm", arm_file, arm_file.parent)
+    assert robot.joints == ("shoulder", "rail", "wrist") and (robot.nq, robot.nv) == (6, 5)
+    assert robot.tool == "tcp" and robot.frames == ("tcp", "link", "rod", "hand")
+    assert robot.lower.tolist() == [-1, -0.1, *[-np.inf] * 3] and robot.upper[:2].tolist() == [2, 0.4]
+    assert robot.home.tolist() == [0.5, 0.3, 1, 0, 0, 0]  # the keyframe "home" comes before the first
+    assert robot.velocity.shape == robot.acceleration.shape == (5,) and (robot.velocity > 0).all()
+    assert robot.arm_file is None
+    assert load_robot(str(arm_file)).joints == robot.joints
+
+
+def test_a_urdf_is_a_robot(tmp_path):
+    (tmp_path / "two.urdf").write_text(URDF)
+    robot = load_robot(tmp_path / "two.urdf")
+    assert robot.joints == ("turn", "bend") and robot.lower.tolist() == [-1.5, -np.inf]
+    np.testing.assert_allclose(robot.forward([np.pi / 2, 0.3], "tip").position, [0, 0, 0.5], atol=1e-12)
+
+
+def test_frozen_joints_stand_at_home(arm_file):
+    whole, part = load_robot(arm_file), load_robot(arm_file, joints=["wrist", "shoulder"])
+    assert part.joints == ("shoulder", "wrist") and (part.nq, part.nv) == (5, 4)  # in declared order
+    q = part.sample(np.random.default_rng(0))
+    full = part.qpos(q)
+    assert full[1] == 0.3
+    assert part.forward(q).distance(whole.forward(full)) == pytest.approx((0, 0), abs=1e-12)
+    np.testing.assert_allclose(part.jacobian(q), whole.jacobian(full)[:, [0, 2, 3, 4]], atol=1e-12)
+
+
+def test_measure_is_mujocos(arm_file):
+    robot = load_robot(arm_file)
+    q = robot.sample(np.random.default_rng(1))
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = q
+    mujoco.mj_forward(robot.model, data)
+    np.testing.assert_allclose(robot.measure(q).position, data.site_xpos[0], atol=1e-15)
+    np.testing.assert_allclose(robot.measure(q, "rod").position, data.xpos[2], atol=1e-15)
+
+
+def test_limits_intersect_and_home_moves_inside(arm_file):
+    robot = load_robot(arm_file)
+    wide = np.full(5, np.inf)
+    lower, upper = -wide, wide.copy()
+    lower[0], upper[0], upper[1] = -3.0, 0.4, 0.2
+    narrow = robot.with_limits(lower, upper)
+    assert narrow.lower[:2].tolist() == [-1, -0.1] and narrow.upper[:2].tolist() == [0.4, 0.2]
+    assert narrow.home.tolist() == [0.4, 0.2, 1, 0, 0, 0] and robot.home[0] == 0.5
+    assert narrow.clip([9, 9, 1, 0, 0, 0])[:2].tolist() == [0.4, 0.2]
+    assert narrow.outside([0.5, 0.1, 1, 0, 0, 0]) == ["shoulder"] and not robot.outside(robot.home)
+    rng = np.random.default_rng(0)
+    samples = np.array([narrow.sample(rng) for _ in range(300)])
+    assert samples[:, 0].max() <= 0.4 and samples[:, 0].max() > 0.3 and samples[:, 0].min() < -0.9
+    lower[1] = 0.3
+    with pytest.raises(ModelError, match=r"no room is left for joint 'rail'.*0\.3"):
+        robot.with_limits(lower, upper)
+
+
+def test_nothing_comes_farther_than_the_reach(arm_file):
+    robot = load_robot(arm_file)
+    center, radius = robot.reach()
+    assert center.tolist() == [0, 0, 0] and radius == pytest.approx(1.0 + 0.4 + 0.5 + 0.2)
+    rng = np.random.default_rng(0)
+    for name in robot.frames:
+        center, radius = robot.reach(name)
+        for _ in range(100):
+            assert np.linalg.norm(robot.forward(robot.sample(rng), name).position - center) <= radius + 1e-12
+
+
+def test_reach_of_rails_and_of_bases_that_float(tmp_path):
+    body = '<body name="b" pos="1 0 0">{}<geom size="1"/><site name="tip" pos="0 0 2"/></body>'
+    for joint, expected in [
+        ('<joint name="rail" type="slide" axis="0 1 0" range="-3 1" limited="true"/>', 5.0),
+        ('<joint name="rail" type="slide" axis="0 1 0"/>', None),
+        ('<freejoint name="free"/>', None),
+    ]:
+        path = tmp_path / "m.xml"
+        path.write_text(f"<mujoco><worldbody>{body.format(joint)}</worldbody></mujoco>")
+        found = load_robot(path).reach()
+        assert found is None if expected is None else found[1] == pytest.approx(expected)
+
+
+def test_copies_and_pickles_work_alone(arm_file):
+    robot = load_robot(arm_file)
+    q = robot.sample(np.random.default_rng(2))
+    expected = robot.forward(q).matrix
+    others = [copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))]
+    del robot
+    for other in others:
+        assert np.array_equal(other.forward(q).matrix, expected)
+
+
+# ---------------------------------------------------------------------------- wrong input
+
+
+def test_an_unknown_robot_lists_the_close_names():
+    with pytest.raises(UnknownRobotError, match="did you mean 'puma560'") as caught:
+        load_robot("pumma560")
+    assert "path of an MJCF or URDF file" in str(caught.value)
+
+
+def test_broken_xml_tells_the_file_and_mujocos_reason(tmp_path):
+    path = tmp_path / "broken.xml"
+    path.write_text("<mujoco><worldbody><body><joint type='hinge'></body></worldbody></mujoco>")
+    with pytest.raises(ModelError, match=r"broken\.xml") as caught:
+        load_robot(path)
+    assert caught.value.path == path and caught.value.reason and "XML" in caught.value.reason
+    path.write_text("<mujoco><worldbody><body><geom type='mesh' mesh='none'/></body></worldbody></mujoco>")
+    with pytest.raises(ModelError, match="mesh"):
+        load_robot(path)
+
+
+def test_unknown_joints_groups_and_frames_list_the_close_names(arm_file):
+    with pytest.raises(UnknownJointError, match="did you mean 'shoulder'"):
+        load_robot(arm_file, joints=["sholder"])
+    with pytest.raises(UnknownJointError, match="joint group"):
+        load_robot(arm_file, joints="shoulder")
+    with pytest.raises(UnknownFrameError, match="did you mean 'tcp'"):
+        load_robot(arm_file, tool="tcpp")
+    robot = load_robot(arm_file)
+    for ask in (robot.forward, robot.jacobian, robot.measure):
+        with pytest.raises(UnknownFrameError, match="did you mean 'hand'"):
+            ask(robot.home, "hnd")
+
+
+def test_wrong_joint_angles_are_refused(arm_file):
+    robot = load_robot(arm_file)
+    with pytest.raises(ModelError, match=r"shape \(6,\), not \(3,\)(.|\n)*shoulder, rail, wrist"):
+        robot.forward([1, 2, 3])
+    with pytest.raises(ModelError, match="finite"):
+        robot.forward([np.nan, 0, 1, 0, 0, 0])
+
+
+def test_a_model_without_moving_joints_is_no_robot(tmp_path):
+    path = tmp_path / "stone.xml"
+    path.write_text("<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>")
+    with pytest.raises(UnsupportedJointError, match="no joint that may move"):
+        load_robot(path)
+    path.write_text("<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>")
+    with pytest.raises(ModelError, match="nothing to aim"):
+        load_robot(path)

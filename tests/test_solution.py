@@ -1,0 +1,64 @@
+"""Solutions: what is told about an outcome, good or bad."""
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import NotConvergedError
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.problem import Budget
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solve import solve
+
+
+@pytest.fixture(scope="module")
+def puma():
+    return load_robot("puma560")
+
+
+def test_require_gives_the_solution_or_says_how_far_off_it_is(puma):
+    good = solve(puma, PoseGoal.at(None, puma.forward(puma.home + 0.1)))
+    assert good.require() is good
+    bad = solve(puma, PositionGoal(None, (3, 0, 1)), solver="lm")
+    with pytest.raises(
+        NotConvergedError, match=r"lm did not reach the goal \(UNREACHABLE: proven.* mm"
+    ) as caught:
+        bad.require()
+    assert caught.value.solution is bad
+    assert f"{1000 * bad.miss.position:.2f} mm" in str(caught.value)
+
+
+def test_every_status_has_its_meaning():
+    assert len({status.meaning for status in Status}) == len(Status) == 7
+    assert repr(Status.STALLED.name) == "'STALLED'"
+
+
+def test_the_miss_is_of_what_was_asked_for_only(puma):
+    far = Budget(iterations=0)
+    q = puma.home + 0.2
+    pose = puma.forward(q)
+    metres, radians = puma.measure(puma.home).distance(pose)
+    for goal, expected in [
+        (PositionGoal(None, pose.position), (metres, 0.0)),
+        (OrientationGoal(None, pose.wxyz), (0.0, radians)),
+        (PoseGoal.at(None, pose), (metres, radians)),
+        (PoseGoal(None, pose.position, pose.wxyz, angle_weight=0.0), (metres, 0.0)),
+    ]:
+        miss = solve(puma, goal, budget=far).miss
+        assert (miss.position, miss.angle) == pytest.approx(expected, abs=1e-12)
+    both = solve(
+        puma, [PoseGoal.at(None, puma.forward(puma.home)), PositionGoal(None, pose.position)], budget=far
+    )
+    assert both.misses[0].position == pytest.approx(0, abs=1e-12)
+    assert both.miss.position == pytest.approx(metres) and both.miss.angle == pytest.approx(0, abs=1e-7)
+
+
+def test_a_goal_of_which_a_part_weighs_nothing_is_met_by_the_other(puma):
+    pose = puma.forward(puma.home + 0.2)
+    solution = solve(puma, PoseGoal(None, pose.position, (0, 0, 1, 0), angle_weight=0.0))
+    assert solution.converged and np.linalg.norm(puma.measure(solution.q).position - pose.position) <= 1e-4
+
+
+def test_it_prints_in_a_line(puma):
+    text = repr(solve(puma, PositionGoal(None, (3, 0, 1)), solver="lm"))
+    assert text.startswith("Solution(UNREACHABLE, q=[") and "solver='lm'" in text
