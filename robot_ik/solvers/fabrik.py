@@ -8,8 +8,12 @@ lets the joints follow, root to tip, each turning about its real axis inside its
 comes nearest to the wish; on a chain of unlimited balls that is the paper's second half to the letter.
 
 A pose goal fixes the last node: its anchor's wish is where the wanted pose puts it, and the joints whose
-anchors meet there (a ball, a spherical wrist) take the orientation.  On hinge arms the bones may wish
-for what no hinge allows; progress is then slow or stops, and restarts help.
+anchors meet there (a ball, a spherical wrist, the last hinge of a planar arm) take the orientation.  A single
+last hinge of another arm cannot, and misses.
+
+A wish says nothing to a hinge of an error across its bone, and hinges whose axes are not parallel would wait
+for each other; so hinges also heed the goal itself a little (``pull``, ours).  Near the full reach of a chain
+progress is slow, as in the paper.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
