@@ -23,7 +23,7 @@ from robot_ik.kernels.bones import (
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, turn_quat
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-from robot_ik.kernels.turns import AIMS, PULL, add_aim, best_angle, turn_axis, turn_terms
+from robot_ik.kernels.turns import AIMS, BALL_PULL, PULL, add_aim, best_angle, turn_axis, turn_terms
 
 # A point nearer to the axis than this, metres, is not moved by a turn about it.
 _NO_LEVER = 1e-6
@@ -100,13 +100,13 @@ def gather(tree, goal, work, links, points, one, sums, k):
 
 
 @outlined
-def heed_goals(tree, goal, work, links, points, one, sums, k):
+def heed_goals(tree, goal, work, links, points, one, sums, k, pull):
     """Adds to ``sums`` the goals that hang on joint ``k``, as they would be if later joints stayed.
 
     A bone's wish says nothing of an error across the bone, which a ball can take out and a hinge cannot:
     without this, hinges whose axes are not parallel wait for each other.
     """
-    n, pull = tree.parent.shape[0], sums[PULL]
+    n = tree.parent.shape[0]
     for g in range(goal.kind.shape[0]):
         if points[n + g, SHARE] <= 0.0:
             continue
@@ -152,6 +152,8 @@ def aim_ball(tree, goal, work, links, points, one, sums, k, a):
     total = 0.0
     for _ in range(_BALL_TURNS):
         gather(tree, goal, work, links, points, one, sums, k)
+        if sums[BALL_PULL] > 0.0:
+            heed_goals(tree, goal, work, links, points, one, sums, k, sums[BALL_PULL])
         x, y, z = turn_axis(sums)
         norm = math.sqrt(x * x + y * y + z * z)
         if norm == 0.0:
@@ -162,7 +164,7 @@ def aim_ball(tree, goal, work, links, points, one, sums, k, a):
         turn_ball(tree, work, k, a, x, y, z, angle)
         locate(tree, goal, work, points, one, k)
         total += abs(angle)
-        if abs(angle) < _STILL or sums[AIMS] < 2.0:
+        if abs(angle) < _STILL or (sums[AIMS] < 2.0 and sums[BALL_PULL] == 0.0):
             break
     return total
 
@@ -235,7 +237,7 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
     if kind == HINGE:
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[PULL] > 0.0:
-            heed_goals(tree, goal, work, links, points, one, sums, k)
+            heed_goals(tree, goal, work, links, points, one, sums, k, sums[PULL])
         ta, tb = turn_terms(sums, world[k, 5], world[k, 8], world[k, 11])
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])

@@ -8,12 +8,11 @@ lets the joints follow, root to tip, each turning about its real axis inside its
 comes nearest to the wish; on a chain of unlimited balls that is the paper's second half to the letter.
 
 A pose goal fixes the last node: its anchor's wish is where the wanted pose puts it, and the joints whose
-anchors meet there (a ball, a spherical wrist, the last hinge of a planar arm) take the orientation.  A single
-last hinge of another arm cannot, and misses.
+anchors meet there (a ball, a spherical wrist, the last hinge of a planar arm) take the orientation.
 
 A wish says nothing to a hinge of an error across its bone, and hinges whose axes are not parallel would wait
-for each other; so hinges also heed the goal itself a little (``pull``, ours).  Near the full reach of a chain
-progress is slow, as in the paper.
+for each other; so hinges also heed the goal itself a little (``pull``, ours), and so do balls where the last
+joints cannot take the orientation by themselves.  Near the full reach of a chain progress is slow.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -49,7 +48,7 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
-from robot_ik.kernels.turns import PULL, SUM_SIZE
+from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
 from robot_ik.kernels.work import TRY_STEPS, open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
@@ -58,6 +57,8 @@ from robot_ik.solvers.bones import BoneSolver
 _STRAIGHT = 1e-6
 # A goal this near to the full length of the chain, as a share of it, is at it: reaching would take for ever.
 _STRETCHED = 1e-9
+# Anchors nearer than this, metres, are one.
+_NO_BONE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Fabrik(BoneSolver):
     try_steps: int = option(100, "passes granted to a try from a random point", low=1, high=100_000)
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
-    pull: float = option(0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0)
+    pull: float = option(0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0)
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
     kick: float = option(
         0.1, "how far a straight chain is bent before it reaches inwards", low=0.0, high=1.0, unit="bones"
@@ -212,6 +213,23 @@ def straighten(tree, links, points):
 
 
 @outlined
+def lacks_wrist(tree, goal, links, points):
+    """Whether some goal asks for an orientation that the joints at its end cannot take by themselves."""
+    for g in range(goal.kind.shape[0]):
+        k, freedoms = goal.node[g], 0
+        if k < 0 or not turned_goal(goal, g):
+            continue
+        while k >= 0:
+            freedoms += 3 if tree.kind[k] in (BALL, FREE) else (1 if tree.kind[k] == HINGE else 0)
+            if points[k, LENGTH] > _NO_BONE:
+                break
+            k = links[k, UP]
+        if freedoms < 3:
+            return True
+    return False
+
+
+@outlined
 def fabrik_step(tree, goal, work, links, points, one, sums, options):
     """Back from the goals, forward from the root; leaves q moved."""
     n = tree.parent.shape[0]
@@ -219,6 +237,7 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
         for i in range(3):
             points[n + g, WISH + i] = goal.target[g, i]
     locate_all(tree, goal, work, links, points, one)
+    sums[BALL_PULL] = sums[PULL] if lacks_wrist(tree, goal, links, points) else 0.0
     too_far = bend(tree, goal, work, links, points, options[1])
     reach_back(tree, goal, work, links, points)
     if too_far and goal.kind.shape[0] == 1 and work.state[TRY_STEPS] == 0:

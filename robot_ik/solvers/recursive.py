@@ -43,7 +43,7 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.turns import PULL, SUM_SIZE
+from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
 from robot_ik.kernels.work import BEST_COST, open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
@@ -195,6 +195,7 @@ def recursive(tree, goals, work, options):
     best = np.empty(work.best.shape[0])
     link_points(tree, goal, work.nodes, links, points)
     work.step[:] = 0.0
+    sums[BALL_PULL] = 0.0
     sums[PULL] = 0.0
     begin(tree, goal, work)
     while proceed(tree, goal, work):

@@ -43,7 +43,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
-from robot_ik.kernels.turns import PULL, SUM_SIZE
+from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
@@ -178,6 +178,7 @@ def triangulation(tree, goals, work, options):
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
     work.step[:] = 0.0
+    sums[BALL_PULL] = 0.0
     sums[PULL] = options[1]
     begin(tree, goal, work)
     while proceed(tree, goal, work):
