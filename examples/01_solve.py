@@ -24,9 +24,9 @@ def main() -> None:
 
     # 0 1 0 0 turns the gripper half a turn about x: it points straight down.
     goal = rik.PoseGoal("gripper", position=(-0.45, -0.10, 0.80), wxyz=(0, 1, 0, 0))
-    for name in rik.SOLVERS:
-        solution = rik.solve(robot, goal, solver=name)
-        show(name, solution)
+    for name, method in rik.SOLVERS.items():
+        if isinstance(goal, method.goals):  # some methods serve positions only
+            show(name, rik.solve(robot, goal, solver=name))
     q = rik.solve(robot, goal).require().q  # require() raises where there is no solution
     print("q (deg):", np.array2string(np.degrees(q), precision=2, suppress_small=True))
     print("gripper:", robot.forward(q, "gripper"))

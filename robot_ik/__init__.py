@@ -18,6 +18,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from robot_ik.catalogue import catalogue
+    from robot_ik.chain import make_chain
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "robot_ik.catalogue": ("catalogue",),
+    "robot_ik.chain": ("make_chain",),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -74,6 +76,7 @@ __all__ = [
     "joint_move",
     "line_move",
     "load_robot",
+    "make_chain",
     "make_solver",
     "solve",
     "solve_all",

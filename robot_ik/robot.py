@@ -264,7 +264,17 @@ def load_robot(
         UnknownJointError, UnknownFrameError: With the close names.
     """
     path, file = find_robot(name)
-    model = read_model(path)
+    return make_robot(read_model(path), path, file, joints, tool)
+
+
+def make_robot(
+    model: mujoco.MjModel,
+    path: Path,
+    file: RobotFile,
+    joints: Sequence[str] | str | None,
+    tool: str | None,
+) -> Robot:
+    """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
     names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
     active = active_joints(names, joints, file)
     rest = home_qpos(model, path, file)

@@ -27,7 +27,8 @@ logger = logging.getLogger("robot_ik.kernels")
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# All of fastmath that keeps isnan, isinf and isfinite meaning what they say.
+# Not nnan and ninf: comparisons with NaN and infinity must mean what they say.  Even so LLVM folds
+# isfinite(x) of a number that it has just computed to True: test numbers with comparisons instead.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: dict[str, Any] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,

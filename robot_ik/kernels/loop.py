@@ -274,7 +274,7 @@ def advance(tree, goal, work):
     if work.trace.shape[0] > 0:
         record(state, value, work.miss, work.trace)
     cost = value[COST]
-    if not math.isfinite(cost):
+    if not cost < math.inf:  # NaN too
         state[STATUS] = NUMERICAL
         return
     if within:

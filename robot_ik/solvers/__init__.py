@@ -24,6 +24,9 @@ _ROWS: dict[str, tuple[str, str]] = {
     "pseudoinverse": ("pseudoinverse", "Pseudoinverse"),
     "transpose": ("jacobian_transpose", "JacobianTranspose"),
     "ccd": ("ccd", "CyclicCoordinateDescent"),
+    "fabrik": ("fabrik", "Fabrik"),
+    "triangulation": ("triangulation", "Triangulation"),
+    "recursive": ("recursive", "Recursive"),
     "combined": ("combined", "Combined"),
 }
 

@@ -1,0 +1,70 @@
+"""What the geometric methods share on the Python side: which joints and goals they take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
+from robot_ik.goals import Goal, PositionGoal
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.problem import Problem
+from robot_ik.solvers.base import IterativeSolver
+
+_WORDS = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
+
+
+@dataclass(frozen=True)
+class BoneSolver(IterativeSolver):
+    """A method that moves joint positions and lets the joints follow (``kernels/aiming.py``).
+
+    Class attributes:
+        kinds: Joints that it can turn into bones.
+        several: Whether it takes more than one goal at once.
+    """
+
+    goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal,)
+    kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
+    several: ClassVar[bool] = False
+
+    def applies(self, problem: Problem) -> bool:
+        return super().applies(problem) and not self._beyond(problem) and not self._stiff(problem)
+
+    def require_support(self, problem: Problem) -> None:
+        """As every method, and also refuses what cannot be made into bones.
+
+        Raises:
+            UnsupportedGoalError: A kind of goal, a goal without a position, or several at once.
+            UnsupportedJointError: A joint that this method cannot move.
+        """
+        super().require_support(problem)
+        if beyond := self._beyond(problem):
+            from robot_ik.solvers import SOLVERS
+
+            able = [name for name, method in SOLVERS.items() if method().applies(problem)]
+            raise UnsupportedGoalError(self.name, beyond, able)
+        if stiff := self._stiff(problem):
+            raise UnsupportedJointError(
+                f"solver {self.name!r} cannot use the {stiff}; "
+                f"it takes {' and '.join(_WORDS[kind] for kind in self.kinds)} joints",
+                path=problem.robot.path,
+                hint="freeze it with load_robot(…, joints=[…]), or use another solver",
+            )
+
+    def _beyond(self, problem: Problem) -> str:
+        """What about the goals is beyond this method, beside their kind; empty when nothing is."""
+        if len(problem.goals) > 1 and not self.several:
+            return "several goals at once"
+        for goal in problem.goals:
+            if goal.weights[0] <= 0.0 < goal.weights[1]:
+                return f"a {goal.name} whose position weighs nothing"
+        return ""
+
+    def _stiff(self, problem: Problem) -> str:
+        """The first joint that this method cannot move; empty when there is none."""
+        robot = problem.robot
+        for k in problem.nodes:
+            kind = int(robot.tree.kind[k])
+            if kind not in self.kinds:
+                return f"{_WORDS[kind]} joint {robot.joints[int(k)]!r}"
+        return ""

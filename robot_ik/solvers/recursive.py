@@ -1,0 +1,210 @@
+"""The recursive method: the chain is pulled by its end like a chain of rings, or not moved at all.
+
+From the tip: if the last bone can reach the goal by turning, it does.  Otherwise it is moved there, and its
+other end must meet its predecessor: at a point of the circle in which the sphere about the goal (radius:
+this bone) cuts the sphere about the predecessor's own base (radius: that bone).  If they do not cut, the
+bone follows the pull and where its other end comes to lie is the predecessor's goal; so on towards the root.
+On success the joints are turned to match; on failure every move is undone and q is, bit for bit, what it
+was (Aho, Implementation of articulated mechanisms in computer animation, University of Helsinki 2000,
+section 4.3).
+
+``guard`` is ours: a dragged bone turns just so far that the bones before it can still reach its end; without
+it, as published, some reachable goals fail.  Where hinges or limits do not allow the points, the try fails
+and is undone.  One goal, one chain, positions only; no restarts unless asked for.
+"""
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from robot_ik.kernels.aiming import settle
+from robot_ik.kernels.bones import (
+    LENGTH,
+    LINK_COLUMNS,
+    NOW,
+    PATH,
+    POINT_COLUMNS,
+    WISH,
+    across,
+    apart,
+    chain_path,
+    inner_radius,
+    link_points,
+    locate_all,
+    third_side_angle,
+)
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
+from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
+from robot_ik.kernels.work import BEST_COST, open_work
+from robot_ik.solvers.base import option
+from robot_ik.solvers.bones import BoneSolver
+
+# Lengths that agree to this share of the chain are equal.
+_EQUAL = 1e-10
+
+
+@dataclass(frozen=True)
+class Recursive(BoneSolver):
+    """One step is one try, kept whole or undone whole."""
+
+    restarts: int = option(0, "random starts to try from when the first fails", low=0, high=100_000)
+    first_steps: int = option(1, "tries from the start", low=1, high=100_000)
+    try_steps: int = option(1, "tries from a random point", low=1, high=100_000)
+    patience: int = option(1, "tries in vain before a start is given up", low=1, high=1000)
+    guard: bool = option(True, "drag bones only where the bones before them can follow", low=0, high=1)
+    sweeps: int = option(10, "rounds over joints that share an anchor", low=1, high=100)
+
+    name: ClassVar[str] = "recursive"
+    title: ClassVar[str] = "a chain of rings pulled by its end; undone whole where it fails"
+    source: ClassVar[str] = "Aho, University of Helsinki 2000, section 4.3"
+
+    def kernel(self) -> Callable[..., None]:
+        return recursive
+
+    def parameters(self) -> tuple[float, ...]:
+        return (float(self.guard), self.sweeps)
+
+
+@pure
+def meet(points, e, b, p, radius):
+    """Wishes ``b`` on the circle of the spheres about wished ``e`` (its bone) and ``p`` (``radius``).
+
+    Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
+    """
+    length = points[e, LENGTH]
+    far = apart(points, e, WISH, p, NOW)
+    if far > length + radius or far < abs(length - radius) or far == 0.0:
+        return False
+    x = (points[e, WISH] - points[p, NOW]) / far
+    y = (points[e, WISH + 1] - points[p, NOW + 1]) / far
+    z = (points[e, WISH + 2] - points[p, NOW + 2]) / far
+    along = (far * far + radius * radius - length * length) / (2.0 * far)
+    off = math.sqrt(max(0.0, radius * radius - along * along))
+    bx, by, bz = (
+        points[b, NOW] - points[p, NOW],
+        points[b, NOW + 1] - points[p, NOW + 1],
+        points[b, NOW + 2] - points[p, NOW + 2],
+    )
+    s = bx * x + by * y + bz * z
+    bx, by, bz = bx - s * x, by - s * y, bz - s * z
+    norm = math.sqrt(bx * bx + by * by + bz * bz)
+    if norm > 1e-9 * far:
+        bx, by, bz = bx / norm, by / norm, bz / norm
+    else:
+        bx, by, bz = across(x, y, z)
+    points[b, WISH] = points[p, NOW] + along * x + off * bx
+    points[b, WISH + 1] = points[p, NOW + 1] + along * y + off * by
+    points[b, WISH + 2] = points[p, NOW + 2] + along * z + off * bz
+    return True
+
+
+@pure
+def drag(points, e, b, root, low, high, guard):
+    """Wishes ``b`` at bone's length from wished ``e``, towards where it is, [low, high] from the root."""
+    length = points[e, LENGTH]
+    x, y, z = (
+        points[b, NOW] - points[e, WISH],
+        points[b, NOW + 1] - points[e, WISH + 1],
+        points[b, NOW + 2] - points[e, WISH + 2],
+    )
+    norm = math.sqrt(x * x + y * y + z * z)
+    if norm > 0.0:
+        x, y, z = x / norm, y / norm, z / norm
+    else:
+        x, y, z = 0.0, 0.0, 1.0
+    far = apart(points, root, NOW, e, WISH)
+    if guard and far > 0.0 and length > 0.0:
+        rx = (points[root, NOW] - points[e, WISH]) / far
+        ry = (points[root, NOW + 1] - points[e, WISH + 1]) / far
+        rz = (points[root, NOW + 2] - points[e, WISH + 2]) / far
+        along = x * rx + y * ry + z * rz
+        sx, sy, sz = x - along * rx, y - along * ry, z - along * rz
+        sine = math.sqrt(sx * sx + sy * sy + sz * sz)
+        angle = math.atan2(sine, along)
+        allowed = min(max(angle, third_side_angle(length, far, low)), third_side_angle(length, far, high))
+        if allowed != angle:
+            if sine > 1e-9:
+                sx, sy, sz = sx / sine, sy / sine, sz / sine
+            else:
+                sx, sy, sz = across(rx, ry, rz)
+            c, s = math.cos(allowed), math.sin(allowed)
+            x, y, z = c * rx + s * sx, c * ry + s * sy, c * rz + s * sz
+    points[b, WISH] = points[e, WISH] + length * x
+    points[b, WISH + 1] = points[e, WISH + 1] + length * y
+    points[b, WISH + 2] = points[e, WISH + 2] + length * z
+
+
+@outlined
+def pull_chain(tree, goal, links, points, guard):
+    """Wishes of all points, tip to root; False when the root bone cannot follow."""
+    count = chain_path(tree, links)
+    total = 0.0
+    for i in range(count):
+        c = links[i, PATH]
+        total += points[c, LENGTH]
+        for m in range(3):
+            points[c, WISH + m] = points[c, NOW + m]
+    tip, root = links[count - 1, PATH], links[0, PATH]
+    for m in range(3):
+        points[tip, WISH + m] = goal.target[0, m]
+    rest = total
+    for i in range(count - 1, 0, -1):
+        e, b = links[i, PATH], links[i - 1, PATH]
+        if abs(apart(points, e, WISH, b, NOW) - points[e, LENGTH]) <= _EQUAL * total:
+            return True
+        if i == 1:
+            return False
+        rest -= points[e, LENGTH]
+        if not meet(points, e, b, links[i - 2, PATH], points[b, LENGTH]):
+            drag(points, e, b, root, inner_radius(points, links, 1, i), rest, guard)
+        else:
+            return True
+    return False
+
+
+@outlined
+def recursive_step(tree, goal, work, links, points, one, sums, options):
+    """One try; leaves q at the goal, or as it was and returns False."""
+    copy(work.q, work.accepted)
+    locate_all(tree, goal, work, links, points, one)
+    if pull_chain(tree, goal, links, points, options[0] > 0.5):
+        settle(tree, goal, work, links, points, one, sums, int(options[1]))
+        if measure(tree, goal, work):
+            return True
+    copy(work.accepted, work.q)
+    return False
+
+
+@kernel
+def recursive(tree, goals, work, options):
+    """Runs until ``proceed`` says stop; options: guard, sweeps."""
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    count = tree.parent.shape[0] + goal.kind.shape[0]
+    links = np.empty((count, LINK_COLUMNS), dtype=np.int64)
+    points = np.empty((count, POINT_COLUMNS))
+    one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
+    best = np.empty(work.best.shape[0])
+    link_points(tree, goal, work.nodes, links, points)
+    work.step[:] = 0.0
+    sums[BALL_PULL] = 0.0
+    sums[PULL] = 0.0
+    begin(tree, goal, work)
+    while proceed(tree, goal, work):
+        copy(work.best, best)
+        best_cost = work.value[BEST_COST]
+        moved = recursive_step(tree, goal, work, links, points, one, sums, options)
+        advance(tree, goal, work)
+        if not moved:
+            # ``advance`` normalises quaternions: a failure must not change a bit.
+            copy(work.accepted, work.q)
+            copy(best, work.best)
+            work.value[BEST_COST] = best_cost

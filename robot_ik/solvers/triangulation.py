@@ -1,0 +1,186 @@
+"""Triangulation: root to tip, each bone turned by the law of cosines so that a triangle closes.
+
+With a = this bone, b = the rest of the chain stretched out, c = from the joint to the target, the bone makes
+the angle arccos((a² + c² − b²) / 2ac) with the line to the target: straight at it when c ≥ a + b, away from
+it when c ≤ b − a (Müller-Cajar & Mukundan, Triangulation: a new algorithm for inverse kinematics, Image and
+Vision Computing New Zealand 2007).  A chain of unlimited balls is solved by one pass, exactly.
+
+``improved`` (after Mukundan, A robust inverse kinematics algorithm for animating a joint chain, International
+Journal of Computer Applications in Technology 34(4), 2009, which avoids the large angles near the root):
+every bone turns only as far as the rest of the chain needs to be able to close, so most of them stay.
+
+Under limits and on hinges a bone may not reach the side of its triangle; then passes repeat from where the
+last one ended, until they help no more.  One goal, one chain; orientations are not served.
+"""
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from robot_ik.kernels.aiming import fit_joint
+from robot_ik.kernels.bones import (
+    LENGTH,
+    LINK_COLUMNS,
+    NOW,
+    PATH,
+    POINT_COLUMNS,
+    WISH,
+    across,
+    chain_path,
+    inner_radius,
+    link_points,
+    locate,
+    locate_all,
+    third_side_angle,
+)
+from robot_ik.kernels.jit import kernel, outlined
+from robot_ik.kernels.loop import advance, begin, proceed
+from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.tree import HINGE, open_tree
+from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
+from robot_ik.kernels.work import open_work
+from robot_ik.solvers.base import option
+from robot_ik.solvers.bones import BoneSolver
+
+# A bone shorter than this, metres, is none: its ends are one point.
+_NO_BONE = 1e-9
+
+
+@dataclass(frozen=True)
+class Triangulation(BoneSolver):
+    """One step is one pass from the root to the tip."""
+
+    restarts: int = option(100, "random restarts when a try stalls", low=0, high=100_000)
+    first_steps: int = option(60, "passes granted to the try from the start", low=1, high=100_000)
+    try_steps: int = option(60, "passes granted to a try from a random point", low=1, high=100_000)
+    patience: int = option(5, "passes without progress before a try is given up", low=1, high=1000)
+    progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    improved: bool = option(True, "turn each bone no farther than the rest needs", low=0, high=1)
+    pull: float = option(0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0)
+    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
+
+    name: ClassVar[str] = "triangulation"
+    title: ClassVar[str] = "triangles by the law of cosines, root to tip; balls without limits in one pass"
+    source: ClassVar[str] = "Müller-Cajar & Mukundan, IVCNZ 2007; improved: Mukundan, IJCAT 2009"
+
+    def kernel(self) -> Callable[..., None]:
+        return triangulation
+
+    def parameters(self) -> tuple[float, ...]:
+        return (float(self.improved), self.pull, self.sweeps)
+
+
+@outlined
+def side(tree, work, links, p, c, x, y, z):
+    """To which side a bone leaves the line (x, y, z) it lies on: where its hinge, or the next, can go."""
+    world = work.world
+    for k in (p, c):
+        if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
+            u, v, w = world[k, 5], world[k, 8], world[k, 11]
+            sx, sy, sz = v * z - w * y, w * x - u * z, u * y - v * x
+            norm = math.sqrt(sx * sx + sy * sy + sz * sz)
+            if norm > 1e-6:
+                return sx / norm, sy / norm, sz / norm
+    return across(x, y, z)
+
+
+@outlined
+def bone_direction(tree, work, goal, links, points, i, j, count, improved):
+    """Unit vector along which the bone from path[i] to path[j] should lie."""
+    p, c = links[i, PATH], links[j, PATH]
+    a, b = points[c, LENGTH], 0.0
+    for m in range(j + 1, count):
+        b += points[links[m, PATH], LENGTH]
+    ux = (points[c, NOW] - points[p, NOW]) / a
+    uy = (points[c, NOW + 1] - points[p, NOW + 1]) / a
+    uz = (points[c, NOW + 2] - points[p, NOW + 2]) / a
+    tx = goal.target[0, 0] - points[p, NOW]
+    ty = goal.target[0, 1] - points[p, NOW + 1]
+    tz = goal.target[0, 2] - points[p, NOW + 2]
+    far = math.sqrt(tx * tx + ty * ty + tz * tz)
+    if far <= _NO_BONE:  # whichever way it points, the rest is as far away
+        return ux, uy, uz
+    tx, ty, tz = tx / far, ty / far, tz / far
+    along = ux * tx + uy * ty + uz * tz
+    sx, sy, sz = ux - along * tx, uy - along * ty, uz - along * tz
+    sine = math.sqrt(sx * sx + sy * sy + sz * sz)
+    angle = third_side_angle(a, far, b)
+    if improved:
+        least = third_side_angle(a, far, inner_radius(points, links, j + 1, count))
+        angle = min(max(math.atan2(sine, along), least), angle)
+    if sine > 1e-9:
+        sx, sy, sz = sx / sine, sy / sine, sz / sine
+    else:
+        sx, sy, sz = side(tree, work, links, p, c, tx, ty, tz)
+    k, s = math.cos(angle), math.sin(angle)
+    return k * tx + s * sx, k * ty + s * sy, k * tz + s * sz
+
+
+@outlined
+def wish_bone(tree, work, goal, links, points, i, j, count, improved):
+    """Wishes for the end of the bone from path[i] to path[j], and for the points after it on one line."""
+    p, a = links[i, PATH], points[links[j, PATH], LENGTH]
+    dx, dy, dz = bone_direction(tree, work, goal, links, points, i, j, count, improved)
+    x, y, z = points[p, NOW] + a * dx, points[p, NOW + 1] + a * dy, points[p, NOW + 2] + a * dz
+    # The rest on the line from there to the target.
+    dx, dy, dz = goal.target[0, 0] - x, goal.target[0, 1] - y, goal.target[0, 2] - z
+    far = math.sqrt(dx * dx + dy * dy + dz * dz)
+    s = 1.0 / far if far > _NO_BONE else 0.0
+    along = 0.0
+    for m in range(i + 1, count):
+        e = links[m, PATH]
+        if m < j:
+            for r in range(3):
+                points[e, WISH + r] = points[p, NOW + r]
+            continue
+        along += points[e, LENGTH] if m > j else 0.0
+        points[e, WISH] = x + s * along * dx
+        points[e, WISH + 1] = y + s * along * dy
+        points[e, WISH + 2] = z + s * along * dz
+
+
+@outlined
+def triangulation_step(tree, goal, work, links, points, one, sums, options):
+    """One pass from the root to the tip; leaves q moved."""
+    improved, sweeps = options[0] > 0.5, int(options[2])
+    locate_all(tree, goal, work, links, points, one)
+    count = chain_path(tree, links)
+    head = 0
+    while head < count - 1:
+        # Joints head … last share an anchor; the bone goes from them to path[last + 1].
+        last = head
+        while last < count - 2 and points[links[last + 1, PATH], LENGTH] <= _NO_BONE:
+            last += 1
+        bone = points[links[last + 1, PATH], LENGTH] > _NO_BONE
+        for _ in range(sweeps if last > head else 1):
+            for i in range(head, last + 1):
+                for m in range(i, count):  # what hangs on the joints turned so far
+                    locate(tree, goal, work, points, one, links[m, PATH])
+                if bone:
+                    wish_bone(tree, work, goal, links, points, i, last + 1, count, improved)
+                    fit_joint(tree, goal, work, links, points, one, sums, links[i, PATH])
+        head = last + 1
+
+
+@kernel
+def triangulation(tree, goals, work, options):
+    """Runs until ``proceed`` says stop; options: improved, pull, sweeps."""
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    count = tree.parent.shape[0] + goal.kind.shape[0]
+    links = np.empty((count, LINK_COLUMNS), dtype=np.int64)
+    points = np.empty((count, POINT_COLUMNS))
+    one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
+    link_points(tree, goal, work.nodes, links, points)
+    work.step[:] = 0.0
+    sums[BALL_PULL] = 0.0
+    sums[PULL] = options[1]
+    begin(tree, goal, work)
+    while proceed(tree, goal, work):
+        triangulation_step(tree, goal, work, links, points, one, sums, options)
+        advance(tree, goal, work)

@@ -1,0 +1,162 @@
+"""fabrik: the paper's points on balls, real joints on arms, trees, and poses where a wrist takes them."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import robot_ik as rik
+from robot_ik.chain import robot_from_model
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.solution import Status
+from robot_ik.solvers import make_solver
+
+TIGHT = Tolerance(position=1e-9, angle=1e-7)
+
+
+def places(robot, q, names):
+    return np.array([robot.measure(q, name).position for name in names])
+
+
+def textbook(points, target):
+    """One pass of Aristidou & Lasenby's algorithm 1 on bare points (n + 1, 3)."""
+    p = points.copy()
+    length = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    root = p[0].copy()
+    p[-1] = target
+    for i in reversed(range(len(length))):
+        p[i] = p[i + 1] + length[i] * (p[i] - p[i + 1]) / np.linalg.norm(p[i] - p[i + 1])
+    p[0] = root
+    for i in range(len(length)):
+        p[i + 1] = p[i] + length[i] * (p[i + 1] - p[i]) / np.linalg.norm(p[i + 1] - p[i])
+    return p
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 8])
+def test_on_unlimited_balls_each_pass_is_the_papers(n):
+    robot = rik.make_chain(n)
+    names = [f"link{i}" for i in range(1, n + 1)] + ["tip"]
+    rng = np.random.default_rng(n)
+    for _ in range(10):
+        start = robot.sample(rng)
+        target = rng.normal(size=3) * n / 4
+        points = places(robot, start, names)
+        for passes in (1, 2, 3):
+            points = textbook(points, target)
+            # The last pass, not the best: a longer budget would begin from the same start.
+            problem = Problem(
+                robot, PositionGoal(None, target), tolerance=Tolerance(1e-12, 1e-12),
+                budget=Budget(iterations=passes), trace=True,
+            )  # fmt: skip
+            solution = make_solver("fabrik").solve(problem, start)
+            if len(solution.trace) < passes:
+                break
+            miss = np.linalg.norm(points[-1] - target)
+            assert solution.trace[-1].position == pytest.approx(miss, abs=1e-9)
+            if solution.miss.position == pytest.approx(miss, abs=1e-12):
+                np.testing.assert_allclose(places(robot, solution.q, names), points, atol=1e-8)
+
+
+@pytest.mark.parametrize("n", range(2, 11))
+def test_balls_reach_everything_inside_and_stretch_towards_the_rest(n):
+    robot = rik.make_chain(n, 0.5)
+    rng = np.random.default_rng(n)
+    for reach in rng.uniform(0.02, 0.98, 6):
+        direction = rng.normal(size=3)
+        target = direction / np.linalg.norm(direction) * reach * 0.5 * n
+        solution = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, target)), robot.sample(rng))
+        assert solution.converged and solution.restarts == 0
+        far = target / reach * 1.3
+        beyond = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, far)), robot.sample(rng))
+        assert beyond.status is Status.UNREACHABLE
+        assert beyond.miss.position == pytest.approx(0.3 * 0.5 * n, abs=1e-9)
+        tip = robot.measure(beyond.q).position
+        np.testing.assert_allclose(tip, far / 1.3, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_the_last_ball_takes_the_orientation(n):
+    robot = rik.make_chain(n)
+    rng = np.random.default_rng(n)
+    tried = 0
+    while tried < 8:
+        pose, start = robot.forward(robot.sample(rng)), robot.sample(rng)
+        if np.linalg.norm(pose.position - pose.rotation[:, 2]) > 0.97 * (n - 1):
+            continue  # nearly stretched: hundreds of passes
+        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=Tolerance(1e-6, 1e-6))
+        solution = make_solver("fabrik").solve(problem, start)
+        assert solution.converged and solution.restarts == 0
+        tried += 1
+
+
+def test_half_a_turn_of_the_last_link_is_no_trap():
+    robot = rik.make_chain(3)
+    goal = PoseGoal(None, (0.5, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
+    assert make_solver("fabrik", restarts=0).solve(Problem(robot, goal)).converged
+
+
+Y = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="trunk"><joint type="ball"/><geom size="0.05"/>
+ <body name="chest" pos="0 0 0.5"><joint name="waist" type="ball" range="0 0.9" limited="true"/>
+  <geom size="0.05"/>
+  <body name="left1" pos="0 0.2 0.3"><joint type="ball"/><geom size="0.05"/>
+   <body name="left2" pos="0 0.3 0"><joint axis="0 0 1" range="-0.2 2.4"/><geom size="0.05"/>
+    <site name="left" pos="0 0.3 0"/></body></body>
+  <body name="right1" pos="0 -0.2 0.3"><joint type="ball"/><geom size="0.05"/>
+   <body name="right2" pos="0 -0.3 0"><joint axis="0 0 1" range="-2.4 0.2"/><geom size="0.05"/>
+    <site name="right" pos="0 -0.3 0"/></body></body>
+</body></body></worldbody></mujoco>"""
+
+
+def test_a_tree_serves_several_goals_through_its_sub_base():
+    robot = robot_from_model(mujoco.MjModel.from_xml_string(Y), tool="left")
+    rng = np.random.default_rng(0)
+    solved = 0
+    for _ in range(20):
+        q = robot.sample(rng)
+        goals = [PositionGoal(side, robot.forward(q, side).position) for side in ("left", "right")]
+        solution = make_solver("fabrik").solve(Problem(robot, goals))
+        assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
+        assert solution.converged == (max(m.position for m in solution.misses) <= 1e-4)
+        solved += solution.converged
+    assert solved >= 18, solved
+
+
+def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
+    robot = robot_from_model(mujoco.MjModel.from_xml_string(Y), tool="left")
+    misses = []
+    for weight in (0.1, 10.0):
+        goals = [
+            PositionGoal("left", (0.0, 2.0, 0.5), weight=weight),
+            PositionGoal("right", (0.0, -2.0, 0.5), weight=1.0),
+        ]
+        solution = make_solver("fabrik").solve(Problem(robot, goals, budget=Budget(restarts=0)))
+        assert not solution.converged
+        misses.append(solution.misses[0].position)
+    assert misses[1] < misses[0] - 0.05
+
+
+def test_slides_and_floating_bases_come_along():
+    rail = """<mujoco><worldbody><body name="car"><joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>
+     <geom size="0.1"/><body pos="0 0 0.1"><joint type="ball"/><geom size="0.1"/><body pos="0 0 0.3">
+     <joint type="ball"/><geom size="0.1"/><site name="tip" pos="0 0 0.3"/></body></body></body>
+     </worldbody></mujoco>"""
+    robot = robot_from_model(mujoco.MjModel.from_xml_string(rail), tool="tip")
+    solution = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, (1.2, 0.2, 0.3))))
+    assert solution.converged and -1.0 <= solution.q[0] <= 1.0
+    floating = rail.replace('<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>', "<freejoint/>")
+    robot = robot_from_model(mujoco.MjModel.from_xml_string(floating), tool="tip")
+    goals = [PositionGoal("tip", (3.0, 0.2, 0.3)), PositionGoal("car", (2.7, 0.0, 0.1))]
+    assert make_solver("fabrik").solve(Problem(robot, goals)).converged
+
+
+@pytest.mark.parametrize("kind", ["position", "pose"])
+def test_solve_rate_on_the_puma(kind):
+    robot = rik.load_robot("puma560")
+    rng = np.random.default_rng(20)
+    solved = 0
+    for _ in range(40):
+        pose = robot.forward(robot.sample(rng))
+        goal = PositionGoal(None, pose.position) if kind == "position" else PoseGoal.at(None, pose)
+        solved += make_solver("fabrik").solve(Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4))).converged
+    assert solved / 40 >= {"position": 0.95, "pose": 0.5}[kind], solved

@@ -1,0 +1,101 @@
+"""triangulation: one pass on balls, exactly; the improved version spares the root; honest on hinges."""
+
+import numpy as np
+import pytest
+
+import robot_ik as rik
+from robot_ik.goals import PositionGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.solution import Status
+from robot_ik.solvers import make_solver
+
+TIGHT = Tolerance(position=1e-9, angle=1e-9)
+both = pytest.mark.parametrize("improved", [False, True])
+
+
+def draws(robot, n, length, seed):
+    rng = np.random.default_rng(seed)
+    for reach in [*rng.uniform(0.0, 1.0, 8), 1e-6, 1.0 - 1e-6]:
+        direction = rng.normal(size=3)
+        yield direction / np.linalg.norm(direction) * reach * n * length, robot.sample(rng)
+
+
+@both
+@pytest.mark.parametrize("n", range(2, 11))
+def test_balls_reach_everything_inside_in_one_pass(n, improved):
+    robot = rik.make_chain(n, 0.7)
+    solver = make_solver("triangulation", improved=improved)
+    for target, start in draws(robot, n, 0.7, n):
+        solution = solver.solve(Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start)
+        assert solution.converged and solution.iterations <= 1
+
+
+@both
+@pytest.mark.parametrize("n", range(1, 11))
+def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
+    robot = rik.make_chain(n)
+    solver = make_solver("triangulation", improved=improved)
+    for target, start in draws(robot, n, 1.0, n):
+        far = target / np.linalg.norm(target) * n * 1.2
+        solution = solver.solve(Problem(robot, PositionGoal(None, far), tolerance=TIGHT), start)
+        assert solution.status is Status.UNREACHABLE
+        for i in range(2, n + 1):
+            place = robot.measure(solution.q, f"link{i}").position
+            np.testing.assert_allclose(place, far / np.linalg.norm(far) * (i - 1), atol=1e-9)
+        assert solution.miss.position == pytest.approx(0.2 * n, abs=1e-9)
+
+
+def test_the_textbook_triangle():
+    """Two links of 1 and a target at distance 1: the corner of an equilateral triangle."""
+    robot = rik.make_chain(2)
+    solver = make_solver("triangulation", improved=False)
+    start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.0, 0.0])  # leans towards +x
+    solution = solver.solve(Problem(robot, PositionGoal(None, (1.0, 0.0, 0.0)), tolerance=TIGHT), start)
+    np.testing.assert_allclose(
+        robot.measure(solution.q, "link2").position, [0.5, 0.0, np.sqrt(0.75)], atol=1e-9
+    )
+
+
+def test_the_improved_version_turns_less_near_the_root():
+    robot = rik.make_chain(8)
+    rng = np.random.default_rng(4)
+    turned = {False: 0.0, True: 0.0}
+    moved = {False: 0, True: 0}
+    for _ in range(20):
+        start = robot.sample(rng)
+        target = robot.forward(start).position + rng.normal(size=3) * 0.3
+        for improved in turned:
+            solution = make_solver("triangulation", improved=improved).solve(
+                Problem(robot, PositionGoal(None, target)), start
+            )
+            assert solution.converged
+            q, p = solution.q.reshape(8, 4), start.reshape(8, 4)
+            angles = 2.0 * np.arccos(np.clip(np.abs((q * p).sum(axis=1)), 0.0, 1.0))
+            turned[improved] += angles[0]
+            moved[improved] += int((angles > 1e-6).sum())
+    assert turned[True] < 0.2 * turned[False]
+    assert moved[True] < 0.6 * moved[False]
+
+
+@both
+def test_on_hinges_a_miss_is_honest(improved):
+    robot = rik.load_robot("puma560")
+    rng = np.random.default_rng(6)
+    solver = make_solver("triangulation", improved=improved, restarts=3)
+    for _ in range(10):
+        target = robot.forward(robot.sample(rng)).position
+        solution = solver.solve(Problem(robot, PositionGoal(None, target), budget=Budget(iterations=100)))
+        miss = np.linalg.norm(robot.measure(solution.q).position - target)
+        assert solution.converged == (miss <= 1e-4)
+        assert np.array_equal(robot.clip(solution.q), solution.q)
+
+
+def test_solve_rate_on_the_puma():
+    robot = rik.load_robot("puma560")
+    rng = np.random.default_rng(20)
+    solved = 0
+    for _ in range(40):
+        goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
+        problem = Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4))
+        solved += make_solver("triangulation").solve(problem).converged
+    assert solved / 40 >= 0.95, solved
