@@ -128,9 +128,7 @@ def test_a_goal_behind_a_joint_limit_does_not_shake_the_arm(puma):
 
 def test_until_ends_the_loop(puma):
     goal = FixedGoal(beside(puma, (0.02, 0.0, 0.0)))
-    report, _ = run(
-        puma, goal, duration=60.0, until=lambda tick: tick.solution.converged and not tick.capped
-    )
+    report, _ = run(puma, goal, duration=60.0, until=lambda tick: tick.solution.converged and not tick.capped)
     assert report.ticks < 200 and report.last.converged
 
 
@@ -174,9 +172,7 @@ def test_a_stall_is_counted_and_not_made_up(puma):
             clock.sleep_until(clock.now() + 0.1)
 
     goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
-    report = follow(
-        goal, puma, "lm", [recorder], clock=clock, start=puma.home, duration=1.0, on_tick=stall
-    )
+    report = follow(goal, puma, "lm", [recorder], clock=clock, start=puma.home, duration=1.0, on_tick=stall)
     assert report.overruns == 2 and report.slipped == pytest.approx(0.18)
     assert report.ticks == 100 and np.diff(recorder.trajectory().times).min() == pytest.approx(0.01)
     assert report.rate < 90.0
