@@ -70,10 +70,10 @@ def test_an_instance_takes_no_options(puma, goal):
         rik.solve(puma, goal, solver=make_solver("dls"), restarts=3)
 
 
-@pytest.mark.parametrize(("asked", "found"), [(name, name) for name in ITERATIVE])
-def test_the_answer_names_the_method_that_found_it(puma, goal, asked, found):
-    solution = rik.solve(puma, goal, solver=asked, tolerance=rik.Tolerance(1e-3, 1e-2))
-    assert solution.solver == found and solution.converged and solution.seconds > 0
+@pytest.mark.parametrize("name", [name for name in ITERATIVE if rik.PoseGoal in SOLVERS[name].goals])
+def test_the_answer_names_the_method_that_found_it(puma, goal, name):
+    solution = rik.solve(puma, goal, solver=name, tolerance=rik.Tolerance(1e-3, 1e-2))
+    assert solution.solver == name and solution.converged and solution.seconds > 0
 
 
 def test_defaults_are_home_a_tenth_of_a_millimetre_and_a_milliradian(puma, goal):
