@@ -38,6 +38,9 @@ class Status(enum.IntEnum):
         return _MEANING[self]
 
 
+# By number, which is quicker than asking the enumeration.
+STATUS_OF = {int(status): status for status in Status}
+
 _MEANING = {
     Status.CONVERGED: "every goal is within tolerance",
     Status.STALLED: "no step improves it any more; the nearest point found is kept",

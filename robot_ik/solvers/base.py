@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.goals import GOALS, Goal
 from robot_ik.kernels import jit, work
-from robot_ik.problem import Problem
-from robot_ik.solution import Solution, Status
+from robot_ik.problem import Budget, Problem
+from robot_ik.solution import STATUS_OF, Solution, Status
 
 Array = NDArray[np.float64]
 
@@ -123,6 +123,20 @@ class Solver(ABC):
             answers.miss[row] = solution.miss.position, solution.miss.angle
 
 
+@dataclass(frozen=True, eq=False)
+class _Ready:
+    """What a solver needs for every solve of one problem, made once: the hot loop only copies it.
+
+    ``asked`` are the solver, budget and seed that it was made for.
+    """
+
+    asked: tuple[Solver, Budget, int]
+    kernel: Callable[..., None]
+    arguments: tuple[Any, ...]
+    state: NDArray[np.int64]
+    value: Array
+
+
 @dataclass(frozen=True)
 class IterativeSolver(Solver):
     """A method that takes steps: the shared loop does the rest."""
@@ -146,21 +160,24 @@ class IterativeSolver(Solver):
         return np.array(self.parameters(), dtype=float)
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        self.require_support(problem)
         robot, arrays = problem.robot, problem.arrays
         q = robot.home if start is None else robot.check_q(start, "start")
-        kernel = self.kernel()
-        jit.announce(kernel, f"solver {self.name!r}")
+        ready = self._ready(problem)
         began = time.perf_counter()
-        unreachable = self._prepare(problem, q)
-        run = (robot.tree.handle, problem.handle, problem.work, self._options)
         state = arrays["state"]
-        if problem.budget.seconds is None:
-            kernel(*run)
+        np.copyto(state, ready.state)
+        np.copyto(arrays["value"], ready.value)
+        np.copyto(arrays["start"], q)
+        unreachable = problem.out_of_reach()
+        if unreachable:  # the proof says that no start will help
+            state[work.MAX_RESTARTS], state[work.FIRST_STEPS] = 0, work.NO_LIMIT
+        seconds = problem.budget.seconds
+        if seconds is None:
+            ready.kernel(*ready.arguments)
         else:
-            self._in_slices(kernel, run, state, began + problem.budget.seconds)
-        seconds = time.perf_counter() - began
-        status = Status(int(state[work.STATUS]))
+            self._in_slices(ready.kernel, ready.arguments, state, began + seconds)
+        took = time.perf_counter() - began
+        status = STATUS_OF[int(state[work.STATUS])]
         if unreachable and status is not Status.CONVERGED:
             status = Status.UNREACHABLE
         rows = int(state[work.TRACE_ROWS])
@@ -169,7 +186,7 @@ class IterativeSolver(Solver):
             status=status,
             iterations=int(state[work.ITERATIONS]),
             restarts=int(state[work.RESTARTS]),
-            seconds=seconds,
+            seconds=took,
             solver=self.name,
             robot=robot,
             goals=tuple(problem.goals),
@@ -177,18 +194,25 @@ class IterativeSolver(Solver):
             trace_rows=arrays["trace"][:rows].copy() if rows else None,
         )
 
-    def _prepare(self, problem: Problem, q: Array) -> bool:
-        """Sets the loop's state for a new solve; returns whether the goal is proven out of reach."""
-        unreachable = problem.out_of_reach()
-        self._set_state(problem, 0 if unreachable else None)  # the proof says that no start will help
-        problem.arrays["start"][:] = q
-        return unreachable
+    def _ready(self, problem: Problem) -> _Ready:
+        ready: _Ready | None = problem.prepared.get("steps")
+        asked = (self, problem.budget, problem.seed)
+        if ready is not None and all(a is b for a, b in zip(ready.asked, asked, strict=True)):
+            return ready
+        self.require_support(problem)
+        kernel = self.kernel()
+        jit.announce(kernel, f"solver {self.name!r}")
+        self._set_state(problem)
+        arguments = (problem.robot.tree.handle, problem.handle, problem.work, self._options)
+        state, value = problem.arrays["state"].copy(), problem.arrays["value"].copy()
+        ready = _Ready(asked, kernel, arguments, state, value)
+        problem.prepared["steps"] = ready
+        return ready
 
-    def _set_state(self, problem: Problem, restarts: int | None = None) -> None:
-        """The state a solve begins with; ``restarts`` None: as budget and options say."""
+    def _set_state(self, problem: Problem) -> None:
+        """The state a solve begins with."""
         arrays, budget = problem.arrays, problem.budget
-        if restarts is None:
-            restarts = self.restarts if budget.restarts is None else budget.restarts
+        restarts = self.restarts if budget.restarts is None else budget.restarts
         state, value = arrays["state"], arrays["value"]
         state[:] = 0
         state[work.MAX_ITERATIONS] = budget.iterations

@@ -63,7 +63,8 @@ def test_a_batch_gives_the_same_answers_as_one_by_one(puma, name, threads, monke
         problem.retarget(matrices[row])
         alone = solver.solve(problem, starts[row])
         assert batch.status[row] == alone.status
-        assert np.array_equal(batch.q[row], alone.q)
+        # Two compiled versions of one source may differ in the last bits (multiply-add, order of sums).
+        np.testing.assert_allclose(batch.q[row], alone.q, atol=1e-7)
         assert batch.position_miss[row] == pytest.approx(alone.miss.position, abs=1e-9)
         assert batch.angle_miss[row] == pytest.approx(alone.miss.angle, abs=1e-6)
     assert batch.status[3] == Status.UNREACHABLE

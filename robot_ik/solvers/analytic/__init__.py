@@ -36,7 +36,7 @@ from robot_ik.kernels.work import (
     open_work,
 )
 from robot_ik.problem import Problem
-from robot_ik.solution import Solution, Status
+from robot_ik.solution import STATUS_OF, Solution
 from robot_ik.solvers.analytic.choose import nearest
 from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
 from robot_ik.solvers.analytic.planar import planar_two_link
@@ -66,11 +66,19 @@ SOLVE, EVERY, LOOK = range(3)
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A closed form made ready for one problem; keeps the arrays that ``table`` points to."""
+    """A closed form made ready for one problem; keeps the arrays that the last table points to.
+
+    Attributes:
+        form: Which one.
+        arrays: By their names in ``FORM``.
+        tables: What the kernels take first: tree, goals, work space, form.
+        family: The form's number.
+    """
 
     form: Form
     arrays: dict[str, Any]
-    table: Any
+    tables: tuple[Any, Any, Any, Any]
+    family: int
 
 
 @dataclass(frozen=True)
@@ -108,20 +116,17 @@ class Analytic(Solver):
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         prepared = self._require(problem)
         robot, arrays = problem.robot, problem.arrays
-        arrays["start"][:] = robot.home if start is None else robot.check_q(start, "start")
-        jit.announce(closed_form, f"solver {self.name!r}")
+        np.copyto(arrays["start"], robot.home if start is None else robot.check_q(start, "start"))
         began = time.perf_counter()
         budget = problem.budget
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
-        closed_form(
-            robot.tree.handle, problem.handle, problem.work, prepared.table, int(prepared.form.family), mode
-        )
+        closed_form(*prepared.tables, prepared.family, mode)
         state = arrays["state"]
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
         return Solution(
             q=arrays["best"].copy(),
-            status=Status(int(state[STATUS])),
+            status=STATUS_OF[int(state[STATUS])],
             iterations=int(state[ITERATIONS]),
             restarts=0,
             seconds=time.perf_counter() - began,
@@ -136,16 +141,14 @@ class Analytic(Solver):
         prepared = self._require(problem)
         jit.announce(closed_form_many, f"batches of solver {self.name!r}")
         closed_form_many(
-            problem.robot.tree.handle, problem.handle, problem.work, prepared.table,
-            int(prepared.form.family), targets, starts, answers.q, answers.status, answers.miss,
-        )  # fmt: skip
+            *prepared.tables, prepared.family, targets, starts, answers.q, answers.status, answers.miss
+        )
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``."""
         prepared, arrays = self._require(problem), problem.arrays
         arrays["start"][:] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
-        run = (problem.robot.tree.handle, problem.handle, problem.work, prepared.table)
-        closed_form(*run, int(prepared.form.family), EVERY)
+        closed_form(*prepared.tables, prepared.family, EVERY)
         names = BRANCH_NAMES[prepared.form.family]
         found: list[tuple[str, Array]] = []
         for row, angles in enumerate(prepared.arrays["branches"]):
@@ -189,7 +192,9 @@ def _prepare(problem: Problem) -> Prepared | None:
         "branches": np.zeros((8, n)),
         "target": problem.target,
     }
-    return Prepared(form, arrays, FORM.pack(arrays))
+    jit.announce(closed_form, "closed forms")
+    tables = (tree.handle, problem.handle, problem.work, FORM.pack(arrays))
+    return Prepared(form, arrays, tables, int(form.family))
 
 
 @outlined
