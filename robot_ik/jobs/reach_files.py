@@ -7,7 +7,6 @@ import datetime
 import io
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from robot_ik.camera.overlay import (
     draw_marker_outline,
     draw_robot,
 )
-from robot_ik.files import write_atomically
+from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.reach_report import ReachReport
 from robot_ik.jobs.verdict import Judgement
@@ -244,16 +243,3 @@ def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
 
 def _pose(pose: Pose) -> dict[str, Any]:
     return {"position": pose.position, "wxyz": pose.wxyz}
-
-
-def plain(value: Any) -> Any:
-    """``value`` as JSON can hold it: arrays become lists, numbers that are not finite become null."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    return value

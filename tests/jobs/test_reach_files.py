@@ -14,9 +14,9 @@ import pytest
 
 from robot_ik.camera.overlay import draw_robot
 from robot_ik.errors import OutputError
-from robot_ik.files import folder_for_results
+from robot_ik.files import folder_for_results, plain
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.reach_files import plain, reach_picture, reach_summary, run_folder, save_reach
+from robot_ik.jobs.reach_files import reach_picture, reach_summary, run_folder, save_reach
 
 # Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
 DOCUMENTED = {
