@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.catalogue import find_robot
 from robot_ik.errors import (
     ConfigError,
     MarkerNotFoundError,
@@ -18,6 +19,7 @@ from robot_ik.errors import (
 )
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose
+from robot_ik.jobs.ahead import CompiledAhead
 from robot_ik.jobs.cameras import open_eyes
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
 from robot_ik.jobs.reach_report import SOLVE_TOLERANCE, ReachReport
@@ -70,15 +72,19 @@ def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: N
             "a goal that is given does not move, so there is nothing to follow",
             file="command line", key="--follow", allowed="without --goal, so that a marker is the goal",
         )  # fmt: skip
-    limbs = prepare_limbs(request)
-    frame = limbs.frame
+    method = request.solver or find_robot(request.robot)[1].solver or "auto"
     with contextlib.ExitStack() as stack:
+        ahead = stack.enter_context(CompiledAhead(request.robot, method))
+        limbs = prepare_limbs(request)
+        frame = limbs.frame
         eyes = open_eyes(request, limbs, frame, stack)
         window = _window(request, limbs, stack)
         stack.enter_context(limbs.connected())
         report = ReachReport(request, limbs.robot, frame, limbs, eyes)
         try:
-            _aim(report, progress)
+            _look(report, progress)
+            ahead.wait()
+            _solve(report, method, progress)
             limbs.energise()
             _reach(report, window, progress)
         except _NOT_ACHIEVED as problem:
@@ -95,9 +101,9 @@ def _window(request: ReachRequest, limbs: Limbs, stack: contextlib.ExitStack) ->
     return stack.enter_context(WindowSink(limbs.robot, start=limbs.q))
 
 
-def _aim(report: ReachReport, progress: Progress) -> None:
-    """Finds the goal, by eye or as given, and the joint angles for it.  Nothing moves."""
-    request, robot, eyes = report.request, report.robot, report.eyes
+def _look(report: ReachReport, progress: Progress) -> None:
+    """Finds the goal, by eye or as given."""
+    request, eyes = report.request, report.eyes
     if request.goal is not None:
         report.goal = request.goal
         if eyes is not None:
@@ -113,11 +119,15 @@ def _aim(report: ReachReport, progress: Progress) -> None:
         if request.follow > 0.0:
             eyes.get_ready_to_follow()
     report.target = report.goal.target
+
+
+def _solve(report: ReachReport, method: str, progress: Progress) -> None:
+    """Finds joint angles for the goal.  Nothing moves."""
+    assert report.goal is not None
     report.q_start = report.limbs.q.copy()
     progress("solving", 0.0)
-    name = request.solver or robot.file.solver or "auto"
-    solver = make_solver(name)
-    problem = Problem(robot, report.goal, tolerance=SOLVE_TOLERANCE, seed=request.seed)
+    solver = make_solver(method)
+    problem = Problem(report.robot, report.goal, tolerance=SOLVE_TOLERANCE, seed=report.request.seed)
     report.solution = solver.solve(problem, report.q_start)
     # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
     report.microseconds = 1e6 * solver.solve(problem, report.q_start).seconds

@@ -104,6 +104,11 @@ def outlined(function: F) -> F:
     return _compile(function, _nrt=False)
 
 
+def compiled(function: Any) -> bool:
+    """Whether an entry point has been compiled on this machine, from these sources."""
+    return any(cache_folder().rglob(f"*.{function.__name__}-*.nbi"))
+
+
 _announced: set[str] = set()
 
 
@@ -113,5 +118,5 @@ def announce(function: Any, what: str) -> None:
     if name in _announced:
         return
     _announced.add(name)
-    if not any(cache_folder().rglob(f"*.{name}-*.nbi")):
+    if not compiled(function):
         logger.info("compiling %s: some seconds, once on this machine", what)

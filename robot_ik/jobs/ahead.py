@@ -1,0 +1,61 @@
+"""Compiles a method in a process of its own while this one looks through the camera.
+
+Compiling takes longer than all the rest of a first run together, and Python compiles one thing at a time.
+What the other process has compiled is taken from the cache; should it fail, nothing is lost but time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from types import TracebackType
+from typing import Self
+
+from robot_ik.kernels import jit
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.base import IterativeSolver
+
+# A solve from the goal itself compiles everything and takes no step.
+_PROGRAM = """
+import sys
+import robot_ik as rik
+robot = rik.load_robot(sys.argv[1])
+rik.solve(robot, rik.PositionGoal(None, robot.forward(robot.home).position), solver=sys.argv[2])
+"""
+
+
+class CompiledAhead:
+    """Starts compiling ``solver``, if that is still to be done; ``wait`` before the first solve.
+
+    Args:
+        robot: As for ``load_robot``.
+        solver: Name of a method.
+    """
+
+    def __init__(self, robot: str, solver: str) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        method = make_solver(solver)
+        if not isinstance(method, IterativeSolver) or jit.compiled(method.kernel()):
+            return
+        jit.announce(method.kernel(), f"solver {solver!r}")
+        quiet = subprocess.DEVNULL
+        with contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _PROGRAM, robot, solver], stdin=quiet, stdout=quiet, stderr=quiet
+            )
+
+    def wait(self) -> None:
+        """Returns when it is done, or has failed."""
+        if self._process is not None:
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()

@@ -1,0 +1,61 @@
+"""Compiling in a process of its own: only when it is due, never in the way, never left behind."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_ik.jobs import ahead
+from robot_ik.jobs.ahead import CompiledAhead
+from robot_ik.kernels import jit
+
+
+@pytest.fixture
+def due(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine where nothing has been compiled yet."""
+    monkeypatch.setattr(jit, "compiled", lambda function: False)
+
+
+def test_it_runs_for_the_robot_and_method_that_were_asked_for(
+    due: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    note = tmp_path / "note"
+    program = f"import sys, pathlib; pathlib.Path({str(note)!r}).write_text(' '.join(sys.argv[1:]))"
+    monkeypatch.setattr(ahead, "_PROGRAM", program)
+    with CompiledAhead("puma560", "lm") as compiling:
+        compiling.wait()
+    assert note.read_text() == "puma560 lm"
+
+
+def test_the_program_is_one_that_solves(due: None) -> None:
+    with CompiledAhead("puma560", "lm") as compiling:
+        process = compiling._process
+        compiling.wait()
+    assert process is not None and process.returncode == 0
+
+
+def test_one_that_is_slow_is_not_left_behind(due: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_PROGRAM", "import time; time.sleep(600)")
+    began = time.monotonic()
+    with CompiledAhead("puma560", "lm") as compiling:
+        process = compiling._process
+    assert process is not None and process.poll() is not None
+    assert time.monotonic() - began < 60.0
+
+
+def test_one_that_fails_costs_nothing(due: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_PROGRAM", "raise SystemExit(3)")
+    with CompiledAhead("puma560", "lm") as compiling:
+        compiling.wait()
+    monkeypatch.setattr(ahead.sys, "executable", "/no/such/python")
+    with CompiledAhead("puma560", "lm") as compiling:
+        compiling.wait()
+
+
+def test_what_is_compiled_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jit, "compiled", lambda function: True)
+    assert CompiledAhead("puma560", "lm")._process is None
+    monkeypatch.setattr(jit, "compiled", lambda function: False)
+    assert CompiledAhead("puma560", "auto")._process is None  # which method it will be is not known yet
