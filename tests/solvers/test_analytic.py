@@ -141,7 +141,7 @@ def test_a_stretched_elbow_is_solved():
         assert solution.converged, (q, solution)
 
 
-def test_no_branch_inside_the_limits_is_a_proof(tmp_path):
+def test_a_goal_whose_branches_are_all_outside_the_limits_is_missed_but_not_called_proven(tmp_path):
     rng = np.random.default_rng(6)
     robot = made_up(rng, tmp_path, "spherical", limit=0.4)
     beyond = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -150,9 +150,9 @@ def test_no_branch_inside_the_limits_is_a_proof(tmp_path):
     assert solve_all(robot, goal) == ()
     assert len(solve_all(robot, goal, limits=False)) >= 1
     alone = solve(robot, goal, solver="analytic")
-    assert alone.status is Status.UNREACHABLE and np.array_equal(alone.q, robot.home)
+    assert alone.status is Status.BLOCKED_BY_LIMITS and np.array_equal(alone.q, robot.home)
     nearest = solve(robot, goal)
-    assert nearest.status is Status.UNREACHABLE
+    assert nearest.status in (Status.BLOCKED_BY_LIMITS, Status.STALLED)
     assert nearest.misses[0].position < alone.misses[0].position and not robot.outside(nearest.q)
 
 
@@ -189,4 +189,24 @@ def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tm
     normal = robot.forward(q, "tool")  # any motion of the joints keeps the height over the plane
     axis = np.cross(*(robot.jacobian(a, "tool")[:3, 0] for a in ((0.0, 0.0), (1.0, 0.7))))
     off = normal.position + 0.05 * axis / np.linalg.norm(axis)
-    assert solve(robot, PositionGoal("tool", off), solver="analytic").status is Status.UNREACHABLE
+    assert solve(robot, PositionGoal("tool", off), solver="analytic").status is Status.STALLED
+
+
+def test_a_goal_a_little_beyond_a_limit_is_reached_within_its_tolerance():
+    # The exact target has no branch inside the limits, but one within tolerance of it has.
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(0)
+    for i in range(90):
+        q = robot.sample(rng)
+        q[i % 6] = robot.upper[i % 6] + 2e-5
+        goal = PoseGoal.at("gripper", robot.forward(q))
+        near = robot.forward(robot.clip(q)).distance(goal.target)
+        assert near[0] < 1e-4 and near[1] < 1e-3
+        solution = solve(robot, goal)
+        assert solution.converged and not robot.outside(solution.q)
+
+
+def test_far_beyond_every_link_is_proven(tmp_path):
+    robot = load_robot("puma560")
+    far = solve(robot, PoseGoal("gripper", (3.0, 0.0, 1.0)), solver="analytic")
+    assert far.status is Status.UNREACHABLE and np.array_equal(far.q, robot.home)

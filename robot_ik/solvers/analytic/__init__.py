@@ -2,7 +2,8 @@
 
 Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022).  All branches are
 computed; the answer is the one inside the limits nearest to the start.  At singular poses the free angle
-stays as near to the start as can be.  No branch at all proves that the goal cannot be reached.
+stays as near to the start as can be.  The branches are those of
+the exact target: that none is inside the limits does not prove that nothing within tolerance is.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -26,7 +27,9 @@ from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import (
     BEST_COST,
+    BLOCKED,
     CONVERGED,
+    COST,
     ITERATION_LIMIT,
     ITERATIONS,
     STALLED,
@@ -36,7 +39,7 @@ from robot_ik.kernels.work import (
     open_work,
 )
 from robot_ik.problem import Problem
-from robot_ik.solution import STATUS_OF, Solution
+from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic.choose import nearest
 from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
 from robot_ik.solvers.analytic.planar import planar_two_link
@@ -83,7 +86,7 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Analytic(Solver):
-    """Every branch in closed form, the nearest inside the limits taken; proves what is out of reach."""
+    """Every branch in closed form, the nearest to the start inside the limits taken."""
 
     name: ClassVar[str] = "analytic"
     title: ClassVar[str] = "closed form: planar two-link, spherical wrist, three parallel axes"
@@ -124,9 +127,12 @@ class Analytic(Solver):
         state = arrays["state"]
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
+        status = STATUS_OF[int(state[STATUS])]
+        if status is not Status.CONVERGED and problem.out_of_reach():
+            status = Status.UNREACHABLE
         return Solution(
             q=arrays["best"].copy(),
-            status=STATUS_OF[int(state[STATUS])],
+            status=status,
             iterations=int(state[ITERATIONS]),
             restarts=0,
             seconds=time.perf_counter() - began,
@@ -143,6 +149,7 @@ class Analytic(Solver):
         closed_form_many(
             *prepared.tables, prepared.family, targets, starts, answers.q, answers.status, answers.miss
         )
+        answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``."""
@@ -215,21 +222,22 @@ def answer(tree, goal, work, form, family, mode):
     for j in range(place.shape[0]):
         start[j] = q[place[j]]
     if family == _PLANAR:
-        planar_two_link(form.axes, form.extra, form.target, start, goal.tolerance[0, 0], branches)
+        found = planar_two_link(form.axes, form.extra, form.target, start, goal.tolerance[0, 0], branches)
     elif family == _WRIST:
-        spherical_wrist(form.axes, form.extra, form.target, start, branches)
+        found = spherical_wrist(form.axes, form.extra, form.target, start, branches)
     else:
-        three_parallel(form.axes, form.extra, form.target, start, branches)
+        found = three_parallel(form.axes, form.extra, form.target, start, branches)
     state[ITERATIONS] = 1
     row = nearest(branches, start, form.lower, form.upper, form.best)
     if row < 0:
-        # Every branch there is has been looked at: none exists, or none is inside the limits.
-        state[STATUS] = UNREACHABLE
+        # No proof: the branches are those of the exact target, and one within tolerance may have others.
+        state[STATUS] = BLOCKED if found > 0 else STALLED
         return
     for j in range(place.shape[0]):
         q[place[j]] = form.best[j]
     state[STATUS] = CONVERGED if measure(tree, goal, work) else STALLED
-    keep_best(work)
+    if state[STATUS] == CONVERGED or work.value[COST] < work.value[BEST_COST]:
+        keep_best(work)
 
 
 @kernel
