@@ -50,6 +50,11 @@ COMMANDS: dict[str, Command] = {
     "solvers": Command(
         "robot_ik.cli.listing", "SolversOptions", "the methods and their options", "run_solvers"
     ),
+    "experiments": Command(
+        "robot_ik.cli.experiments",
+        "ExperimentsOptions",
+        "repeat the experiments of the theses: a00 or s12",
+    ),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",
