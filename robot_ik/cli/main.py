@@ -55,6 +55,9 @@ COMMANDS: dict[str, Command] = {
         "ExperimentsOptions",
         "repeat the experiments of the theses: a00 or s12",
     ),
+    "bench": Command(
+        "robot_ik.cli.bench", "BenchOptions", "methods on seeded problems: success, time, plots"
+    ),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",
