@@ -51,7 +51,7 @@ def chain_from_world(turns: Sequence[Array]) -> Array:
 def _arc(links: int, end: Array) -> list[Array]:
     """Directions (3,) of links of 1 m on a circular arc from the origin to ``end`` (3,)."""
     chord = float(np.linalg.norm(end))
-    bend = _bend(links, chord)
+    bend = arc_bend(links, chord)
     along = end / chord if chord > _AT_BASE else np.array([1.0, 0.0, 0.0])
     # The arc lies in the upright plane through its end; where that end is right above, in the xz plane.
     aside = np.cross(np.cross(along, _UP), along)
@@ -63,7 +63,7 @@ def _arc(links: int, end: Array) -> list[Array]:
     return [math.cos(a) * along + math.sin(a) * aside for a in angles]
 
 
-def _bend(links: int, chord: float) -> float:
+def arc_bend(links: int, chord: float) -> float:
     """Angle from one link to the next, rad, for which the arc's ends are ``chord`` metres apart."""
     if links == 1:
         if abs(chord - 1.0) > _AT_BASE:
