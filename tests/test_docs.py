@@ -28,11 +28,9 @@ from pathlib import Path
 import pytest
 
 from robot_ik.cli import main as cli
-from robot_ik.solvers import SOLVERS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*/*.md"))]
-PLOTS = ROOT / "docs" / "images" / "solvers"
 #: Pages of other rooms whose links and names are checked, too.
 OTHERS = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "models").glob("*/README.md"))]
 FENCE = re.compile(r"^```(\w*) *([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -254,81 +252,6 @@ def test_tables_are_what_the_program_says() -> None:
         used |= {m[2] for m in tables.PLACE.finditer(text)}
         assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make_tables.py"
     assert used == set(tables.TABLES)
-
-
-# ------------------------------------------------------------------------------ a page for each method
-
-
-@pytest.mark.parametrize("name", list(SOLVERS))
-def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> None:
-    page = ROOT / "docs" / "solvers" / f"{name}.md"
-    assert page.is_file(), f"docs/solvers/{name}.md is missing: take another method's page as a pattern"
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith(f"# {name}: ")
-    for table in ("method", "options", "floors"):
-        assert f"<!-- table: {table} {name} -->\n" in text, f"{named(page)} has no table of its {table}"
-    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
-    wanted = [
-        "Formula and source",
-        "What is ours",
-        "When to use it, and when not",
-        "Convergence",
-        "Options",
-        "Floors",
-    ]
-    assert [h for h in headings if h in wanted] == wanted
-    picture = PLOTS / f"{name}.png"
-    assert f"(../images/solvers/{name}.png)" in text
-    assert picture.is_file(), f"python docs/make_plots.py {name}"
-    assert 3_000 < picture.stat().st_size < 40 * 1024
-    overview = (ROOT / "docs" / "solvers.md").read_text(encoding="utf-8")
-    assert f"(solvers/{name}.md)" in overview
-
-
-def test_pages_and_pictures_are_of_methods_that_are_there() -> None:
-    assert {page.stem for page in (ROOT / "docs" / "solvers").iterdir()} == set(SOLVERS)
-    assert {picture.stem for picture in PLOTS.iterdir()} == set(SOLVERS)
-
-
-def test_measured_tables_have_a_row_for_every_method_that_can() -> None:
-    measure = script("make_measurements")
-    found = {}
-    for page in PAGES:
-        for place in measure.PLACE.finditer(page.read_text(encoding="utf-8")):
-            assert page in measure.PAGES, f"{named(page)} is not measured again"
-            found[place[2]] = re.findall(r"^\| \[`(\w+)`\]", place[3], re.MULTILINE)
-    assert set(found) == set(measure.MEASURED)
-    able = list(measure.methods())
-    assert {"lm", "analytic"} <= set(able)
-    assert found == {"convergence": list(SOLVERS), "targets": able, "path": able}, (
-        "python docs/make_measurements.py"
-    )
-
-
-def test_poses_called_singular_are_singular() -> None:
-    import numpy as np
-
-    from robot_ik import load_robot
-
-    measure, robot = script("make_measurements"), load_robot("puma560")
-    for kind in ("wrist", "elbow", "both"):
-        for q, start in measure.singular_cases(robot, kind, 5):
-            sigma, beside = (np.linalg.svd(robot.jacobian(v), compute_uv=False) for v in (q, start))
-            assert sigma[-1] < 1e-9, (kind, sigma)
-            assert beside[-1] > 1e-6 and not robot.outside(q) and not robot.outside(start)
-
-
-def test_a_picture_is_drawn_and_drawn_the_same_again(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need the extra: pip install robot_ik[plots]")
-    plots = script("make_plots")
-    for name in ("a", "b"):
-        plots.draw("dls", tmp_path / f"{name}.png", count=3)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    few = plots.curves("lm", plots.TASKS[0], 3)
-    assert few is not None and (few.steps > 0).all()
-    for residual, steps in zip(few.residuals, few.steps, strict=True):
-        assert len(residual) == steps + 1 and residual[-1] < 1e-5 < residual[0]
-    assert plots.curves("triangulation", plots.TASKS[0], 3) is None  # no poses
 
 
 # -------------------------------------------------------------------------------- the first screen
