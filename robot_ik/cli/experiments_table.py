@@ -50,14 +50,18 @@ def print_a00(report: A00Report) -> None:
     screen.print(shown)
     screen.print()
     _print_methods(report)
+    screen.print(_result(report.complete, report.passed, _why_a00(report) if report.complete else ""))
+
+
+def _why_a00(report: A00Report) -> str:
+    from robot_ik.jobs.experiments import a00
+
     asked = [name for name in a00.MUST_PASS if name in report.solvers]
     if report.failures:
-        why = "; ".join(f"{n} in test {k}: {_loss(report, n, k)}" for n, k in report.failures)
-    elif asked:
-        why = f"{', '.join(asked)} met every frame; {_witness_text(report)}"
-    else:
-        why = "no method was asked for that has to pass"
-    screen.print(_result(report.complete, report.passed, why))
+        return "; ".join(f"{n} in test {k}: {_loss(report, n, k)}" for n, k in report.failures)
+    if asked:
+        return f"{', '.join(asked)} met every frame; {_witness_text(report)}"
+    return "no method was asked for that has to pass"
 
 
 def _witness_text(report: A00Report) -> str:

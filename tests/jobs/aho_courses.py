@@ -135,7 +135,7 @@ STARTS = {
 """Starts of test 6: axis of the links at zero, direction of the goal, normal of the chain's plane."""
 
 
-def start_of_six(name: str) -> Course:
+def start_of_six(name: str, step: float = 0.1) -> Course:
     """Test 6 from another start."""
     link, start, normal = STARTS[name]
-    return circle(6, 5, link, 2.5 * start, DIAGONAL, normal=normal, step=0.1)
+    return circle(6, 5, link, 2.5 * start, DIAGONAL, normal=normal, step=step)

@@ -92,9 +92,7 @@ def run_a00(report: A00Report, progress: Progress = lambda stage, share: None) -
     """Runs what the report asks for and has not yet, and fills it in."""
     gauge = Gauge(progress, len(report.numbers) * len(report.solvers))
     for number in report.numbers:
-        course = make_course(number, report.seed)
-        if report.frames is not None:
-            course = course.first(report.frames)
+        course = make_course(number, report.seed, report.frames)
         report.courses[number] = course
         report.witness_miss[number] = course.witness_miss()
         for name in report.solvers:

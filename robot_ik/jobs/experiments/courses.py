@@ -7,7 +7,7 @@ tests 1-13.  The base is at the origin of the world; at home the links lie along
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,13 +66,6 @@ class Course:
     targets: tuple[Pose, ...]
     witnesses: Array
 
-    def first(self, frames: int) -> Course:
-        """The same with at most so many frames."""
-        return Course(
-            self.number, self.robot, self.goal, self.moves, self.unit,
-            self.at[:frames], self.targets[:frames], self.witnesses[:frames],
-        )  # fmt: skip
-
     def witness_miss(self) -> tuple[float, float]:
         """Farthest that a witness is from its goal by MuJoCo's forward pass: metres, radians."""
         judge = Judge(self.robot, self.goal)
@@ -129,12 +122,12 @@ def _with_goal(
     return Course(number, make_chain(joints), goal, moves, unit, at, targets, witnesses)
 
 
-def _lines(number: int, joints: int, seed: int) -> Course:
+def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
     """Straight lines through the tips of random configurations, at an even pace."""
     robot, rng = make_chain(joints), np.random.default_rng([seed, number])
     corners = np.array([robot.forward(robot.sample(rng)).position for _ in range(POINTS)])
     far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    at = np.arange(0.0, far[-1], LINE_STEP)
+    at = np.arange(0.0, far[-1], LINE_STEP)[:frames]
     path = np.column_stack([np.interp(at, far, corners[:, k]) for k in range(3)])
     targets = tuple(Pose(point) for point in path)
     witnesses = np.array([chain_witness(joints, target, oriented=False) for target in targets])
@@ -145,9 +138,9 @@ def _lines(number: int, joints: int, seed: int) -> Course:
     return _with_goal(number, joints, False, moves, "m", at, targets, witnesses)
 
 
-def _square(number: int) -> Course:
+def _square(number: int, frames: int | None) -> Course:
     """Two balls: six freedoms and six numbers wanted; goals can only be made from joint angles."""
-    robot, at = make_chain(2), np.arange(0.0, 360.0 + 0.5, CIRCLE_STEP)
+    robot, at = make_chain(2), _turns(CIRCLE_STEP)[:frames]
     witnesses = np.array([_two_balls(a) for a in at])
     targets = tuple(robot.measure(q) for q in witnesses)
     moves = (
@@ -168,7 +161,7 @@ def _turns(step: float) -> Array:
     return np.arange(0.0, 360.0 + 0.5 * step, step)
 
 
-def _circles(number: int) -> Course:
+def _circles(number: int, frames: int | None) -> Course:
     degrees, small = _turns(CIRCLE_STEP), _turns(SMALL_STEP)
     diagonal = "about (1,1,0) from the z axis"
     rows: dict[int, tuple[int, bool, str, Array, Callable[[float], Pose]]] = {
@@ -187,20 +180,21 @@ def _circles(number: int) -> Course:
         10: (5, True, "on one side of the origin: circle of 1 m about (2, 0, 0) m and the axis (1,1,0), the "
              "orientation turning about (1,-1,1)", degrees, _one_side),
     }  # fmt: skip
-    return _make(number, *rows[number])
+    joints, oriented, moves, at, pose = rows[number]
+    return _make(number, joints, oriented, moves, at[:frames], pose)
 
 
 NUMBERS = tuple(range(1, 14))
 
 
-def make_course(number: int, seed: int = 0) -> Course:
-    """A00's test ``number`` (1 … 13); ``seed`` draws the points of 11 and 12."""
+def make_course(number: int, seed: int = 0, frames: int | None = None) -> Course:
+    """A00's test ``number`` (1 … 13).
+
+    Args:
+        number: His.
+        seed: Draws the points of 11 and 12.
+        frames: No more than so many; None: the whole course.
+    """
     if number in (11, 12):
-        return _lines(number, 3 if number == 11 else 5, seed)
-    return _square(number) if number == 13 else _circles(number)
-
-
-def courses(numbers: tuple[int, ...] = NUMBERS, seed: int = 0) -> Iterator[Course]:
-    """The courses of these numbers."""
-    for number in numbers:
-        yield make_course(number, seed)
+        return _lines(number, 3 if number == 11 else 5, seed, frames)
+    return _square(number, frames) if number == 13 else _circles(number, frames)

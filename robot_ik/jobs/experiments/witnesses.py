@@ -72,7 +72,7 @@ def arc_bend(links: int, chord: float) -> float:
     if chord > links + _AT_BASE:
         raise ValueError(f"{links} links of 1 m cannot span {chord:.6g} m")
     low, high = 0.0, 2.0 * math.pi / links  # straight … closed to a polygon
-    for _ in range(100):  # more halvings than a double has bits
+    for _ in range(54):  # as many halvings as a double has bits, and one
         middle = 0.5 * (low + high)
         spanned = math.sin(0.5 * links * middle) / math.sin(0.5 * middle) if middle > 0.0 else float(links)
         low, high = (middle, high) if spanned > chord else (low, middle)
