@@ -37,6 +37,7 @@ WORK = Layout(
     residual="floats",  # (m,)
     miss="table",  # (g, 2) metres, radians
     jacobian="table",  # (m, nu)
+    column="floats",  # (m,) work space of the Jacobian
     normal="table",  # (nu, nu)
     damped="table",  # (nu, nu)
     factor="table",  # (k, k), k = max(m, nu)

@@ -59,6 +59,8 @@ class LevenbergMarquardt(IterativeSolver):
 
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
+    parts: ClassVar[bool] = True
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     def kernel(self) -> Callable[..., None]:
@@ -91,7 +93,7 @@ def lm_step(tree, goal, work, options):
         value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
         copy(work.q, work.accepted)
-        goal_jacobian(tree, goal, work.world, work.frames, work.residual, work.jacobian)
+        goal_jacobian(tree, goal, work, work.frames)
         normal_equations(work.jacobian, work.residual, normal, work.gradient)
     else:
         value[DAMPING] *= increase
