@@ -24,13 +24,20 @@ UNBOUNDED = "-"
 
 @dataclass(frozen=True)
 class RobotsOptions:
-    """Lists the robots that come along, or shows one in detail.
+    """Lists the robots that come along, shows one in detail, or draws them.
 
     Any MJCF or URDF file works as well: robot-ik robots path/to/arm.xml
     """
 
     robot: Positional[Annotated[str, arg(metavar="[NAME|PATH]", help_behavior_hint="")]] = ""
     """Robot to show with its joints, limits and frames; without it, all are listed."""
+    gallery: Annotated[
+        tuple[str, ...] | None,
+        arg(metavar="[FOLDER]", help_behavior_hint="(default folder: runs/<time>-gallery)"),
+    ] = None
+    """Draw all robots, or the one given, at home and at work: a PNG each and a sheet of all."""
+    seed: int = 0
+    """Of the drawn poses at work."""
     json: bool = False
     """Print one JSON object instead of tables."""
 
@@ -49,7 +56,11 @@ class SolversOptions:
 
 
 def run_robots(options: RobotsOptions) -> int:
-    """Prints the catalogue, or one robot."""
+    """Prints the catalogue, or one robot, or draws them."""
+    if options.gallery is not None:
+        from robot_ik.cli.gallery import run_gallery
+
+        return run_gallery(options.robot, options.gallery, options.seed, json=options.json)
     if options.robot:
         from robot_ik.robot import load_robot
 
