@@ -172,6 +172,10 @@ class IterativeSolver(Solver):
     def kernel(self) -> Callable[..., None]:
         """The compiled loop: takes tree, goals, work, options."""
 
+    def kernel_for(self, problem: Problem) -> Callable[..., None]:
+        """The compiled loop that this problem needs, where there are several."""
+        return self.kernel()
+
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
         """What the kernel takes as its options, in its order."""
@@ -221,7 +225,7 @@ class IterativeSolver(Solver):
         if ready is not None and all(a is b for a, b in zip(ready.asked, asked, strict=True)):
             return ready
         self.require_support(problem)
-        kernel = self.kernel()
+        kernel = self.kernel_for(problem)
         jit.announce(kernel, f"solver {self.name!r}")
         self._set_state(problem)
         arguments = (problem.robot.tree.handle, problem.handle, problem.work, self._options)
