@@ -174,6 +174,11 @@ def _push(servo: VirtualServo, value: float) -> Undo:
     return lambda: setattr(servo.shaft, "load", before)
 
 
+def _turn(servo: VirtualServo, value: float) -> Undo:
+    servo.turn_by_hand(value * TICKS_PER_DEGREE)
+    return lambda: servo.turn_by_hand(-value * TICKS_PER_DEGREE)
+
+
 def _hot(servo: VirtualServo, value: float) -> Undo:
     servo.controller.electrics.temperature = value
     servo.memory.set("present_temperature", round(value))
@@ -246,6 +251,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "jammed": Kind("something holds the shaft: the motor presses against it", _jam),
         "push": Kind("a steady torque on the shaft, N m", _push, None, -100.0, 100.0),
         "zero_offset": Kind("shaft ahead of its registers, degrees", _zero_offset, None, -360.0, 360.0),
+        "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, None, -3600.0, 3600.0),
         "lost_turns": _whole("counts wrong by so many turns", _turns, -255, 255),
         "reboot": Kind("restarts by itself", _reboot),
         "hot": Kind("is so warm, C", _hot, None, 0.0, 150.0),
