@@ -36,7 +36,7 @@ LAWS = {
     "chain": '<joint joint1="j3" joint2="j2" polycoef="0 -0.5 0 0 0"/><joint joint1="j4" joint2="j3"/>',
 }
 _EXACT = Tolerance(1e-9, 1e-9)
-HONOUR = [name for name, kind in SOLVERS.items() if "couplings" in kind.honours]
+HONOUR = [name for name, kind in SOLVERS.items() if "couplings" in kind.honours and name != "combined"]
 
 
 def arm(folder: Path, equality: str, **options):
