@@ -26,7 +26,7 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def solvers() -> str:
     """One row for each method."""
-    from robot_ik.cli.listing import solver_facts
+    from robot_ik.cli.listing import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
@@ -36,7 +36,7 @@ def solvers() -> str:
             (
                 f"[`{f['name']}`](solvers/{f['name']}.md)",
                 f["title"],
-                ", ".join(goal.removesuffix(" goal") for goal in f["goals"]),
+                goals_text(f),
                 f["source"],
             )
             for f in facts
@@ -46,11 +46,11 @@ def solvers() -> str:
 
 def method(name: str) -> str:
     """What one method is: title, goals, source."""
-    from robot_ik.cli.listing import solver_facts
+    from robot_ik.cli.listing import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = solver_facts(name, SOLVERS[name])
-    goals = ", ".join(goal.removesuffix(" goal") for goal in facts["goals"])
+    goals = goals_text(facts)
     return markdown(("method", "goals", "source"), [(facts["title"], goals, facts["source"])])
 
 

@@ -143,3 +143,21 @@ def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[A
         speed[v : v + width] = fastest
         acceleration[v : v + width] = file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
     return speed, acceleration
+
+
+def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
+    """Stiffness (nv,) of the active joints: from robot.toml where it names the joint, else 1.
+
+    ``names`` are those of all joints of the model.
+
+    Raises:
+        UnknownJointError: robot.toml names a joint that the model does not have.
+    """
+    for name in file.stiffness:
+        if name not in names:
+            raise UnknownJointError(name, names)
+    stiffness = np.ones(tree.nv)
+    for k, joint in enumerate(tree.joint_ids):
+        v = int(tree.vadr[k])
+        stiffness[v : v + V_WIDTH[int(tree.kind[k])]] = file.stiffness.get(names[joint], 1.0)
+    return stiffness

@@ -17,6 +17,7 @@ import math
 
 from numba import types
 
+from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward, turn_quat
 from robot_ik.kernels.residuals import evaluate
@@ -78,9 +79,8 @@ def uniform(state):
 @outlined
 def measure(tree, goal, work):
     """Forward pass and evaluation at work.q; returns whether all goals are within tolerance."""
-    world = work.world
-    forward(tree, work.nodes, work.q, world, work.scratch)
-    cost, within = evaluate(goal, world, work.frames, work.residual, work.miss)
+    forward(tree, work.nodes, work.q, work.world, work.scratch)
+    cost, within = evaluate(tree, goal, work)
     work.value[COST] = cost
     return within
 
@@ -116,6 +116,7 @@ def begin(tree, goal, work):
         return
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
+    follow(tree, work.q)
     within = measure(tree, goal, work)
     work.state[STATUS] = CONVERGED if within else RUNNING
     keep_best(work)
@@ -158,6 +159,7 @@ def next_try(tree, goal, work):
     if state[RESTARTS] < state[MAX_RESTARTS]:
         state[RESTARTS] += 1
         draw(tree, work.nodes, work.start, state, work.q)
+        follow(tree, work.q)
     else:
         state[POLISHING] = 1
         copy(work.best, work.q)
@@ -192,8 +194,9 @@ def proceed(tree, goal, work):
 
 
 @outlined
-def apply_step(tree, dofs, nodes, step, dq, q):
-    """q = q ⊕ step for the degrees of freedom ``dofs``, then inside the limits; ``dq`` is work space."""
+def apply_step(tree, goal, nodes, step, dq, q):
+    """q = q ⊕ ease · step for the goals' degrees of freedom, inside the limits; ``dq`` is work space."""
+    dofs, ease = goal.dofs, goal.ease
     kind, qadr, vadr, dof_node, lower, upper = (
         tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
     )  # fmt: skip
@@ -203,10 +206,12 @@ def apply_step(tree, dofs, nodes, step, dq, q):
         k = dof_node[v]
         if kind[k] < BALL:
             a = qadr[k]
-            q[a] = min(max(q[a] + step[u], lower[v]), upper[v])
+            q[a] = min(max(q[a] + ease[u] * step[u], lower[v]), upper[v])
         else:
             floating = True
-            dq[v] = step[u]
+            dq[v] = ease[u] * step[u]
+    if tree.tied.shape[0] > 0:
+        follow(tree, q)
     if not floating:
         return
     for index in range(nodes.shape[0]):
@@ -224,15 +229,19 @@ def apply_step(tree, dofs, nodes, step, dq, q):
 
 @pure
 def room(tree, goal, work):
-    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high."""
+    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high.
+
+    In units of the step, which ``apply_step`` shortens for stiff joints.
+    """
     kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
-    dofs, q, low, high = goal.dofs, work.q, work.low, work.high
+    dofs, ease, q, low, high = goal.dofs, goal.ease, work.q, work.low, work.high
     for u in range(dofs.shape[0]):
         v = dofs[u]
         k = dof_node[v]
         if kind[k] < BALL:
-            low[u] = min(lower[v] - q[qadr[k]], 0.0)
-            high[u] = max(upper[v] - q[qadr[k]], 0.0)
+            a = qadr[k]
+            low[u] = min(lower[v] - q[a], 0.0) / ease[u]
+            high[u] = max(upper[v] - q[a], 0.0) / ease[u]
         else:
             # A ball's cone is kept by projection after the step; here a step stays below half a turn.
             low[u] = -3.0
@@ -267,7 +276,7 @@ def advance(tree, goal, work):
     for u in range(step.shape[0]):
         norm += step[u] * step[u]
     value[STEP_NORM] = math.sqrt(norm)
-    apply_step(tree, goal.dofs, work.nodes, step, work.dq, work.q)
+    apply_step(tree, goal, work.nodes, step, work.dq, work.q)
     within = measure(tree, goal, work)
     state[ITERATIONS] += 1
     state[TRY_STEPS] += 1

@@ -10,8 +10,8 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 # Entries of work.state (int64).
 (
     STATUS, ITERATIONS, RESTARTS, TRY_STEPS, STALLS, PRESSED, POLISHING, TRACE_ROWS,
-    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STATE_SIZE,
-) = range(16)  # fmt: skip
+    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STAGE, STATE_SIZE,
+) = range(17)  # fmt: skip
 
 # Entries of work.value (float64).
 COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, VALUE_SIZE = range(8)
@@ -37,6 +37,7 @@ WORK = Layout(
     residual="floats",  # (m,)
     miss="table",  # (g, 2) metres, radians
     jacobian="table",  # (m, nu)
+    column="floats",  # (m,) work space of the Jacobian
     normal="table",  # (nu, nu)
     damped="table",  # (nu, nu)
     factor="table",  # (k, k), k = max(m, nu)
@@ -54,6 +55,12 @@ WORK = Layout(
     right="table",  # (p, nu) singular vectors v
     aim="floats",  # (nu,) where the null space should go
     rest="floats",  # (nq,) the robot's home, an aim
+    level_cost="floats",  # (levels,) cost of the goals of each priority; empty where all are equal
+    level_bar="floats",  # (levels,) what it was when the next level began, -1 = met
+    level_best="floats",  # (levels,) the same of the best so far
+    basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
+    own="table",  # (m, nu) rows of a level less their part in the basis
+    gram="table",  # (m, m)
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open

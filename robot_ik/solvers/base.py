@@ -69,12 +69,16 @@ class Solver(ABC):
         name: Its key in ``SOLVERS``.
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
+        parts: Whether it also serves goals that ask for single coordinates or axes only.
+        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``.
     """
 
     name: ClassVar[str] = ""
     title: ClassVar[str] = ""
     source: ClassVar[str] = ""
     goals: ClassVar[tuple[type[Goal], ...]] = GOALS
+    parts: ClassVar[bool] = False
+    honours: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -92,19 +96,28 @@ class Solver(ABC):
 
     def supports(self, goal: Goal) -> bool:
         """Whether it serves this kind of goal."""
-        return isinstance(goal, self.goals)
+        return isinstance(goal, self.goals) and (self.parts or goal.rows.whole)
 
     def applies(self, problem: Problem) -> bool:
         """Whether it can try this problem at all."""
-        return all(self.supports(goal) for goal in problem.goals)
+        return not self.beyond(problem)
+
+    def beyond(self, problem: Problem) -> str:
+        """What of the problem it cannot serve, in words; empty when nothing is."""
+        for goal in problem.goals:
+            if not self.supports(goal):
+                part = isinstance(goal, self.goals)
+                return f"a {goal.name}" + (" that asks for single axes only" if part else "")
+        for feature in sorted(problem.features - self.honours):
+            return _FEATURES[feature]
+        return ""
 
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
-        for goal in problem.goals:
-            if not self.supports(goal):
-                from robot_ik.solvers import able_solvers
+        if beyond := self.beyond(problem):
+            from robot_ik.solvers import able_solvers
 
-                raise UnsupportedGoalError(self.name, f"a {goal.name}", able_solvers(type(goal)))
+            raise UnsupportedGoalError(self.name, beyond, able_solvers(problem))
 
     @abstractmethod
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
@@ -121,6 +134,14 @@ class Solver(ABC):
             answers.q[row] = solution.q
             answers.status[row] = solution.status
             answers.miss[row] = solution.miss.position, solution.miss.angle
+
+
+# What a problem may ask for beside its goals, in words.
+_FEATURES = {
+    "couplings": "joints that follow others",
+    "priorities": "goals of different priorities",
+    "stiffness": "joints of different stiffness",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +171,10 @@ class IterativeSolver(Solver):
     @abstractmethod
     def kernel(self) -> Callable[..., None]:
         """The compiled loop: takes tree, goals, work, options."""
+
+    def kernel_for(self, problem: Problem) -> Callable[..., None]:
+        """The compiled loop that this problem needs, where there are several."""
+        return self.kernel()
 
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
@@ -200,7 +225,7 @@ class IterativeSolver(Solver):
         if ready is not None and all(a is b for a, b in zip(ready.asked, asked, strict=True)):
             return ready
         self.require_support(problem)
-        kernel = self.kernel()
+        kernel = self.kernel_for(problem)
         jit.announce(kernel, f"solver {self.name!r}")
         self._set_state(problem)
         arguments = (problem.robot.tree.handle, problem.handle, problem.work, self._options)
@@ -246,6 +271,9 @@ class IterativeSolver(Solver):
 @dataclass(frozen=True)
 class JacobianSolver(IterativeSolver):
     """A method whose step is made from the Jacobian and the residual: options that all of them share."""
+
+    parts: ClassVar[bool] = True
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
     try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)

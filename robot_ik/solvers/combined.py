@@ -35,6 +35,10 @@ class Combined(Solver):
     title: ClassVar[str] = "methods in turn, until one reaches the goal"
     source: ClassVar[str] = "Aho 2000, generalised"
 
+    parts: ClassVar[bool] = True
+    # Those of its methods that can.
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "stiffness"})
+
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
         names = self.methods.replace(",", " ").split()
@@ -70,7 +74,9 @@ class Combined(Solver):
             problem.budget = whole
         if best is None:
             goal = problem.goals[0]
-            raise UnsupportedGoalError(self.name, f"a {goal.name}", able_solvers(type(goal)))
+            beyond = [member.beyond(problem) for member in self._members]
+            what = next(filter(None, beyond), f"a {goal.name}")
+            raise UnsupportedGoalError(self.name, what, able_solvers(problem))
         if proven and not best.converged:
             best.status = Status.UNREACHABLE
         best.iterations = used

@@ -9,6 +9,7 @@ pseudoinverse, ICRA 1988) have it; a step that made things worse is taken back a
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,20 +18,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
+from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.jit import kernel, outlined
+from robot_ik.kernels.levels import (
+    better,
+    keep_levels,
+    leave_level,
+    level_costs,
+    level_met,
+    restore,
+    stacked_step,
+)
 from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, room
+from robot_ik.kernels.loop import (
+    advance,
+    apply_step,
+    begin,
+    copy,
+    draw,
+    measure,
+    proceed,
+    record,
+    room,
+)
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import (
     ACCEPTED,
+    BEST_COST,
+    BLOCKED,
     CONVERGED,
     COST,
     DAMPING,
     FIRST_STEPS,
+    ITERATION_LIMIT,
+    ITERATIONS,
+    MAX_ITERATIONS,
     MAX_RESTARTS,
     NO_LIMIT,
     PRESSED,
+    RESTARTS,
+    RUNNING,
+    SLICE_END,
+    STAGE,
+    STALLED,
+    STALLS,
     STATUS,
     TRY_STEPS,
     UNREACHABLE,
@@ -59,10 +91,15 @@ class LevenbergMarquardt(IterativeSolver):
 
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
+    parts: ClassVar[bool] = True
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     def kernel(self) -> Callable[..., None]:
         return lm
+
+    def kernel_for(self, problem: Problem) -> Callable[..., None]:
+        return lm_levels if "priorities" in problem.features else lm
 
     def parameters(self) -> tuple[float, ...]:
         return (self.floor, self.damping, self.increase, self.decrease, self.least)
@@ -91,7 +128,7 @@ def lm_step(tree, goal, work, options):
         value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
         copy(work.q, work.accepted)
-        goal_jacobian(tree, goal, work.world, work.frames, work.residual, work.jacobian)
+        goal_jacobian(tree, goal, work, work.frames)
         normal_equations(work.jacobian, work.residual, normal, work.gradient)
     else:
         value[DAMPING] *= increase
@@ -150,3 +187,90 @@ def lm_many(tree, goals, work, options, fresh, beyond, targets, starts, q, statu
             q[row, i] = best[i]
         status[row] = UNREACHABLE if beyond[row] and state[STATUS] != CONVERGED else state[STATUS]
         miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+
+
+# Steps without progress before a level is left as it is, and the share of its cost that counts as progress.
+_LEVEL_PATIENCE, _LEVEL_PROGRESS = 8, 1e-6
+
+
+@outlined
+def level_step(tree, goal, work, options):
+    """One step of the level that is being served; taken back unless it helps and harms no earlier level."""
+    state, value = work.state, work.value
+    floor, increase, decrease, least = options[0], options[2], options[3], options[4]
+    stage = state[STAGE]
+    before = work.level_cost[stage]
+    copy(work.q, work.accepted)
+    pressed = stacked_step(tree, goal, work, stage, value[DAMPING] * before + floor)
+    apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
+    measure(tree, goal, work)
+    level_costs(goal, work, work.level_cost)
+    helped = restore(tree, goal, work, stage) and work.level_cost[stage] < before
+    if helped:
+        state[PRESSED] = pressed
+        value[DAMPING] = max(value[DAMPING] * decrease, least)
+        state[STALLS] = 0 if work.level_cost[stage] < before * (1.0 - _LEVEL_PROGRESS) else state[STALLS] + 1
+    else:
+        copy(work.accepted, work.q)
+        measure(tree, goal, work)
+        level_costs(goal, work, work.level_cost)
+        value[DAMPING] *= increase
+        state[STALLS] += 1
+    state[ITERATIONS] += 1
+    if work.trace.shape[0] > 0:
+        record(state, value, work.miss, work.trace)
+
+
+@outlined
+def end_try(tree, goal, work):
+    """After the last level: done, another random start, or the best of all; the first level decides.
+
+    Later levels are served from where the first one was met: nothing starts anew for them.
+    """
+    state, levels = work.state, work.level_cost.shape[0]
+    for level in range(state[STAGE], levels):
+        leave_level(goal, work, level)
+    if better(work, levels):
+        keep_levels(work)
+        work.value[BEST_COST] = work.value[COST]
+    met = True
+    for level in range(levels):
+        met = met and work.level_bar[level] < 0.0
+    if met:
+        state[STATUS] = CONVERGED
+    elif state[ITERATIONS] >= state[MAX_ITERATIONS]:
+        state[STATUS] = ITERATION_LIMIT
+    elif work.level_best[0] < 0.0 or state[RESTARTS] >= state[MAX_RESTARTS]:
+        state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
+    else:
+        state[RESTARTS] += 1
+        draw(tree, work.nodes, work.start, state, work.q)
+        follow(tree, work.q)
+        measure(tree, goal, work)
+        level_costs(goal, work, work.level_cost)
+        state[STAGE] = 0
+
+
+@kernel
+def lm_levels(tree, goals, work, options):
+    """``lm`` for goals of several priorities; options as there."""
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    state, levels = work.state, work.level_cost.shape[0]
+    if state[STATUS] != RUNNING:
+        begin(tree, goal, work)
+        level_costs(goal, work, work.level_cost)
+        for level in range(levels):
+            work.level_best[level] = math.inf
+        work.value[DAMPING] = options[1]
+    while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
+        stage = state[STAGE]
+        if stage >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
+            end_try(tree, goal, work)
+            continue
+        if level_met(goal, work, stage) or state[STALLS] >= _LEVEL_PATIENCE:
+            leave_level(goal, work, stage)
+            restore(tree, goal, work, stage + 1)
+            state[STAGE], state[STALLS] = stage + 1, 0
+            work.value[DAMPING] = options[1]
+            continue
+        level_step(tree, goal, work, options)

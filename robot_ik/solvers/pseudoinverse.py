@@ -92,7 +92,7 @@ def halve(tree, goal, work, share, halvings, landing):
         old += 0.5 * residual[r] * residual[r]
     copy(work.q, work.accepted)
     for tries in range(halvings + 1):
-        apply_step(tree, goal.dofs, work.nodes, step, work.dq, work.q)
+        apply_step(tree, goal, work.nodes, step, work.dq, work.q)
         measure(tree, goal, work)
         copy(work.accepted, work.q)
         off, new = 0.0, 0.0

@@ -178,6 +178,8 @@ def _trace(arrays: dict[str, Any]) -> Array:
 
 
 def _prepare(problem: Problem) -> Prepared | None:
+    if problem.features or not problem.goals[0].rows.whole:
+        return None
     if len(problem.goals) != 1 or not isinstance(problem.goals[0], (PoseGoal, PositionGoal)):
         return None
     if not all(weight > 0.0 for weight in problem.goals[0].weights[: 1 + problem.goals[0].has_angle]):
