@@ -10,8 +10,8 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 # Entries of work.state (int64).
 (
     STATUS, ITERATIONS, RESTARTS, TRY_STEPS, STALLS, PRESSED, POLISHING, TRACE_ROWS,
-    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STAGE, STATE_SIZE,
-) = range(17)  # fmt: skip
+    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STAGE, UPDATES, STATE_SIZE,
+) = range(18)  # fmt: skip
 
 # Entries of work.value (float64).
 COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, VALUE_SIZE = range(8)
@@ -61,6 +61,12 @@ WORK = Layout(
     basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
     own="table",  # (m, nu) rows of a level less their part in the basis
     gram="table",  # (m, m)
+    metric="table",  # (nu, nu) what steps along the slope are multiplied by, where they learn it
+    way="floats",  # (nu,) the direction that is searched
+    before="floats",  # (nu,) gradient before the step
+    moved="floats",  # (nu,) how far the joints have really gone
+    outward="floats",  # (nu,) axis along which a ball would leave its cone
+    scale="floats",  # (nu,) 1 / |column of the Jacobian|²
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open

@@ -1,0 +1,249 @@
+"""The metric of a variable-metric method, projected on the limits that are active.
+
+``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as the inverse
+diagonal of JᵀJ and learns the inverse of the Hessian from the steps that are taken (``learn``).
+
+A limit that is *active* has its direction n taken out of H, so that H n = 0 and every step keeps along
+it (Rosen's projection in the metric: Goldfarb, Extension of Davidon's variable metric method to
+maximization under linear inequality and equality constraints, SIAM J. Applied Mathematics 17(4), 1969):
+
+    hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
+
+n is a coordinate for hinges and slides; for the cone of a ball it is the axis of its turn, ``work.outward``.
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
+
+from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.loop import room
+from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.rotation_rows import rotation_back
+from robot_ik.kernels.tree import BALL, FREE
+from robot_ik.kernels.work import PRESSED, UPDATES
+
+# A joint with less room than this, rad or m, stands at its bound; a ball this near to its cone, rad, too.
+_AT_BOUND = 1e-12
+_AT_CONE = 1e-9
+# A column of the Jacobian counts for at least this share of the longest, squared: what moves nothing now
+# may move something soon, and shall not leap then.
+_LEAST_COLUMN = 1e-3
+# Least cosine between a step and the change of slope along it for the metric to learn from them.
+_LEAST_CURVATURE = 1e-8
+
+
+@outlined
+def slopes(tree, goal, work):
+    """At work.q, which has been measured: work.gradient = Jᵀr, and work.scale = 1 / |column of J|²."""
+    goal_jacobian(tree, goal, work, work.frames)
+    jacobian, residual, gradient, scale = work.jacobian, work.residual, work.gradient, work.scale
+    longest = 0.0
+    for u in range(gradient.shape[0]):
+        along, square = 0.0, 0.0
+        for r in range(residual.shape[0]):
+            along += jacobian[r, u] * residual[r]
+            square += jacobian[r, u] * jacobian[r, u]
+        gradient[u], scale[u] = along, square
+        longest = max(longest, square)
+    for u in range(gradient.shape[0]):
+        square = max(scale[u], _LEAST_COLUMN * longest)
+        scale[u] = 1.0 / square if square > 0.0 else 1.0
+
+
+@outlined
+def reset(work):
+    """H = α D: the inverse diagonal of JᵀJ, as long as its step is best for the linearised goals (Cauchy)."""
+    metric, scale, gradient, jacobian = work.metric, work.scale, work.gradient, work.jacobian
+    n = gradient.shape[0]
+    along, square = 0.0, 0.0
+    for r in range(jacobian.shape[0]):
+        row = 0.0
+        for u in range(n):
+            row += jacobian[r, u] * scale[u] * gradient[u]
+        square += row * row
+    for u in range(n):
+        along += gradient[u] * scale[u] * gradient[u]
+    share = along / square if square > 0.0 else 1.0
+    for u in range(n):
+        for i in range(n):
+            metric[u, i] = 0.0
+        metric[u, u] = share * scale[u]
+        work.side[u] = 0
+    work.state[UPDATES] = 0
+
+
+@outlined
+def hold_coordinate(work, u):
+    """Makes the limit of a hinge or slide active."""
+    metric = work.metric
+    n, inverse = metric.shape[0], 1.0 / metric[u, u] if metric[u, u] > 0.0 else 0.0
+    for i in range(n):
+        if i != u:
+            part = inverse * metric[i, u]
+            for j in range(n):
+                metric[i, j] -= part * metric[u, j]
+    for i in range(n):
+        metric[i, u] = metric[u, i] = 0.0
+    work.side[u] = 1
+
+
+@outlined
+def hold_cone(work, u):
+    """Makes the cone of the ball whose first coordinate is ``u`` active."""
+    metric, normal, along = work.metric, work.outward, work.rhs
+    n, square = metric.shape[0], 0.0
+    for i in range(n):
+        along[i] = metric[i, u] * normal[u] + metric[i, u + 1] * normal[u + 1] + metric[i, u + 2] * normal[u + 2]
+    for i in range(u, u + 3):
+        square += normal[i] * along[i]
+    inverse = 1.0 / square if square > 0.0 else 0.0
+    for i in range(n):
+        for j in range(n):
+            metric[i, j] -= inverse * along[i] * along[j]
+    work.side[u] = 1
+
+
+@pure
+def release_cone(work, u):
+    """Gives the direction of a cone back to the metric."""
+    normal, scale = work.outward, 0.0
+    for i in range(u, u + 3):
+        scale += normal[i] * normal[i] * work.scale[i]
+    for i in range(u, u + 3):
+        for j in range(u, u + 3):
+            work.metric[i, j] += scale * normal[i] * normal[j]
+    work.side[u] = 0
+
+
+@pure
+def is_cone(tree, goal, u):
+    """Whether ``u`` is the first coordinate of a ball that has a cone."""
+    v = goal.dofs[u]
+    k = tree.dof_node[v]
+    return tree.kind[k] == BALL and tree.vadr[k] == v and tree.upper[v] < math.pi
+
+
+@pure
+def find_cone(tree, goal, work, u):
+    """work.outward of a ball: the axis of its turn where that is as large as the cone allows, else zero."""
+    q, normal, v = work.q, work.outward, goal.dofs[u]
+    a = tree.qadr[tree.dof_node[v]]
+    sine = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
+    at_edge = sine > 0.0 and 2.0 * math.atan2(sine, abs(q[a])) >= tree.upper[v] - _AT_CONE
+    inverse = (math.copysign(1.0, q[a]) / sine) if at_edge else 0.0
+    for i in range(3):
+        normal[u + i] = inverse * q[a + 1 + i]
+        if tree.upper[v] < _AT_CONE:  # a cone without room: no coordinate may move
+            work.low[u + i] = work.high[u + i] = 0.0
+
+
+@pure
+def leaves(work, vector, u):
+    """Whether ``vector`` would take the coordinate beyond the bound at which it stands."""
+    return (work.low[u] > -_AT_BOUND and vector[u] < 0.0) or (work.high[u] < _AT_BOUND and vector[u] > 0.0)
+
+
+@pure
+def leaves_cone(work, vector, u):
+    """Whether ``vector`` would take the ball out of the cone at whose edge it stands."""
+    normal = work.outward
+    return normal[u] * vector[u] + normal[u + 1] * vector[u + 1] + normal[u + 2] * vector[u + 2] > 0.0
+
+
+@outlined
+def constrain(tree, goal, work):
+    """Holds the limits that the slope pushes against and releases those from which it leads away."""
+    side, gradient = work.side, work.gradient
+    room(tree, goal, work)
+    for u in range(gradient.shape[0]):
+        if is_cone(tree, goal, u):
+            if side[u] != 0:  # the axis may have changed: out with the old one
+                release_cone(work, u)
+            find_cone(tree, goal, work, u)
+            if leaves_cone(work, gradient, u):
+                hold_cone(work, u)
+    for u in range(gradient.shape[0]):
+        if is_cone(tree, goal, u) and tree.upper[goal.dofs[u]] >= _AT_CONE:
+            continue
+        leaving = leaves(work, gradient, u)
+        if leaving and side[u] == 0:
+            hold_coordinate(work, u)
+        elif side[u] != 0 and not leaving:
+            work.metric[u, u] = work.scale[u]
+            side[u] = 0
+
+
+@outlined
+def direction(tree, goal, work):
+    """work.way = H g; limits that it would cross at once are held, too.  Returns the slope along it."""
+    metric, gradient, way, side = work.metric, work.gradient, work.way, work.side
+    n = gradient.shape[0]
+    for _ in range(n + 1):
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += metric[i, j] * gradient[j]
+            way[i] = s
+        crossed = False
+        for u in range(n):
+            if is_cone(tree, goal, u) and leaves_cone(work, way, u) and side[u] == 0:
+                hold_cone(work, u)
+                crossed = True
+            elif leaves(work, way, u) and side[u] == 0:
+                hold_coordinate(work, u)
+                crossed = True
+        if not crossed:
+            break
+    pressed, slope = 0, 0.0
+    for u in range(n):
+        pressed += side[u]
+        slope += gradient[u] * way[u]
+    work.state[PRESSED] = pressed
+    return slope
+
+
+@outlined
+def displacement(tree, goal, work):
+    """work.moved (nu,): the way from work.accepted to work.q in units of the step."""
+    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
+    before, q, dofs, ease, moved = work.accepted, work.q, goal.dofs, goal.ease, work.moved
+    for u in range(dofs.shape[0]):
+        k = tree.dof_node[dofs[u]]
+        a, i = qadr[k], dofs[u] - vadr[k]
+        if kind[k] < BALL or (kind[k] == FREE and i < 3):
+            moved[u] = (q[a + i] - before[a + i]) / ease[u]
+        elif i % 3 == 0:
+            a = a + 3 if kind[k] == FREE else a
+            x, y, z = rotation_back(before, a, q[a], q[a + 1], q[a + 2], q[a + 3])
+            moved[u], moved[u + 1], moved[u + 2] = x / ease[u], y / ease[u + 1], z / ease[u + 2]
+
+
+@outlined
+def learn(work):
+    """The update of Broyden, Fletcher, Goldfarb and Shanno (1970) from s = moved and y = before − gradient.
+
+    H ← (1 − s yᵀ/σ) H (1 − y sᵀ/σ) + s sᵀ/σ, σ = sᵀy; left out where σ is not clearly positive, which
+    would cost H its definiteness.
+    """
+    metric, s, y, image = work.metric, work.moved, work.before, work.rhs
+    n = s.shape[0]
+    curvature, steps, changes = 0.0, 0.0, 0.0
+    for u in range(n):
+        y[u] -= work.gradient[u]
+        curvature += s[u] * y[u]
+        steps += s[u] * s[u]
+        changes += y[u] * y[u]
+    if not curvature > _LEAST_CURVATURE * math.sqrt(steps * changes):
+        return
+    square = 0.0
+    for i in range(n):
+        image[i] = 0.0
+        for j in range(n):
+            image[i] += metric[i, j] * y[j]
+        square += image[i] * y[i]
+    inverse = 1.0 / curvature
+    factor = inverse * (1.0 + inverse * square)
+    for i in range(n):
+        for j in range(n):
+            metric[i, j] += factor * s[i] * s[j] - inverse * (image[i] * s[j] + s[i] * image[j])
+    work.state[UPDATES] += 1
