@@ -144,7 +144,7 @@ class Problem:
             "wanted": (m,), "left": (p, m), "sigma": (p,), "right": (p, nu), "aim": (nu,),
             "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,), "level_best": (levels,),
             "basis": (min(dense, nu), nu), "own": (dense, nu), "gram": (dense, dense),
-            "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,), "scale": (nu,),
+            "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)

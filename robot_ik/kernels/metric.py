@@ -1,7 +1,7 @@
 """The metric of a variable-metric method, projected on the limits that are active.
 
-``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as the inverse
-diagonal of JᵀJ and learns the inverse of the Hessian from the steps that are taken (``learn``).
+``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as a multiple of
+the identity and learns the inverse of the Hessian from the steps that are taken (``learn``).
 
 A limit that is *active* has its direction n taken out of H, so that H n = 0 and every step keeps along
 it (Rosen's projection in the metric: Goldfarb, Extension of Davidon's variable metric method to
@@ -20,54 +20,46 @@ from robot_ik.kernels.loop import room
 from robot_ik.kernels.residuals import goal_jacobian
 from robot_ik.kernels.rotation_rows import rotation_back
 from robot_ik.kernels.tree import BALL, FREE
-from robot_ik.kernels.work import PRESSED, UPDATES
+from robot_ik.kernels.work import PRESSED, SCALE, UPDATES
 
 # A joint with less room than this, rad or m, stands at its bound; a ball this near to its cone, rad, too.
 _AT_BOUND = 1e-12
 _AT_CONE = 1e-9
-# A column of the Jacobian counts for at least this share of the longest, squared: what moves nothing now
-# may move something soon, and shall not leap then.
-_LEAST_COLUMN = 1e-3
 # Least cosine between a step and the change of slope along it for the metric to learn from them.
 _LEAST_CURVATURE = 1e-8
 
 
 @outlined
 def slopes(tree, goal, work):
-    """At work.q, which has been measured: work.gradient = Jᵀr, and work.scale = 1 / |column of J|²."""
+    """At work.q, which has been measured: work.gradient = Jᵀr, and how far down it the linearised goals want.
+
+    That is value[SCALE] = gᵀg / |J g|² (Cauchy 1847).
+    """
     goal_jacobian(tree, goal, work, work.frames)
-    jacobian, residual, gradient, scale = work.jacobian, work.residual, work.gradient, work.scale
-    longest = 0.0
+    jacobian, residual, gradient = work.jacobian, work.residual, work.gradient
+    square, bend = 0.0, 0.0
     for u in range(gradient.shape[0]):
-        along, square = 0.0, 0.0
+        along = 0.0
         for r in range(residual.shape[0]):
             along += jacobian[r, u] * residual[r]
-            square += jacobian[r, u] * jacobian[r, u]
-        gradient[u], scale[u] = along, square
-        longest = max(longest, square)
-    for u in range(gradient.shape[0]):
-        square = max(scale[u], _LEAST_COLUMN * longest)
-        scale[u] = 1.0 / square if square > 0.0 else 1.0
+        gradient[u] = along
+        square += along * along
+    for r in range(residual.shape[0]):
+        row = 0.0
+        for u in range(gradient.shape[0]):
+            row += jacobian[r, u] * gradient[u]
+        bend += row * row
+    work.value[SCALE] = square / bend if bend > 0.0 else 1.0
 
 
 @outlined
 def reset(work):
-    """H = α D: the inverse diagonal of JᵀJ, as long as its step is best for the linearised goals (Cauchy)."""
-    metric, scale, gradient, jacobian = work.metric, work.scale, work.gradient, work.jacobian
-    n = gradient.shape[0]
-    along, square = 0.0, 0.0
-    for r in range(jacobian.shape[0]):
-        row = 0.0
-        for u in range(n):
-            row += jacobian[r, u] * scale[u] * gradient[u]
-        square += row * row
-    for u in range(n):
-        along += gradient[u] * scale[u] * gradient[u]
-    share = along / square if square > 0.0 else 1.0
-    for u in range(n):
-        for i in range(n):
+    """H = the scale of the slope times the identity, no limit held."""
+    metric = work.metric
+    for u in range(metric.shape[0]):
+        for i in range(metric.shape[0]):
             metric[u, i] = 0.0
-        metric[u, u] = share * scale[u]
+        metric[u, u] = work.value[SCALE]
         work.side[u] = 0
     work.state[UPDATES] = 0
 
@@ -106,12 +98,10 @@ def hold_cone(work, u):
 @pure
 def release_cone(work, u):
     """Gives the direction of a cone back to the metric."""
-    normal, scale = work.outward, 0.0
-    for i in range(u, u + 3):
-        scale += normal[i] * normal[i] * work.scale[i]
+    normal = work.outward
     for i in range(u, u + 3):
         for j in range(u, u + 3):
-            work.metric[i, j] += scale * normal[i] * normal[j]
+            work.metric[i, j] += work.value[SCALE] * normal[i] * normal[j]
     work.side[u] = 0
 
 
@@ -169,7 +159,7 @@ def constrain(tree, goal, work):
         if leaving and side[u] == 0:
             hold_coordinate(work, u)
         elif side[u] != 0 and not leaving:
-            work.metric[u, u] = work.scale[u]
+            work.metric[u, u] = work.value[SCALE]
             side[u] = 0
 
 

@@ -14,7 +14,7 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 ) = range(18)  # fmt: skip
 
 # Entries of work.value (float64).
-COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, VALUE_SIZE = range(8)
+COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, SCALE, VALUE_SIZE = range(9)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
@@ -66,7 +66,6 @@ WORK = Layout(
     before="floats",  # (nu,) gradient before the step
     moved="floats",  # (nu,) how far the joints have really gone
     outward="floats",  # (nu,) axis along which a ball would leave its cone
-    scale="floats",  # (nu,) 1 / |column of the Jacobian|²
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open
