@@ -9,12 +9,13 @@ maximization under linear inequality and equality constraints, SIAM J. Applied M
 
     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
 
-n is a coordinate for hinges and slides; for the cone of a ball it is the axis of its turn, ``work.outward``.
+n is a coordinate for hinges and slides; ``cones.py`` has the cones of balls.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
+from robot_ik.kernels.cones import AT_CONE, edge_axis, hold_cone, is_cone, leaves_cone, release_cone
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.loop import room
 from robot_ik.kernels.residuals import goal_jacobian
@@ -22,9 +23,8 @@ from robot_ik.kernels.rotation_rows import rotation_back
 from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.kernels.work import PRESSED, SCALE, UPDATES
 
-# A joint with less room than this, rad or m, stands at its bound; a ball this near to its cone, rad, too.
+# A joint with less room than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
-_AT_CONE = 1e-9
 # Least cosine between a step and the change of slope along it for the metric to learn from them.
 _LEAST_CURVATURE = 1e-8
 
@@ -79,81 +79,29 @@ def hold_coordinate(work, u):
     work.side[u] = 1
 
 
-@outlined
-def hold_cone(work, u):
-    """Makes the cone of the ball whose first coordinate is ``u`` active."""
-    metric, normal, along = work.metric, work.outward, work.rhs
-    n, square = metric.shape[0], 0.0
-    for i in range(n):
-        along[i] = metric[i, u] * normal[u] + metric[i, u + 1] * normal[u + 1] + metric[i, u + 2] * normal[u + 2]
-    for i in range(u, u + 3):
-        square += normal[i] * along[i]
-    inverse = 1.0 / square if square > 0.0 else 0.0
-    for i in range(n):
-        for j in range(n):
-            metric[i, j] -= inverse * along[i] * along[j]
-    work.side[u] = 1
-
-
-@pure
-def release_cone(work, u):
-    """Gives the direction of a cone back to the metric."""
-    normal = work.outward
-    for i in range(u, u + 3):
-        for j in range(u, u + 3):
-            work.metric[i, j] += work.value[SCALE] * normal[i] * normal[j]
-    work.side[u] = 0
-
-
-@pure
-def is_cone(tree, goal, u):
-    """Whether ``u`` is the first coordinate of a ball that has a cone."""
-    v = goal.dofs[u]
-    k = tree.dof_node[v]
-    return tree.kind[k] == BALL and tree.vadr[k] == v and tree.upper[v] < math.pi
-
-
-@pure
-def find_cone(tree, goal, work, u):
-    """work.outward of a ball: the axis of its turn where that is as large as the cone allows, else zero."""
-    q, normal, v = work.q, work.outward, goal.dofs[u]
-    a = tree.qadr[tree.dof_node[v]]
-    sine = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
-    at_edge = sine > 0.0 and 2.0 * math.atan2(sine, abs(q[a])) >= tree.upper[v] - _AT_CONE
-    inverse = (math.copysign(1.0, q[a]) / sine) if at_edge else 0.0
-    for i in range(3):
-        normal[u + i] = inverse * q[a + 1 + i]
-        if tree.upper[v] < _AT_CONE:  # a cone without room: no coordinate may move
-            work.low[u + i] = work.high[u + i] = 0.0
-
-
 @pure
 def leaves(work, vector, u):
     """Whether ``vector`` would take the coordinate beyond the bound at which it stands."""
     return (work.low[u] > -_AT_BOUND and vector[u] < 0.0) or (work.high[u] < _AT_BOUND and vector[u] > 0.0)
 
 
-@pure
-def leaves_cone(work, vector, u):
-    """Whether ``vector`` would take the ball out of the cone at whose edge it stands."""
-    normal = work.outward
-    return normal[u] * vector[u] + normal[u + 1] * vector[u + 1] + normal[u + 2] * vector[u + 2] > 0.0
-
-
 @outlined
 def constrain(tree, goal, work):
     """Holds the limits that the slope pushes against and releases those from which it leads away."""
-    side, gradient = work.side, work.gradient
+    side, gradient, outward = work.side, work.gradient, work.outward
     room(tree, goal, work)
     for u in range(gradient.shape[0]):
         if is_cone(tree, goal, u):
-            if side[u] != 0:  # the axis may have changed: out with the old one
-                release_cone(work, u)
-            find_cone(tree, goal, work, u)
-            if leaves_cone(work, gradient, u):
+            if side[u] == 0:
+                outward[u], outward[u + 1], outward[u + 2] = edge_axis(tree, goal, work.q, u)
+            leaving = leaves_cone(work, gradient, u)
+            if leaving and side[u] == 0:
                 hold_cone(work, u)
-    for u in range(gradient.shape[0]):
-        if is_cone(tree, goal, u) and tree.upper[goal.dofs[u]] >= _AT_CONE:
+            elif side[u] != 0 and not leaving:
+                release_cone(work, u)
+            if tree.upper[goal.dofs[u]] < AT_CONE:
+                for i in range(u, u + 3):
+                    work.low[i] = work.high[i] = 0.0
             continue
         leaving = leaves(work, gradient, u)
         if leaving and side[u] == 0:

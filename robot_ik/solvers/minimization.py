@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from robot_ik.kernels.cones import carry, slope_left
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
 from robot_ik.kernels.metric import constrain, direction, displacement, learn, reset, slopes
@@ -92,11 +93,10 @@ def search(tree, goal, work, options, slope):
         won = cost - work.value[COST]
         if promised > 0.0 and won >= decrease * promised:
             slopes(tree, goal, work)
-            left, bent = 0.0, False
+            bent = False
             for u in range(way.shape[0]):
-                left += work.gradient[u] * way[u]
                 bent = bent or work.step[u] != share * way[u]
-            if left <= curvature * slope or bent or 2.0 * share * longest > max_step:
+            if slope_left(tree, goal, work) <= curvature * slope or bent or 2.0 * share * longest > max_step:
                 return True
             good = share
             share = 2.0 * share if bad == 0.0 else 0.5 * (good + bad)
@@ -125,10 +125,12 @@ def bfgs_step(tree, goal, work, options):
         slope = direction(tree, goal, work)
         copy(work.gradient, work.before)
         found = slope > 0.0 and search(tree, goal, work, options, slope)
-        copy(work.accepted, work.q)  # ``advance`` goes there
+        if found:
+            carry(tree, goal, work)
+            learn(work)
+        copy(work.accepted, work.q)  # ``advance`` goes on from there
         work.value[COST] = cost
         if found:
-            learn(work)
             return
         if state[UPDATES] == 0:
             break
