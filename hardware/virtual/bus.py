@@ -216,9 +216,12 @@ class VirtualBus:
             replies = [data] if self.faults.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
                 self.schedule.count()
-                listeners = [s for s in self.servos if not s.deaf and (baud is None or baud == s.baud)]
+                now = self.clock.now()
+                listeners = [s for s in self.servos if not s.silent and not s.off and now >= s.ready_at]
+                if baud is not None:
+                    listeners = [s for s in listeners if s.baud == baud]
                 for servo in listeners:
-                    servo.hear()
+                    servo.controller.hear(now)
                 replies += self.wire.carry(self._answer(packet, listeners))
             return Answer(b"".join(replies), self._delay + (self.latency if replies else 0.0))
 
@@ -242,11 +245,14 @@ class VirtualBus:
                 return []
             case _:
                 return self._execute(packet, listeners)
+        wanted: dict[int, list[tuple[int, bytes]]] = {}
+        for id, address, data in orders:
+            wanted.setdefault(id, []).append((address, data))
         for servo in listeners:
-            mine = (servo.id, servo.memory.get("secondary_id"))
-            for id, address, data in orders:
-                if id in mine:
-                    servo.write(address, data)
+            values = servo.memory.values
+            for id in {values["id"], values["secondary_id"]} & wanted.keys():
+                for address, data in wanted[id]:
+                    servo.store(address, data)
         return []
 
     def _execute(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
@@ -281,7 +287,7 @@ class VirtualBus:
             answers = []
             for servo in by_id.get(id, ()):
                 self._delay += servo.return_delay
-                data, error = servo.read(address, length)
+                data, error = servo.fetch(address, length)
                 answers.append(build_status(id, servo.status_byte(error), data))
             if answers:
                 replies.append(self._on_wire(answers))

@@ -10,6 +10,7 @@ torque stays where it is.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, Register, control_table
 from robot_ik.hardware.virtual.controller import Controller
@@ -47,6 +48,7 @@ class VirtualServo:
         off: Has no power.
         zero_offset_ticks: May be changed at any time.
         reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
+        ready_at: When the last of these is over, s.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class VirtualServo:
         self.memory = Memory(self.table)
         self.zero_offset_ticks = zero_offset_ticks
         self.silent = self.off = False
-        self.reboot_time = 0.0
+        self.reboot_time = self.ready_at = 0.0
         self.shaft = Shaft(self.memory, clock, float(position_ticks), load or Load.light(self.table.motor))
         self.controller = Controller(self.memory, self.shaft, clock)
         self._clock = clock
@@ -76,6 +78,7 @@ class VirtualServo:
         self.memory.set("operating_mode", mode)
         self.memory.set("baud_rate", {rate: code for code, rate in BAUD_RATES.items()}[baud])
         self.memory.set("present_input_voltage", round(10.0 * self.table.supply))
+        self._plans: dict[tuple[int, int], list[tuple[str, Callable[[], int]]]] = {}
         self._live = [(self.table[name], value) for name, value in self.controller.readings().items()]
         if mode == OperatingMode.POSITION:
             self.shaft.fold()
@@ -86,7 +89,7 @@ class VirtualServo:
     @property
     def id(self) -> int:
         """The ID register."""
-        return self.memory.get("id")
+        return self.memory.values["id"]
 
     @property
     def baud(self) -> int:
@@ -101,7 +104,7 @@ class VirtualServo:
     @property
     def deaf(self) -> bool:
         """Silent, off, or still starting up."""
-        return self.silent or self.off or self._clock.now() < self.controller.booted + self.reboot_time
+        return self.silent or self.off or self._clock.now() < self.ready_at
 
     @property
     def torque(self) -> bool:
@@ -171,21 +174,33 @@ class VirtualServo:
 
     def hear(self) -> None:
         """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
-        self.controller.update()
-        self.controller.heard = self._clock.now()
+        self.controller.hear(self._clock.now())
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
         """Bytes of the control table as they are now."""
         self.controller.update()
-        for first, end in self.memory.spans(address, length):
-            for register, value in self._live:
-                if first < register.end and end > register.address:
-                    self.memory.set(register.name, value())
-        return self.memory.read(address, length)
+        return self.fetch(address, length)
+
+    def fetch(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
+        """The same of a servo that has just heard a packet and is up to date."""
+        memory = self.memory
+        live = self._plans.get((address, length))
+        if live is None:
+            spans = memory.spans(address, length)
+            live = [(r.name, v) for r, v in self._live if any(f < r.end and e > r.address for f, e in spans)]
+            if address + length <= memory.first_indirect:  # else the pointers may change
+                self._plans[address, length] = live
+        for name, value in live:
+            memory.set(name, value())
+        return memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> ErrorCode:
         """Sets registers if all of them may be set; then does what they say."""
         self.controller.update()
+        return self.store(address, data)
+
+    def store(self, address: int, data: bytes) -> ErrorCode:
+        """The same of a servo that has just heard a packet and is up to date."""
         locked = bool(self.memory.get("torque_enable"))
         values, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
         for register, value in values:
@@ -238,6 +253,7 @@ class VirtualServo:
                     memory.set(name, value)
         self.shaft.fold()
         self.controller.start()
+        self.ready_at = self.controller.booted + self.reboot_time
         if startup & _TORQUE_AT_START and not self.off:
             self.controller.torque_on()
 

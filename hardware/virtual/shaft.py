@@ -70,6 +70,7 @@ class Shaft:
         self.load = load
         self.powered = False
         self._memory = memory
+        self._values = memory.values
         self._clock = clock
         self._turns = 0.0
         self._top = (memory.table["velocity_limit"].initial or 0) * VELOCITY_TICKS
@@ -204,16 +205,18 @@ class Shaft:
 
     @property
     def _mode(self) -> int:
-        return self._memory.get("operating_mode")
+        return self._values["operating_mode"]
 
     @property
     def sign(self) -> int:
         """-1 where Drive Mode reverses."""
-        return -1 if "drive_mode" in self._memory.table and self._memory.get("drive_mode") & REVERSE else 1
+        return -1 if self._values.get("drive_mode", 0) & REVERSE else 1
 
     @property
     def _homing(self) -> int:
-        offset = self._memory.get("homing_offset")
+        offset = self._values["homing_offset"]
+        if not offset:
+            return 0
         ignored = self._mode == OperatingMode.POSITION and abs(offset) > _HOMING_ONE_TURN
         return 0 if ignored else offset
 
