@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shlex
 import sys
 from dataclasses import dataclass
@@ -69,8 +70,10 @@ def run(options: BenchOptions) -> int:
     from robot_ik.bench.plots import need_matplotlib
     from robot_ik.bench.results import Results, Settings, this_machine
     from robot_ik.jobs.reach_files import run_folder
+    from robot_ik.problem import Tolerance
 
     solvers, robots = _solvers(options), _robots(options)
+    Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
     if options.plots:
         need_matplotlib()
     settings = Settings(
@@ -115,12 +118,19 @@ def _measure(options: BenchOptions, solvers: list[Solver], robots: list[Robot], 
     machine = results.machine
     console.say(f"on {machine.processor}, {machine.cores} cores, Python {machine.python}", "dim")
     benches = _prepare(options, solvers, robots, results.settings)
-    with console.progress() as bar:
-        _run_cells(benches, results, bar)
-        if "kernels" in options.sets:
-            _run_kernels(solvers, robots, results, bar)
-        if "batch" in options.sets:
-            _run_batches(options, solvers, robots, results, bar)
+    # What compiling left behind need not be looked through again before each method's turn.
+    gc.collect()
+    gc.freeze()
+    console.say("kernels are ready; Ctrl-C keeps what is done", "dim")
+    try:
+        with console.progress() as bar:
+            _run_cells(benches, results, bar)
+            if "kernels" in options.sets:
+                _run_kernels(solvers, robots, results, bar)
+            if "batch" in options.sets:
+                _run_batches(options, solvers, robots, results, bar)
+    finally:
+        gc.unfreeze()
 
 
 def _prepare(
@@ -192,6 +202,8 @@ def _finish(results: Results, folder: Path, *, plots: bool) -> None:
     from robot_ik.cli.bench_table import print_results
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
+    if not (results.cells or results.floors or results.batches):
+        return  # it had not begun
     write_atomically(folder / "bench.json", results_text(results))
     print_results(results)
     for name, picture in (draw(results) if plots else {}).items():
