@@ -26,6 +26,10 @@ def print_results(results: Results) -> None:
 
 
 def _print_cells(robot: str, name: str, cells: list[Cell]) -> None:
+    reasons = {cell.skipped for cell in cells}
+    if len(reasons) == 1 and "" not in reasons:  # the problems do not exist, whoever would solve them
+        console.out().print(Text(f"{robot}, {name}: {reasons.pop()}\n"))
+        return
     shown = console.table(
         "solver", "goal", "solved %", "median µs", "mean µs", "p99 µs", "steps", "restarts", "note",
         title=f"{robot}, {name}",

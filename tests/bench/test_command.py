@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from robot_ik.bench import floors
 from robot_ik.bench.results import read_results
 from robot_ik.cli.main import main
 
@@ -45,6 +46,37 @@ def test_the_table_has_a_row_for_each_method(tmp_path: Path, capsys: pytest.Capt
     (analytic,) = [line for line in lines if line.startswith("analytic ")]
     assert "no closed form" in analytic
     assert [file.name for file in tmp_path.iterdir()] == ["bench.json"]
+
+
+def test_kernels_and_batches(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(floors, "JOINTS", (4, 8))
+    monkeypatch.setattr(floors, "FIGURE_FRAMES", floors.FIGURE_FRAMES[:2])
+    words = (
+        "bench --solvers lm analytic --robots panda puma560 --sets kernels batch --count 2 --no-plots --out"
+    )
+    assert main([*words.split(), str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    results = read_results(tmp_path / "bench.json")
+    assert not results.cells and [one.joints for one in results.floors] == [7, 6]
+    points = {(point.solver, point.across, point.size): point for point in results.growth}
+    lm = {("lm", across, size) for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))}
+    assert set(points) == lm  # a closed form takes no steps
+    assert all(point.step_us > 0.0 for point in points.values())
+    assert points["lm", "goals", 2].converged == 1.0
+    solved = {(one.solver, one.robot, one.threads): one for one in results.batches}
+    assert {key[:2] for key in solved} == {("lm", "panda"), ("lm", "puma560"), ("analytic", "puma560")}
+    assert all(one.poses == 1000 and one.success == 1.0 and one.per_second > 0 for one in solved.values())
+    assert "no batch" in told.err and "panda" in told.err
+    assert "solves/s" in told.out and "µs a step, by number of goals" in " ".join(told.out.split())
+
+
+def test_problems_that_do_not_exist_take_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
+    assert main([*words.split(), str(tmp_path)]) == 0
+    (line, *_) = capsys.readouterr().out.splitlines()
+    assert line.startswith("humanoid, unreachable: nothing is out of its reach")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for a child there")
