@@ -57,15 +57,15 @@ def bulk_writes(params: bytes) -> list[Order]:
 
 
 def _ping(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    data, _ = servo.fetch(0, 2)
-    firmware, _ = servo.fetch(6, 1)
+    data, _ = servo.read(0, 2)
+    firmware, _ = servo.read(6, 1)
     return ErrorCode.NONE, data + firmware
 
 
 def _read(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
     if len(params) != 4:
         return ErrorCode.DATA_LENGTH, b""
-    data, error = servo.fetch(word(params, 0), word(params, 2))
+    data, error = servo.read(word(params, 0), word(params, 2))
     return error, data
 
 
@@ -82,7 +82,7 @@ SINGLE: Mapping[int, Callable[[VirtualServo, bytes], tuple[ErrorCode, bytes]]] =
     {
         Instruction.PING: _ping,
         Instruction.READ: _read,
-        Instruction.WRITE: lambda servo, params: (servo.store(word(params, 0), params[2:]), b""),
+        Instruction.WRITE: lambda servo, params: (servo.write(word(params, 0), params[2:]), b""),
         Instruction.REG_WRITE: lambda servo, params: (servo.reg_write(word(params, 0), params[2:]), b""),
         Instruction.ACTION: lambda servo, params: (servo.action(), b""),
         Instruction.FACTORY_RESET: _factory_reset,
@@ -133,7 +133,7 @@ def fast_answers(requests: list[Request], able: Mapping[int, list[VirtualServo]]
             break
         column = []
         for servo in able[id]:
-            data, error = servo.fetch(address, length)
+            data, error = servo.read(address, length)
             column.append((servo.status_byte(error), id, data.ljust(length, b"\x00")))
         columns.append(column)
     deepest = max(map(len, columns), default=0)

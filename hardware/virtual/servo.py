@@ -3,16 +3,16 @@
 What a register does follows the ROBOTIS e-manual (X series).  Where the manual is silent the choice is
 the less comfortable one for the host: Goal Position keeps its value while torque is off, so that
 switching torque on moves the shaft to a stale goal; a reboot forgets turns; a servo that has shut down
-takes Torque Enable = 1 without an error and does not obey.  Without a model of the arm a shaft without
-torque stays where it is.
+takes Torque Enable = 1 without an error and does not obey.  Without a world a limp shaft stays.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
-from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, Register, control_table
+from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, control_table
 from robot_ik.hardware.virtual.controller import Controller
 from robot_ik.hardware.virtual.load import ROOM_TEMPERATURE, Load
 from robot_ik.hardware.virtual.memory import Memory
@@ -70,6 +70,7 @@ class VirtualServo:
         self.silent = self.off = False
         self.reboot_time = self.ready_at = 0.0
         self.shaft = Shaft(self.memory, clock, float(position_ticks), load or Load.light(self.table.motor))
+        self._check = partial(check_write, self.memory)
         self.controller = Controller(self.memory, self.shaft, clock)
         self._clock = clock
         self._registered: tuple[int, bytes] | None = None
@@ -83,8 +84,6 @@ class VirtualServo:
         if mode == OperatingMode.POSITION:
             self.shaft.fold()
         self.controller.start()
-
-    # --------------------------------------------------------------------- what it is
 
     @property
     def id(self) -> int:
@@ -170,8 +169,6 @@ class VirtualServo:
         if not self.torque:
             self.shaft.turn_by(ticks)
 
-    # ------------------------------------------------------------------- instructions
-
     def hear(self) -> None:
         """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
         self.controller.hear(self._clock.now())
@@ -179,10 +176,6 @@ class VirtualServo:
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
         """Bytes of the control table as they are now."""
         self.controller.update()
-        return self.fetch(address, length)
-
-    def fetch(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
-        """The same of a servo that has just heard a packet and is up to date."""
         memory = self.memory
         live = self._plans.get((address, length))
         if live is None:
@@ -197,10 +190,6 @@ class VirtualServo:
     def write(self, address: int, data: bytes) -> ErrorCode:
         """Sets registers if all of them may be set; then does what they say."""
         self.controller.update()
-        return self.store(address, data)
-
-    def store(self, address: int, data: bytes) -> ErrorCode:
-        """The same of a servo that has just heard a packet and is up to date."""
         locked = bool(self.memory.get("torque_enable"))
         values, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
         for register, value in values:
@@ -286,8 +275,6 @@ class VirtualServo:
         self.reboot()
         return ErrorCode.NONE
 
-    # --------------------------------------------------------------- what happens to it
-
     def inject_error(self, name: str) -> None:
         """Makes a hardware error happen, e.g. ``"overload"``; Shutdown says whether torque goes off."""
         self.controller.update()
@@ -311,6 +298,3 @@ class VirtualServo:
         """Gives it power again; it starts up."""
         self.off = False
         self.reboot()
-
-    def _check(self, register: Register, value: int) -> ErrorCode:
-        return check_write(self.memory, register, value)

@@ -99,10 +99,10 @@ class Shaft:
 
     def torque(self) -> float:
         """What the motor gives now, N m in encoder direction."""
-        if self.body is not None:
-            return self.body.torque
         if not self.powered or self.stuck_at is not None:
             return 0.0
+        if self.body is not None:
+            return self.body.torque
         volts = self.volts
         position, velocity = self._actual()
         if self._mode in drive.TORQUE_MODES:
