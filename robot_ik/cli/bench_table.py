@@ -54,7 +54,7 @@ def microseconds(value: float) -> str:
 def _note(cell: Cell) -> str:
     notes = []
     if cell.count < cell.asked:
-        notes.append(f"{cell.count} of {cell.asked}: time was up")
+        notes.append(f"{cell.count} of {cell.asked} tried")
     if cell.jumps:
         notes.append(f"{cell.jumps} jumps")
     if cell.set == "unreachable":
