@@ -26,10 +26,10 @@ from robot_ik.compiled_goals import (
     target_row,
     wall_distance,
 )
-from robot_ik.errors import InvalidGoalError
+from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PostureGoal, Tolerance
-from robot_ik.goals.base import vector
+from robot_ik.goals.base import numbers, vector
 from robot_ik.kernels import residuals, work
 from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
 from robot_ik.model_tree import pose_row
@@ -38,6 +38,10 @@ from robot_ik.robot import Robot
 __all__ = ["Budget", "Problem", "Tolerance"]
 
 Array = NDArray[np.float64]
+
+
+# What the compiled loops can count to.
+_MOST = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -55,10 +59,15 @@ class Budget:
     restarts: int | None = None
 
     def __post_init__(self) -> None:
-        if self.iterations < 0 or (self.restarts is not None and self.restarts < 0):
-            raise InvalidGoalError("a budget of iterations or restarts must be zero or more")
-        if self.seconds is not None and not self.seconds >= 0:
-            raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds}")
+        for count in (self.iterations, 0 if self.restarts is None else self.restarts):
+            whole = isinstance(count, int | np.integer)
+            if not (whole and 0 <= count <= _MOST):
+                raise InvalidGoalError(
+                    f"a budget of iterations or restarts must be zero or more, at most 2^62, not {count!r}"
+                )
+        seconds: Any = self.seconds
+        if seconds is not None and not (isinstance(seconds, int | float | np.number) and seconds >= 0):
+            raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds!r}")
 
 
 class Problem:
@@ -89,6 +98,7 @@ class Problem:
             UnknownFrameError: A goal names a frame that the robot does not have.
             UnsupportedJointError: A frozen joint should follow one that the goals would move.
         """
+        _require_options(robot, tolerance, budget, seed)
         self.robot = robot
         self.goals = checked_goals(goals)
         self.tolerance = tolerance or Tolerance()
@@ -163,7 +173,7 @@ class Problem:
 
         Args:
             target: A ``Pose``, a homogeneous matrix (4, 4), a position (3,), or a goal of the same kind,
-                frame and weights.
+                frame and weights.  A matrix is taken to be one: this is the hot loop.
             index: Which goal.
 
         Raises:
@@ -181,14 +191,15 @@ class Problem:
             self._require_same(target, index)
             self.target[index] = pose_row(target.target)
             return
-        position = np.asarray(target, dtype=float)
-        if position.shape == (4, 4):
-            numbers = position.ravel()
-            if math.isfinite(numbers.dot(numbers)):
-                row = self.target[index]
-                row[:3] = position[:3, 3]
-                row[3:].reshape(3, 3)[:] = position[:3, :3]
-                return
+        try:
+            position = np.asarray(target, dtype=float)
+        except (TypeError, ValueError):
+            position = np.empty(0)
+        if position.shape == (4, 4) and math.isfinite(sum(position.ravel().tolist())):
+            row = self.target[index]
+            row[:3] = position[:3, 3]
+            row[3:].reshape(3, 3)[:] = position[:3, :3]
+            return
         if position.shape != (3,) or not np.isfinite(position).all():
             raise InvalidGoalError(
                 f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"
@@ -208,10 +219,13 @@ class Problem:
         elif isinstance(target, Pose):
             moved = mine.moved_to(target)
         else:
-            numbers = vector(np.ravel(target), 16 if np.shape(target) == (4, 4) else 3, "a target")
-            place, turn = numbers, mine.target.rotation
-            if len(numbers) == 16:
-                place, turn = numbers.reshape(4, 4)[:3, 3], numbers.reshape(4, 4)[:3, :3]
+            given = numbers(target, "a target")
+            place, turn = (
+                vector(given.ravel(), 16 if given.shape == (4, 4) else 3, "a target"),
+                mine.target.rotation,
+            )
+            if len(place) == 16:
+                place, turn = given[:3, 3], given[:3, :3]
             moved = mine.moved_to(Pose.from_rotation(turn, place))
         if isinstance(moved, PostureGoal):
             set_posture(self.robot, self._compiled.arrays, index, moved)
@@ -253,6 +267,18 @@ class Problem:
             if (a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 > radius * radius:
                 return True
         return False
+
+
+def _require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
+    """Raises in words for the likely slips: a name in place of a robot, a number in place of a tolerance."""
+    if not isinstance(robot, Robot):
+        raise ModelError(f"a problem needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
+    if not isinstance(tolerance, Tolerance | None):
+        raise InvalidGoalError(f"not a tolerance: {tolerance!r}", hint="Tolerance(position=1e-4, angle=1e-3)")
+    if not isinstance(budget, Budget | None):
+        raise InvalidGoalError(f"not a budget: {budget!r}", hint="Budget(iterations=2000, seconds=0.1)")
+    if not isinstance(seed, int | np.integer):
+        raise InvalidGoalError(f"a seed is a whole number, not {seed!r}")
 
 
 def _rebuilt(

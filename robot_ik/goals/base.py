@@ -40,18 +40,28 @@ class Tolerance:
     angle: float = 1e-3
 
     def __post_init__(self) -> None:
-        if not (self.position > 0 and self.angle > 0):
+        try:
+            positive = self.position > 0 and self.angle > 0
+        except TypeError:
+            positive = False
+        if not positive:
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
+
+
+def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
+    """A new array of floats; raises ``InvalidGoalError`` in words for text or uneven rows."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidGoalError(f"{what} must be {wanted}, not {values!r}") from error
 
 
 def vector(values: ArrayLike, size: int, what: str) -> Array:
     """A read-only finite array (size,); raises ``InvalidGoalError`` in words for anything else."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidGoalError(f"{what} must be {size} numbers, not {values!r}") from error
+    array = numbers(values, what, f"{size} numbers")
     if array.shape != (size,):
-        raise InvalidGoalError(f"{what} must be {size} numbers, not {array.size} ({values!r})")
+        found = array.size if array.size != size else f"an array of shape {array.shape}"
+        raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
     if not np.isfinite(array).all():
         raise InvalidGoalError(f"{what} must be finite, not {array.tolist()}")
     array.flags.writeable = False
@@ -172,7 +182,7 @@ class Goal:
                 hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
             )
         priority: object = self.priority
-        if not (isinstance(priority, int) and priority >= 0):
+        if not (isinstance(priority, int | np.integer) and priority >= 0):
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
