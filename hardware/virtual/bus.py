@@ -143,7 +143,8 @@ class VirtualBus:
     def change_wire(self, **rates: float) -> None:
         """Other probabilities (fields of ``Faults``) from here on; the dice go on."""
         with self.lock:
-            self.faults = self.wire.faults = dataclasses.replace(self.faults, **rates)  # type: ignore[arg-type]
+            self.faults = dataclasses.replace(self.faults, **rates)  # type: ignore[arg-type]
+            self.wire.change(self.faults)
 
     def inject(self, *faults: Fault) -> None:
         """Lets faults happen, now or at their time; see ``fault_kinds.KINDS``."""

@@ -179,7 +179,9 @@ class Controller:
         self._goal_written(self._memory.get("operating_mode") == OperatingMode.VELOCITY)
 
     def _effort_written(self, had_torque: bool) -> None:
-        self._goal_written(self._memory.get("operating_mode") in drive.TORQUE_MODES)
+        # In the other modes it is a limit: what was too weak may be strong enough now.
+        torque_on = bool(self._values["torque_enable"])
+        self._goal_written(torque_on or self._values["operating_mode"] in drive.TORQUE_MODES)
 
     def _goal_written(self, of_this_mode: bool) -> None:
         if not of_this_mode or self._slave:

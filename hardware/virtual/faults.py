@@ -120,17 +120,22 @@ class Wire:
         faults: Which, how often, and the seed.
 
     Attributes:
-        faults: May be replaced; the dice go on.
+        faults: The ones in force.
     """
 
     def __init__(self, faults: Faults) -> None:
-        self.faults = faults
+        self.change(faults)
         self._dice = random.Random(faults.seed)
         self._late: list[bytes] = []
 
+    def change(self, faults: Faults) -> None:
+        """Other faults from here on; the dice go on."""
+        self.faults = faults
+        self._clean = not any(getattr(faults, rate) for rate in RATES)
+
     def carry(self, packets: list[bytes]) -> list[bytes]:
         """What of the answers to one request arrives at the host, in the order in which it does."""
-        if not self._late and not any(getattr(self.faults, rate) for rate in RATES):
+        if self._clean and not self._late:
             return packets
         arriving, self._late = self._late, []
         behind: bytes | None = None

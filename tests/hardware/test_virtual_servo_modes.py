@@ -116,6 +116,16 @@ def test_a_gripper_in_current_based_position_presses_with_its_current_and_no_mor
     assert bench.read("present_position") == 2000
 
 
+def test_limits_too_small_for_the_load_leave_it_where_it_is(make_bench: Make) -> None:
+    bench = make_bench(load=Load(friction=0.5))  # of 4.1 N m: 108 of 885 counts
+    bench.set(goal_pwm=100, torque_enable=1, goal_position=3000)
+    bench.wait(2.0)
+    assert bench.read("present_position") == 2048 and bench.read("present_pwm") == 100
+    bench.set(goal_pwm=120)
+    bench.wait(2.0)
+    assert bench.read("present_position") == 3000
+
+
 def test_a_jammed_servo_in_position_mode_shuts_down(make_bench: Make) -> None:
     bench = make_bench(load=Load())
     bench.set(torque_enable=1)
