@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.goals.base import numbers
+from robot_ik.goals.base import LARGEST, numbers
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
@@ -128,8 +128,9 @@ def usable_cores() -> int:
 def _rows(poses: ArrayLike) -> tuple[Array, bool]:
     """Targets as pose rows (n, 12), and whether their orientation counts."""
     array = numbers(poses, "poses")
-    if not np.isfinite(array).all():
-        raise InvalidGoalError(f"{int((~np.isfinite(array)).sum())} numbers of the poses are not finite")
+    if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
+        bad = int((~(np.abs(array) <= LARGEST)).sum())
+        raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")
     rows = np.zeros((array.shape[0] if array.ndim else 0, 12))
     if array.ndim == 2 and array.shape[1] == 3:
         rows[:, :3] = array

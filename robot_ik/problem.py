@@ -29,7 +29,7 @@ from robot_ik.compiled_goals import (
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PostureGoal, Tolerance
-from robot_ik.goals.base import numbers, vector
+from robot_ik.goals.base import numbers, rotation_matrix, vector
 from robot_ik.kernels import residuals, work
 from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
 from robot_ik.model_tree import pose_row
@@ -225,7 +225,7 @@ class Problem:
                 mine.target.rotation,
             )
             if len(place) == 16:
-                place, turn = given[:3, 3], given[:3, :3]
+                place, turn = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
             moved = mine.moved_to(Pose.from_rotation(turn, place))
         if isinstance(moved, PostureGoal):
             set_posture(self.robot, self._compiled.arrays, index, moved)
@@ -264,7 +264,7 @@ class Problem:
                 continue
             # As Python's own numbers, which are quicker one by one than NumPy's.
             a, b, c = self.target[g, :3].tolist()
-            if (a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 > radius * radius:
+            if math.hypot(a - x, b - y, c - z) > radius:
                 return True
         return False
 

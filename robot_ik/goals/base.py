@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Squares of larger numbers leave the range of floats.
+LARGEST = 1e100
+
 
 @dataclass(frozen=True)
 class Tolerance:
@@ -64,8 +67,17 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
         raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
     if not np.isfinite(array).all():
         raise InvalidGoalError(f"{what} must be finite, not {array.tolist()}")
+    if size and np.abs(array).max() > LARGEST:
+        raise InvalidGoalError(f"{what} must be below {LARGEST:g}, not {array.tolist()}")
     array.flags.writeable = False
     return array
+
+
+def rotation_matrix(values: Array, what: str) -> Array:
+    """``values`` (3, 3) if they turn and do nothing else; raises ``InvalidGoalError`` otherwise."""
+    if not (np.abs(values.T @ values - np.eye(3)).max() < 1e-5 and np.linalg.det(values) > 0.0):
+        raise InvalidGoalError(f"{what} has a matrix that does not turn: it scales or mirrors")
+    return values
 
 
 def unit_quaternion(values: ArrayLike, what: str) -> Array:
