@@ -13,6 +13,7 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.fault_kinds import Fault
 from robot_ik.hardware.virtual.inprocess import SimBus
 from robot_ik.hardware.virtual.world import World, joint_torques
 from robot_ik.ports import VirtualClock
@@ -47,7 +48,7 @@ class Rig:
         self.model = mujoco.MjModel.from_xml_string(ARM.format(mass=mass))
         self.clock = VirtualClock()
         self.bus = VirtualBus.from_config(self.config, self.clock, start)
-        self.world = self.bus.world = World(self.model, self.config, self.bus)
+        self.world = World(self.model, self.config, self.bus)
         self.sim = SimBus(self.bus)
         self.sim.open()
 
@@ -161,6 +162,15 @@ def test_a_jam_holds_a_joint_and_costs_current(rig: Callable[..., Rig]) -> None:
     it.wait(0.6)
     assert abs(it.q()[0]) < 0.02
     assert it.read("present_current")[0] * NM_PER_COUNT == pytest.approx(4.1, rel=0.05)
+
+
+def test_a_push_from_outside_is_held_and_felt(rig: Callable[..., Rig]) -> None:
+    it = rig(start=(1.5707963, 0.0))  # upright: no gravity on the shoulder
+    it.write("torque_enable", 1)
+    it.bus.inject(Fault("push", 1, 1.0), Fault("push", 2, 0.5))
+    it.wait(1.0)
+    shoulder, elbow = (NM_PER_COUNT * count for count in it.read("present_current"))
+    assert (shoulder, elbow) == (pytest.approx(1.0, abs=0.1), pytest.approx(0.5, abs=0.1))
 
 
 def test_a_hidden_offset_is_one_of_the_world_and_not_of_the_registers(rig: Callable[..., Rig]) -> None:
