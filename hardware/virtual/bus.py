@@ -131,7 +131,7 @@ class VirtualBus:
             raise KeyError(f"no servo with id {sorted(missing)}; there are {sorted(self._built)}")
         with self.lock:
             self.faults = faults
-            self.wire = Wire(faults)
+            self.wire = Wire(faults, self._built)
             self._dice = random.Random(faults.seed)
             for id, servo in self._built.items():
                 servo.zero_offset_ticks = faults.zero_offset_deg.get(id, 0.0) * TICKS_PER_DEGREE

@@ -118,12 +118,14 @@ class Wire:
 
     Args:
         faults: Which, how often, and the seed.
+        taken: Ids on the wire: a stranger has none of them, for nobody could tell its answer from theirs.
 
     Attributes:
         faults: The ones in force.
     """
 
-    def __init__(self, faults: Faults) -> None:
+    def __init__(self, faults: Faults, taken: Iterable[int] = ()) -> None:
+        self._strangers = sorted(set(range(253)).difference(taken)) or [BROADCAST]
         self.change(faults)
         self._dice = random.Random(faults.seed)
         self._late: list[bytes] = []
@@ -174,7 +176,7 @@ class Wire:
         if self._happens(faults.duplicate):
             packet += packet
         if self._happens(faults.wrong_id):
-            packet = build_status((id + 1 + dice.randrange(250)) % 253, 0, dice.randbytes(4)) + packet
+            packet = build_status(dice.choice(self._strangers), 0, dice.randbytes(4)) + packet
         if self._happens(faults.garbage):
             packet = dice.randbytes(dice.randrange(1, 9)) + packet
         return packet
