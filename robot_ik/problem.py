@@ -10,9 +10,9 @@ Building one costs a few microseconds times ten; the hot loop builds it once and
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PostureGoal, Tolerance
 from robot_ik.goals.base import vector
-from robot_ik.kernels import residuals, work
+from robot_ik.kernels import jit, residuals, targets, work
 from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
 from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
@@ -108,6 +108,7 @@ class Problem:
             if ball is not None:
                 slack = (goal.tolerance or self.tolerance).position
                 self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
+        self.walls = not all(self._whole[g] for g, *_ in self._reach)  # which only ``out_of_reach`` knows
         self._make_work(self.budget.iterations + 1 if trace else 0)
 
     def length(self, goal: Goal) -> float:
@@ -131,7 +132,7 @@ class Problem:
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12),
+            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4), "world": (robot.tree.size, 12), "scratch": (2, 12),
             "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
             "normal": (nu, nu), "damped": (nu, nu),
@@ -146,7 +147,27 @@ class Problem:
         }
         self.arrays["nodes"] = self.nodes
         self.arrays["rest"][:] = robot.home
+        self.arrays["reach"][:, 3] = np.inf
+        for g, *ball in self._reach:
+            if self._whole[g]:
+                self.arrays["reach"][g] = ball
         self.work = work.WORK.pack(self.arrays)
+
+    @cached_property
+    def _matrix(self) -> Array:
+        return np.zeros((4, 4))
+
+    @cached_property
+    def _move_table(self) -> NDArray[np.int64]:
+        return targets.MOVE.pack({"matrix": self._matrix, "target": self.target})
+
+    @cached_property
+    def _move(self) -> int:
+        return int(self._move_table.ctypes.data)
+
+    @cached_property
+    def _take(self) -> Callable[[int, int], bool]:
+        return jit.entry(targets.take_matrix, self._move, 0)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has work space of its own, and so is compiled anew.
@@ -164,6 +185,10 @@ class Problem:
         Raises:
             InvalidGoalError: Not finite, or another kind of goal.
         """
+        if type(target) is np.ndarray and target.shape == (4, 4) and self._whole[index]:
+            self._matrix[...] = target
+            if self._take(self._move, index):
+                return
         if not self._whole[index]:
             self._retarget_partial(target, index)
             return
@@ -177,13 +202,9 @@ class Problem:
             self.target[index] = pose_row(target.target)
             return
         position = np.asarray(target, dtype=float)
-        if position.shape == (4, 4):
-            numbers = position.ravel()
-            if math.isfinite(numbers.dot(numbers)):
-                row = self.target[index]
-                row[:3] = position[:3, 3]
-                row[3:].reshape(3, 3)[:] = position[:3, :3]
-                return
+        if position.shape == (4, 4) and np.isfinite(position).all():
+            self.retarget(position, index)
+            return
         if position.shape != (3,) or not np.isfinite(position).all():
             raise InvalidGoalError(
                 f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"

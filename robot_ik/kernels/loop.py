@@ -8,7 +8,7 @@ A solver's kernel is five lines and its own step:
         ...                                  # its step: fills work.step (nu,)
         advance(tree, goal, work)
 
-Written once here: check before step, tolerance, budget, joint limits, restarts, stall, best so far,
+Written once here: check before step, measurement, tolerance, budget, joint limits, restarts, stall, best so far,
 trace.  What changes during a solve lives in the arrays of ``work``.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -24,17 +24,25 @@ from robot_ik.kernels.residuals import evaluate
 from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.kernels.work import (
     ACCEPTED,
+    AWAITED,
     BEST_COST,
+    BEYOND,
     BLOCKED,
     CONVERGED,
     COST,
     DAMPING,
+    DRAW,
+    DRAWN,
+    DRAWS,
     FIRST_STEPS,
     FRESH,
     ITERATION_LIMIT,
     ITERATIONS,
+    LOWEST,
     MAX_ITERATIONS,
     MAX_RESTARTS,
+    NO_LIMIT,
+    NOTHING,
     NUMERICAL,
     PATIENCE,
     POLISHING,
@@ -47,8 +55,10 @@ from robot_ik.kernels.work import (
     STALLED,
     STALLS,
     STATUS,
+    STEP,
     STEP_NORM,
     TRACE_ROWS,
+    TRY,
     TRY_COST,
     TRY_LIMIT,
     TRY_STEPS,
@@ -109,18 +119,40 @@ def begin_try(work):
     value[ACCEPTED] = math.inf
 
 
+@pure
+def out_of_reach(target, reach):
+    """Whether some goal is proven unreachable: its place is outside the ball that its frame stays in."""
+    beyond = False
+    for g in range(reach.shape[0]):
+        x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
+        beyond = beyond or x * x + y * y + z * z > reach[g, 3] * reach[g, 3]
+    return beyond
+
+
+@pure
+def finite(q):
+    """Whether all numbers are."""
+    size = 0.0
+    for i in range(q.shape[0]):
+        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
+    return size < math.inf
+
+
 @outlined
 def begin(tree, goal, work):
-    """First call of a solve: put the start inside the limits and measure it.  Later calls go on."""
-    if work.state[STATUS] != FRESH:
+    """First call of a solve: put the start inside the limits.  Later calls go on."""
+    state = work.state
+    if state[STATUS] != FRESH:
         return
+    if not finite(work.start):
+        state[STATUS] = NUMERICAL
+        return
+    if state[BEYOND] == 1 or out_of_reach(goal.target, work.reach):  # no other start will help
+        state[BEYOND], state[MAX_RESTARTS], state[FIRST_STEPS] = 1, 0, NO_LIMIT
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
     follow(tree, work.q)
-    within = measure(tree, goal, work)
-    work.state[STATUS] = CONVERGED if within else RUNNING
-    keep_best(work)
-    begin_try(work)
+    state[STATUS], state[AWAITED] = RUNNING, TRY
 
 
 @outlined
@@ -149,8 +181,8 @@ def draw(tree, nodes, start, state, q):
 
 
 @outlined
-def next_try(tree, goal, work):
-    """Ends a descent: a random restart, then one last polish of the best; False when there is no more."""
+def next_try(tree, work):
+    """Ends a descent: random starts come next, then one last polish of the best; False when there is no more."""
     state, value = work.state, work.value
     if state[POLISHING] == 1:
         # Out of tries: limits hold the best point, or nothing does but its own slope.
@@ -158,39 +190,118 @@ def next_try(tree, goal, work):
         return False
     if state[RESTARTS] < state[MAX_RESTARTS]:
         state[RESTARTS] += 1
-        draw(tree, work.nodes, work.start, state, work.q)
-        follow(tree, work.q)
+        state[DRAWN] = 0
+        value[LOWEST] = math.inf
+        draw_next(tree, work)
     else:
         state[POLISHING] = 1
         copy(work.best, work.q)
-    if measure(tree, goal, work):
-        keep_best(work)
-        state[STATUS] = CONVERGED
-        return False
-    if value[COST] < value[BEST_COST] * (1.0 - _CLEARLY_BETTER):
-        keep_best(work)
-    begin_try(work)
+        state[AWAITED] = TRY
     return True
 
 
 @pure
-def proceed(tree, goal, work):
-    """Whether to take another step; handles budget, stalled tries and restarts."""
-    state = work.state
-    if state[STATUS] != RUNNING or state[ITERATIONS] >= state[SLICE_END]:
-        return False
-    if state[ITERATIONS] >= state[MAX_ITERATIONS]:
-        state[STATUS] = ITERATION_LIMIT
-        return False
-    if state[POLISHING] == 1:
-        limit = _POLISH_STEPS
-    elif state[RESTARTS] == 0:
-        limit = state[FIRST_STEPS]
+def draw_next(tree, work):
+    """One more random start into work.q."""
+    draw(tree, work.nodes, work.start, work.state, work.q)
+    follow(tree, work.q)
+    work.state[DRAWN] += 1
+    work.state[AWAITED] = DRAW
+
+
+@outlined
+def record(state, value, miss, trace):
+    """One trace row, if there is room."""
+    row = state[TRACE_ROWS]
+    if row >= trace.shape[0]:
+        return
+    position, angle = 0.0, 0.0
+    for g in range(miss.shape[0]):
+        position = max(position, miss[g, 0])
+        angle = max(angle, miss[g, 1])
+    trace[row, 0] = state[ITERATIONS]
+    trace[row, 1] = state[RESTARTS]
+    trace[row, 2] = value[COST]
+    trace[row, 3] = position
+    trace[row, 4] = angle
+    trace[row, 5] = value[DAMPING]
+    trace[row, 6] = value[STEP_NORM]
+    state[TRACE_ROWS] = row + 1
+
+
+@outlined
+def judge(tree, work, within):
+    """What a measurement of work.q means: converged, best so far, progress, or which random start to take."""
+    state, value = work.state, work.value
+    awaited, cost = state[AWAITED], value[COST]
+    state[AWAITED] = NOTHING
+    if awaited == STEP:
+        state[ITERATIONS] += 1
+        state[TRY_STEPS] += 1
+        if work.trace.shape[0] > 0:
+            record(state, value, work.miss, work.trace)
+        if not cost < math.inf:  # NaN too
+            state[STATUS] = NUMERICAL
+            return
+    if within:
+        state[STATUS] = CONVERGED
+        keep_best(work)
+        return
+    if awaited == DRAW:
+        if cost < value[LOWEST]:
+            value[LOWEST] = cost
+            copy(work.q, work.candidate)
+        if state[DRAWN] < state[DRAWS]:
+            draw_next(tree, work)
+            return
+        if value[LOWEST] < cost:
+            copy(work.candidate, work.q)
+            state[AWAITED] = TRY
+            return
+    same_try = state[RESTARTS] == 0 or state[POLISHING] == 1
+    first = awaited != STEP and same_try and state[POLISHING] == 0
+    bar = value[BEST_COST] if awaited == STEP and same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
+    if first or cost < bar:
+        keep_best(work)
+    if awaited != STEP:
+        begin_try(work)
+        return
+    progress = _POLISH_PROGRESS if state[POLISHING] == 1 else value[PROGRESS]
+    if cost < value[TRY_COST] * (1.0 - progress):
+        value[TRY_COST] = cost
+        state[STALLS] = 0
     else:
-        limit = state[TRY_LIMIT]
-    if state[TRY_STEPS] >= limit or state[STALLS] >= state[PATIENCE]:
-        return next_try(tree, goal, work)
-    return True
+        state[STALLS] += 1
+
+
+@outlined
+def proceed(tree, goal, work):
+    """Whether to take another step; measures where the last one led, handles budget, stalled tries, restarts.
+
+    This is the one place where a solver measures: what it calls is large, and would be compiled once more
+    for each other.
+    """
+    state = work.state
+    while state[STATUS] == RUNNING:
+        if state[AWAITED] != NOTHING:
+            judge(tree, work, measure(tree, goal, work))
+            continue
+        if state[ITERATIONS] >= state[SLICE_END]:
+            return False
+        if state[ITERATIONS] >= state[MAX_ITERATIONS]:
+            state[STATUS] = ITERATION_LIMIT
+            return False
+        if state[POLISHING] == 1:
+            limit = _POLISH_STEPS
+        elif state[RESTARTS] == 0:
+            limit = state[FIRST_STEPS]
+        else:
+            limit = state[TRY_LIMIT]
+        if state[TRY_STEPS] < limit and state[STALLS] < state[PATIENCE]:
+            return True
+        if not next_try(tree, work):
+            return False
+    return False
 
 
 @outlined
@@ -249,54 +360,11 @@ def room(tree, goal, work):
 
 
 @outlined
-def record(state, value, miss, trace):
-    """One trace row, if there is room."""
-    row = state[TRACE_ROWS]
-    if row >= trace.shape[0]:
-        return
-    position, angle = 0.0, 0.0
-    for g in range(miss.shape[0]):
-        position = max(position, miss[g, 0])
-        angle = max(angle, miss[g, 1])
-    trace[row, 0] = state[ITERATIONS]
-    trace[row, 1] = state[RESTARTS]
-    trace[row, 2] = value[COST]
-    trace[row, 3] = position
-    trace[row, 4] = angle
-    trace[row, 5] = value[DAMPING]
-    trace[row, 6] = value[STEP_NORM]
-    state[TRACE_ROWS] = row + 1
-
-
-@outlined
 def advance(tree, goal, work):
-    """Takes work.step: integrate, limits, measure, best so far, stall, trace."""
-    state, value, step = work.state, work.value, work.step
+    """Takes work.step, inside the limits; ``proceed`` then measures where that has led."""
     norm = 0.0
-    for u in range(step.shape[0]):
-        norm += step[u] * step[u]
-    value[STEP_NORM] = math.sqrt(norm)
-    apply_step(tree, goal, work.nodes, step, work.dq, work.q)
-    within = measure(tree, goal, work)
-    state[ITERATIONS] += 1
-    state[TRY_STEPS] += 1
-    if work.trace.shape[0] > 0:
-        record(state, value, work.miss, work.trace)
-    cost = value[COST]
-    if not cost < math.inf:  # NaN too
-        state[STATUS] = NUMERICAL
-        return
-    if within:
-        state[STATUS] = CONVERGED
-        keep_best(work)
-        return
-    same_try = state[RESTARTS] == 0 or state[POLISHING] == 1
-    bar = value[BEST_COST] if same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
-    if cost < bar:
-        keep_best(work)
-    progress = _POLISH_PROGRESS if state[POLISHING] == 1 else value[PROGRESS]
-    if cost < value[TRY_COST] * (1.0 - progress):
-        value[TRY_COST] = cost
-        state[STALLS] = 0
-    else:
-        state[STALLS] += 1
+    for u in range(work.step.shape[0]):
+        norm += work.step[u] * work.step[u]
+    work.value[STEP_NORM] = math.sqrt(norm)
+    apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
+    work.state[AWAITED] = STEP
