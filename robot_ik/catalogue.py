@@ -75,6 +75,19 @@ class ReachScene(_Table):
     tool_marker: ToolMarker
 
 
+class GalleryScene(_Table):
+    """What `robot-ik robots --gallery` draws beside the home pose.
+
+    A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
+    are at home.  ``view_deg``: from where one looks, azimuth (from x towards y) and elevation.
+    """
+
+    about: str = "reaching"
+    goals: dict[str, tuple[float, float, float] | tuple[float, float, float, float, float, float, float]] = {}
+    keep: tuple[str, ...] = ()
+    view_deg: tuple[float, float] = (-55.0, 16.0)
+
+
 class _Motion(_Table):
     velocity_deg: tuple[float, ...] | None = None
     acceleration_deg: tuple[float, ...] | None = None
@@ -105,6 +118,7 @@ class _File(_Table):
     stiffness: dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] = {}
     couplings: dict[str, Coupled] = {}
     reach: ReachScene | None = None
+    gallery: GalleryScene | None = None
     provenance: _Provenance = _Provenance()
 
 
@@ -131,6 +145,7 @@ class RobotFile:
     stiffness: Mapping[str, float] = field(default_factory=dict)
     couplings: Mapping[str, Coupled] = field(default_factory=dict)
     reach: ReachScene | None = None
+    gallery: GalleryScene | None = None
     sources: tuple[str, ...] = ()
 
 
@@ -171,6 +186,7 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
         stiffness=parsed.stiffness,
         couplings=parsed.couplings,
         reach=parsed.reach,
+        gallery=parsed.gallery,
         sources=parsed.provenance.sources,
     )
 

@@ -106,6 +106,9 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
         "how": np.zeros((count, HOW_SIZE), dtype=np.int64),
         "row": np.empty(count, dtype=np.int64),
+        "level": np.searchsorted(sorted({g.priority for g in goals}), [g.priority for g in goals]).astype(
+            np.int64
+        ),
         "node": np.full(count, -1, dtype=np.int64),
         "local": np.zeros((count, 12)),
         "target": np.array([target_row(goal) for goal in goals]),

@@ -35,6 +35,8 @@ from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
 from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
 
+__all__ = ["Budget", "Problem", "Tolerance"]
+
 Array = NDArray[np.float64]
 
 
@@ -129,17 +131,21 @@ class Problem:
 
     def _make_work(self, trace_rows: int) -> None:
         robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
+        levels = len({goal.priority for goal in self.goals})
+        levels, dense = (levels, m) if levels > 1 else (0, 0)  # what only priorities need
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4), "world": (robot.tree.size, 12), "scratch": (2, 12),
+            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
+            "world": (robot.tree.size, 12), "scratch": (2, 12),
             "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
             "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
             "free": (k,), "side": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),
             "wanted": (m,), "left": (p, m), "sigma": (p,), "right": (p, nu), "aim": (nu,),
-            "rest": (nq,),
+            "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,), "level_best": (levels,),
+            "basis": (min(dense, nu), nu), "own": (dense, nu), "gram": (dense, dense),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 
-from robot_ik.errors import BusCorruptError, BusNotOpenError, BusTimeoutError, ServoRefusedError
+from robot_ik.errors import (
+    BusCorruptError,
+    BusDisconnectedError,
+    BusNotOpenError,
+    BusTimeoutError,
+    ServoRefusedError,
+)
 from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, Counters, Status
 from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -175,11 +181,16 @@ class SimBus:
                     f"{what} was asked of {self.port}, which is not open", hint="call open()"
                 )
             self.counters.bytes_sent += len(request)
+            self.virtual_bus.advance()
+            if self.virtual_bus.unplugged:
+                raise BusDisconnectedError(f"{self.port} went away while {what} was asked")
             reply = self.virtual_bus.handle(request)
             self.counters.bytes_received += len(reply)
             # A new parser each time: an answer that broke off must not run into the next one.
             packets = Parser().feed(reply, 0.0)
-            self.counters.corrupt += sum(not p.valid for p in packets)
+            # Bytes without any packet in them are an answer too: somebody spoke, and not to be understood.
+            nonsense = bool(reply) and not packets
+            self.counters.corrupt += nonsense + sum(not p.valid for p in packets)
             self.counters.alerts += sum(p.is_status and p.alert for p in packets)
             return [p for p in packets if p.valid]
 

@@ -9,6 +9,16 @@ from robot_ik.hardware.virtual.protocol2 import ErrorCode
 
 Checker = Callable[[Register, int], ErrorCode]
 
+GAINS = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
+FEEDFORWARD = ("feedforward_2nd_gain", "feedforward_1st_gain")
+PROFILE = ("profile_acceleration", "profile_velocity")
+BACKED_UP_RAM = frozenset((*GAINS, *FEEDFORWARD, *PROFILE))
+"""Protocol 2.0 manual, "Control Table Backup"; the indirect addresses come on top."""
+
+
+def _pointer(register: Register) -> bool:
+    return register.name.startswith("indirect_address_")
+
 
 class Memory:
     """Bytes of one servo.
@@ -29,7 +39,7 @@ class Memory:
         self._pointers = {
             table[name.replace("address", "data")].address: table[name]
             for name in table.registers
-            if name.startswith("indirect_address_")
+            if _pointer(table[name])
         }
         self._first_indirect = min(self._pointers, default=table.size)
         self.reset(eeprom=True)
@@ -39,6 +49,11 @@ class Memory:
         for register in self.table:
             if (eeprom or not register.eeprom) and register.name not in keep:
                 self.set(register.name, register.initial or 0)
+
+    def backup(self) -> dict[str, int]:
+        """What Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
+        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in BACKED_UP_RAM or _pointer(r)))
+        return {r.name: self.get(r.name) for r in kept}
 
     def get(self, name: str) -> int:
         """Value of a register."""

@@ -101,7 +101,7 @@ def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
     return np.asarray(array / norm)
 
 
-def axes_mask(axes: str) -> tuple[float, float, float]:
+def axes_mask(axes: object) -> tuple[float, float, float]:
     """1 for each coordinate named in ``axes`` ("xy"), 0 for the others.
 
     Raises:
@@ -171,7 +171,8 @@ class Goal:
                 f"the frame must be a name (or None for the tool), not {self.frame!r}",
                 hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
             )
-        if not isinstance(self.priority, int) or self.priority < 0:
+        priority: object = self.priority
+        if not (isinstance(priority, int) and priority >= 0):
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
@@ -186,7 +187,9 @@ class Goal:
     @property
     def rows(self) -> Rows:
         """Which rows it makes."""
-        raise NotImplementedError
+        raise InvalidGoalError(
+            f"a {self.name} says nothing of what is wanted", hint="take one of rik.goals.GOALS"
+        )
 
     @property
     def target(self) -> Pose:

@@ -41,7 +41,7 @@ def eliminate(matrix, x, n):
 
 @pure
 def solve_definite(matrix, x):
-    """``eliminate`` for any size; for six and seven, most arms, the compiler writes the loops out: half the time."""
+    """``eliminate`` for any size; for six and seven the compiler writes the loops out: half the time."""
     n = x.shape[0]
     if n == 6:
         return eliminate(matrix, x, types.int64(6))
@@ -81,7 +81,7 @@ def normal_equations(jacobian, residual, normal, gradient):
 
 @pure
 def pin(matrix, gradient, low, high, side, factor, step):
-    """The system of the joints that are free, in ``factor`` and ``step``: one at its bound has a row of its own."""
+    """The system of the free joints, in ``factor`` and ``step``: one at its bound has a row of its own."""
     n = gradient.shape[0]
     for i in range(n):
         for j in range(i + 1):

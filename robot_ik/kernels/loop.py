@@ -8,20 +8,19 @@ A solver's kernel is five lines and its own step:
         ...                                  # its step: fills work.step (nu,)
         advance(tree, goal, work)
 
-Written once here: check before step, measurement, tolerance, budget, joint limits, restarts, stall, best so far,
-trace.  What changes during a solve lives in the arrays of ``work``.
+Written once here: check before step, measurement, tolerance, budget, joint limits, restarts, stall,
+best so far, trace.  What changes during a solve lives in the arrays of ``work``.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
-from numba import types
-
 from robot_ik.kernels.couplings import follow
+from robot_ik.kernels.draws import draw
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward, turn_quat
+from robot_ik.kernels.kinematics import clip, forward
 from robot_ik.kernels.residuals import evaluate
-from robot_ik.kernels.tree import BALL, FREE
+from robot_ik.kernels.room import apply_step
 from robot_ik.kernels.work import (
     ACCEPTED,
     AWAITED,
@@ -50,7 +49,6 @@ from robot_ik.kernels.work import (
     PROGRESS,
     RESTARTS,
     RUNNING,
-    SEED,
     SLICE_END,
     STALLED,
     STALLS,
@@ -71,19 +69,6 @@ _CLEARLY_BETTER = 1e-3
 # counts as progress.  Far finer than in a try: an answer that still creeps would move at every tick.
 _POLISH_STEPS = 100
 _POLISH_PROGRESS = 1e-9
-
-
-@pure
-def uniform(state):
-    """Next number in [0, 1): xorshift64* (Vigna 2016), so that a seed gives the same bits everywhere."""
-    x = types.uint64(state[SEED])
-    x ^= x >> types.uint64(12)
-    x ^= x << types.uint64(25)
-    x ^= x >> types.uint64(27)
-    state[SEED] = types.int64(x)
-    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (
-        1.0 / 9007199254740992.0
-    )
 
 
 @outlined
@@ -156,33 +141,8 @@ def begin(tree, goal, work):
 
 
 @outlined
-def draw(tree, nodes, start, state, q):
-    """A random start for the joints that matter, inside their limits, into q; floats roam round ``start``."""
-    kind, qadr, vadr, low, high = tree.kind, tree.qadr, tree.vadr, tree.low, tree.high
-    for index in range(nodes.shape[0]):
-        k = nodes[index]
-        a, v = qadr[k], vadr[k]
-        joint = kind[k]
-        if joint < BALL:
-            q[a] = low[v] + (high[v] - low[v]) * uniform(state)
-            continue
-        if joint == FREE:
-            for i in range(3):
-                spread = low[v + i] + (high[v + i] - low[v + i]) * uniform(state)
-                q[a + i] = start[a + i] + spread
-            a, v = a + 3, v + 3
-        q[a], q[a + 1], q[a + 2], q[a + 3] = 1.0, 0.0, 0.0, 0.0
-        # A direction on the sphere and an angle in the cone.
-        z = 2.0 * uniform(state) - 1.0
-        around = 2.0 * math.pi * uniform(state)
-        angle = min(high[v], math.pi) * uniform(state)
-        r = angle * math.sqrt(max(0.0, 1.0 - z * z))
-        turn_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
-
-
-@outlined
 def next_try(tree, work):
-    """Ends a descent: random starts come next, then one last polish of the best; False when there is no more."""
+    """Ends a descent: random starts come next, then a polish of the best; False when there is no more."""
     state, value = work.state, work.value
     if state[POLISHING] == 1:
         # Out of tries: limits hold the best point, or nothing does but its own slope.
@@ -302,61 +262,6 @@ def proceed(tree, goal, work):
         if not next_try(tree, work):
             return False
     return False
-
-
-@outlined
-def apply_step(tree, goal, nodes, step, dq, q):
-    """q = q ⊕ ease · step for the goals' degrees of freedom, inside the limits; ``dq`` is work space."""
-    dofs, ease = goal.dofs, goal.ease
-    kind, qadr, vadr, dof_node, lower, upper = (
-        tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
-    )  # fmt: skip
-    floating = False
-    for u in range(dofs.shape[0]):
-        v = dofs[u]
-        k = dof_node[v]
-        if kind[k] < BALL:
-            a = qadr[k]
-            q[a] = min(max(q[a] + ease[u] * step[u], lower[v]), upper[v])
-        else:
-            floating = True
-            dq[v] = ease[u] * step[u]
-    if tree.tied.shape[0] > 0:
-        follow(tree, q)
-    if not floating:
-        return
-    for index in range(nodes.shape[0]):
-        k = nodes[index]
-        if kind[k] < BALL:
-            continue
-        a, v = qadr[k], vadr[k]
-        if kind[k] == FREE:
-            for i in range(3):
-                q[a + i] += dq[v + i]
-            a, v = a + 3, v + 3
-        turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
-    clip(tree, nodes, q)
-
-
-@pure
-def room(tree, goal, work):
-    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high.
-
-    In units of the step, which ``apply_step`` shortens for stiff joints.
-    """
-    kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
-    dofs, ease, q, low, high = goal.dofs, goal.ease, work.q, work.low, work.high
-    for u in range(dofs.shape[0]):
-        v = dofs[u]
-        k = dof_node[v]
-        if kind[k] < BALL:
-            a = qadr[k]
-            low[u] = min(lower[v] - q[a], 0.0) / ease[u]
-            high[u] = max(upper[v] - q[a], 0.0) / ease[u]
-        else:
-            # A ball's cone is kept by projection after the step; here a step stays below half a turn.
-            low[u] = -3.0
-            high[u] = 3.0
 
 
 @outlined

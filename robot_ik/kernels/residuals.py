@@ -31,6 +31,7 @@ GOALS = Layout(
     kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL
     how="int_table",  # (g, HOW_SIZE) which rows a PARTIAL goal makes, see ``partial_rows``
     row="ints",  # (g,) first row of its residual
+    level="ints",  # (g,) its place in the order of priorities, 0 first
     node="ints",  # (g,) node that carries its frame, -1 = world
     local="table",  # (g, 12) frame seen from the node
     target="table",  # (g, 12) wanted pose, world

@@ -11,8 +11,8 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 (
     STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
     MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
-    STATE_SIZE,
-) = range(20)  # fmt: skip
+    STAGE, STATE_SIZE,
+) = range(21)  # fmt: skip
 # What Python asks for after a solve: the first five.
 OUTCOME = slice(STATUS, BEYOND + 1)
 
@@ -63,6 +63,12 @@ WORK = Layout(
     right="table",  # (p, nu) singular vectors v
     aim="floats",  # (nu,) where the null space should go
     rest="floats",  # (nq,) the robot's home, an aim
+    level_cost="floats",  # (levels,) cost of the goals of each priority; empty where all are equal
+    level_bar="floats",  # (levels,) what it was when the next level began, -1 = met
+    level_best="floats",  # (levels,) the same of the best so far
+    basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
+    own="table",  # (m, nu) rows of a level less their part in the basis
+    gram="table",  # (m, m)
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open

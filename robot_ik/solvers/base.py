@@ -6,7 +6,6 @@ docs' table and the columns of benchmarks; ``option`` declares them.
 
 from __future__ import annotations
 
-import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -19,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.goals import GOALS, Goal
-from robot_ik.kernels import jit, work
-from robot_ik.problem import Budget, Problem
-from robot_ik.solution import STATUS_OF, Solution, Status
+from robot_ik.kernels import work
+from robot_ik.problem import Problem
+from robot_ik.solution import STATUS_OF, Solution
+from robot_ik.solvers.ready import Ready
 
 Array = NDArray[np.float64]
 
@@ -145,47 +145,6 @@ _FEATURES = {
 }
 
 
-def take_start(problem: Problem, start: ArrayLike | None) -> None:
-    """Puts the start (nq,) of a solve, default home, where the kernels look for it.
-
-    Raises:
-        ModelError: Wrong length, or a number that is not finite.
-    """
-    begin = problem.arrays["start"]
-    if type(start) is np.ndarray and start.shape == begin.shape:
-        begin[...] = start
-        if math.isfinite(sum(begin.tolist())):  # quicker than NumPy's for so few
-            return
-    begin[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
-
-
-class _Ready:
-    """What a solver needs for every solve of one problem, made once: the hot loop only copies it.
-
-    Attributes:
-        solver, budget, seed: What it was made for.
-        run, arguments: The compiled loop's entry, and what it takes.
-        fresh: State and values that a solve begins with.
-    """
-
-    __slots__ = (
-        "arguments", "best", "budget", "fresh", "outcome", "run", "seed", "shape", "solver", "start",
-        "state", "target", "value", "walls",
-    )  # fmt: skip
-
-    def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
-        kernel, arrays = solver.kernel(), problem.arrays
-        jit.announce(kernel, f"solver {solver.name!r}")
-        self.solver, self.budget, self.seed = solver, problem.budget, problem.seed
-        self.arguments = solver.arguments(problem)
-        self.run = jit.entry(kernel, *self.arguments)
-        self.state, self.value, self.start = arrays["state"], arrays["value"], arrays["start"]
-        self.fresh = self.state.copy(), self.value.copy()
-        self.outcome = self.state[work.OUTCOME]
-        self.best, self.target, self.shape = arrays["best"], problem.target, self.start.shape
-        self.walls = problem.walls
-
-
 @dataclass(frozen=True)
 class IterativeSolver(Solver):
     """A method that takes steps: the shared loop does the rest."""
@@ -201,6 +160,10 @@ class IterativeSolver(Solver):
     def kernel(self) -> Callable[..., None]:
         """The compiled loop: takes tree, goals, work, options."""
 
+    def kernel_for(self, problem: Problem) -> Callable[..., None]:
+        """The compiled loop that this problem needs, where there are several."""
+        return self.kernel()
+
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
         """What the kernel takes as its options, in its order."""
@@ -215,7 +178,7 @@ class IterativeSolver(Solver):
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
-        ready: _Ready | None = problem.prepared.get("steps")
+        ready: Ready | None = problem.prepared.get("steps")
         if (
             ready is None
             or ready.solver is not self
@@ -241,15 +204,15 @@ class IterativeSolver(Solver):
         elif beyond and status != work.CONVERGED:
             status = work.UNREACHABLE
         return Solution(
-            ready.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began, self.name,
-            problem.robot, tuple(problem.goals), ready.target.copy(),
+            ready.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
+            self.name, problem.robot, tuple(problem.goals), ready.target.copy(),
             problem.arrays["trace"][:rows].copy() if rows else None,
         )  # fmt: skip
 
-    def _get_ready(self, problem: Problem) -> _Ready:
+    def _get_ready(self, problem: Problem) -> Ready:
         self.require_support(problem)
         self._set_state(problem)
-        ready = _Ready(self, problem)
+        ready = Ready(self, problem)
         problem.prepared["steps"] = ready
         return ready
 

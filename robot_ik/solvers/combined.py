@@ -34,6 +34,8 @@ class Combined(Solver):
     source: ClassVar[str] = "Aho 2000, generalised"
 
     parts: ClassVar[bool] = True
+    # Those of its methods that can.
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "stiffness"})
 
     @cached_property
     def _members(self) -> tuple[Solver, ...]:

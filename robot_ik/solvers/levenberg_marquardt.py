@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.level_loop import lm_levels
 from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, room
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.room import room
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.work import (
     ACCEPTED,
@@ -66,11 +68,14 @@ class LevenbergMarquardt(IterativeSolver):
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     def kernel(self) -> Callable[..., None]:
         return lm
+
+    def kernel_for(self, problem: Problem) -> Callable[..., None]:
+        return lm_levels if "priorities" in problem.features else lm
 
     def parameters(self) -> tuple[float, ...]:
         return (self.floor, self.damping, self.increase, self.decrease, self.least, self.stride)
@@ -95,7 +100,7 @@ class LevenbergMarquardt(IterativeSolver):
 
 @pure
 def spare_room(tree, goal, work, stride):
-    """``room``, but no more than ``stride`` at once; in later tries joints go round where they have a turn."""
+    """``room``, but no more than ``stride`` at once; in later tries joints may go round."""
     room(tree, goal, work)
     low, high, ease = work.low, work.high, goal.ease
     around = roams(tree, work)
@@ -109,7 +114,7 @@ def spare_room(tree, goal, work, stride):
 
 @pure
 def roams(tree, work):
-    """Whether joints may go round: not where others follow them, nor in the tries that stay near the start."""
+    """Whether joints may go round: not where others follow, nor in the tries that stay near the start."""
     return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.tied.shape[0] == 0
 
 
@@ -156,7 +161,9 @@ def lm_step(tree, goal, work, options):
             damped[i, j] = normal[i, j]
         damped[i, i] = normal[i, i] + damping
     spare_room(tree, goal, work, options[5])
-    pressed = box_step(damped, work.gradient, work.low, work.high, work.step, work.free, work.side, work.factor)
+    pressed = box_step(
+        damped, work.gradient, work.low, work.high, work.step, work.free, work.side, work.factor
+    )
     if pressed < 0:  # not positive definite to working precision: more damping
         value[DAMPING] = value[DAMPING] * increase + 1e-9
         for i in range(n):

@@ -10,7 +10,7 @@ from robot_ik.kernels.linalg import box_step
 
 def solve(matrix, gradient, low, high):
     n = len(gradient)
-    step, rhs, free = np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64)
+    step, free = np.zeros(n), np.zeros(n, dtype=np.int64)
     pressed = box_step(np.tril(matrix), gradient, low, high, step, free, free.copy(), np.zeros((n, n)))
     return pressed, step
 

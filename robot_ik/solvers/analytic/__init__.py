@@ -45,7 +45,8 @@ from robot_ik.solvers.analytic.choose import nearest
 from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
 from robot_ik.solvers.analytic.planar import planar_two_link
 from robot_ik.solvers.analytic.six_axes import spherical_wrist, three_parallel
-from robot_ik.solvers.base import Answers, Solver, take_start
+from robot_ik.solvers.base import Answers, Solver
+from robot_ik.solvers.ready import take_start
 
 Array = NDArray[np.float64]
 
