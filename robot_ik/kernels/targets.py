@@ -1,10 +1,16 @@
 """Moving a target in compiled code: the hot loop does it before every solve."""
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
+from __future__ import annotations
+
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.jit import entry, kernel
 
 MOVE = Layout(
     "Move",
@@ -31,3 +37,22 @@ def take_matrix(move, index):
         for j in range(3):
             target[index, 3 + 3 * i + j] = matrix[i, j]
     return True
+
+
+class Mover:
+    """Takes matrices as targets: fill ``matrix``, then ``take(move, index)``; False when it is not finite.
+
+    Attributes:
+        matrix: (4, 4) where to put one.
+        dtype: What a matrix must be of to need no conversion that may fail.
+        take, move: The compiled code, and what it takes before the goal's index.
+    """
+
+    __slots__ = ("_table", "dtype", "matrix", "move", "take")
+
+    def __init__(self, target: NDArray[np.float64]) -> None:
+        self.matrix = np.zeros((4, 4))
+        self.dtype = self.matrix.dtype
+        self._table = MOVE.pack({"matrix": self.matrix, "target": target})
+        self.move: int = self._table.ctypes.data
+        self.take: Any = entry(take_matrix, self.move, 0)
