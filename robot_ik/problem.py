@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from robot_ik.goals import Goal, PostureGoal, Tolerance
 from robot_ik.goals.base import numbers, rotation_matrix, vector
 from robot_ik.kernels import residuals, work
 from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
+from robot_ik.kernels.targets import Mover
 from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
 
@@ -120,6 +122,7 @@ class Problem:
             if ball is not None:
                 slack = (goal.tolerance or self.tolerance).position
                 self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
+        self.walls = not all(self._whole[g] for g, *_ in self._reach)  # which only ``out_of_reach`` knows
         self._make_work(self.budget.iterations + 1 if trace else 0)
 
     def length(self, goal: Goal) -> float:
@@ -145,8 +148,8 @@ class Problem:
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12),
-            "frames": (count, 12),
+            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
+            "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
             "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
@@ -161,12 +164,22 @@ class Problem:
         }
         self.arrays["nodes"] = self.nodes
         self.arrays["rest"][:] = robot.home
+        self.arrays["reach"][:, 3] = np.inf
+        for g, *ball in self._reach:
+            self.arrays["reach"][g] = ball if self._whole[g] else (0.0, 0.0, 0.0, np.inf)
         self.work = work.WORK.pack(self.arrays)
+
+    @cached_property
+    def _mover(self) -> Mover:
+        return Mover(self.target)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has work space of its own, and so is compiled anew.
-        options = (self.robot, self.goals, self.tolerance, self.budget, self.seed, self.trace)
-        return _rebuilt, (*options, self.target.copy())
+        options = {name: getattr(self, name) for name in ("tolerance", "budget", "seed", "trace")}
+        return partial(Problem, self.robot, self.goals, **options), (), self.target.copy()
+
+    def __setstate__(self, target: Array) -> None:
+        self.target[:] = target
 
     def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
         """Moves the target of one goal.
@@ -179,6 +192,12 @@ class Problem:
         Raises:
             InvalidGoalError: Not finite, or another kind of goal.
         """
+        if self._whole[index] and type(target) is np.ndarray and target.shape == (4, 4):
+            mover = self._mover
+            if target.dtype is mover.dtype:
+                mover.matrix[...] = target
+                if mover.take(mover.move, index):
+                    return
         if not self._whole[index]:
             self._retarget_partial(target, index)
             return
@@ -195,10 +214,8 @@ class Problem:
             position = np.asarray(target, dtype=float)
         except (TypeError, ValueError):
             position = np.empty(0)
-        if position.shape == (4, 4) and math.isfinite(sum(position.ravel().tolist())):
-            row = self.target[index]
-            row[:3] = position[:3, 3]
-            row[3:].reshape(3, 3)[:] = position[:3, :3]
+        if position.shape == (4, 4) and np.isfinite(position).all():
+            self.retarget(position, index)
             return
         if position.shape != (3,) or not np.isfinite(position).all():
             raise InvalidGoalError(
@@ -279,17 +296,3 @@ def _require_options(robot: object, tolerance: object, budget: object, seed: obj
         raise InvalidGoalError(f"not a budget: {budget!r}", hint="Budget(iterations=2000, seconds=0.1)")
     if not isinstance(seed, int | np.integer):
         raise InvalidGoalError(f"a seed is a whole number, not {seed!r}")
-
-
-def _rebuilt(
-    robot: Robot,
-    goals: list[Goal],
-    tolerance: Tolerance,
-    budget: Budget,
-    seed: int,
-    trace: bool,
-    target: Array,
-) -> Problem:
-    problem = Problem(robot, goals, tolerance=tolerance, budget=budget, seed=seed, trace=trace)
-    problem.target[:] = target
-    return problem
