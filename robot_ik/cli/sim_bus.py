@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
+from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
 from robot_ik.errors import ConfigError, HardwareError, RobotIkError, UnknownRobotError
 
@@ -30,11 +31,11 @@ class SimBusOptions:
 
     Any program may open the port: the ROBOTIS SDK and tools, another robot_ik, your own code.
 
-    Example: robot-ik sim-bus --arm puma560 --link /tmp/arm
+    Example: robot-ik sim-bus --link /tmp/arm
     and elsewhere: robot-ik reach --bus /tmp/arm
     """
 
-    arm: Annotated[str, arg(metavar="FILE|NAME")] = "puma560"
+    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file (TOML), or a robot of the catalogue that has one."""
     link: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="(default: no link)")] = None
     """Also make a symbolic link to the port: a name that stays the same; removed at the end."""

@@ -65,7 +65,7 @@ def test_the_official_sdk_can_use_it_and_a_signal_ends_it(
 ) -> None:
     link = tmp_path / "arm"
     with serve() as child:
-        assert ping(link, 1) == (XM430_W350, sdk.COMM_SUCCESS)
+        assert ping(link, 2) == (XM430_W350, sdk.COMM_SUCCESS)
         port = sdk.PortHandler(str(link))
         assert port.openPort()
         ticks, result, error = sdk.PacketHandler(2.0).read4ByteTxRx(port, 1, PRESENT_POSITION)
@@ -100,7 +100,7 @@ def test_a_file_of_faults_happens_in_its_time(serve: Serve, tmp_path: Path) -> N
 
 
 def test_with_physics_an_arm_that_is_too_heavy_feels_it(serve: Serve, tmp_path: Path) -> None:
-    with serve("--physics"):
+    with serve("--physics", "--arm", "puma560"):
         handler, port = sdk.PacketHandler(2.0), sdk.PortHandler(str(tmp_path / "arm"))
         assert port.openPort()
         assert handler.write1ByteTxRx(port, 2, 64, 1) == (sdk.COMM_SUCCESS, 0)
