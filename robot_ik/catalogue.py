@@ -14,6 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError, UnknownRobotError, close_matches
 
+SHOWN_ROBOT = "puma560"
+"""What the demonstrations move."""
+SERVO_ROBOT = "tabletop_puma"
+"""What stands at a servo bus where nothing else is said: X servos move it, and no real PUMA 560."""
+
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)

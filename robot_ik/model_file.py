@@ -42,10 +42,10 @@ def read_model(path: Path) -> mujoco.MjModel:
     """MuJoCo's model of an MJCF or URDF file.
 
     Raises:
-        ModelError: With the file and MuJoCo's reason.
+        ModelError: With the file and MuJoCo's reason; or a joint whose lower limit is not below its upper.
     """
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(
@@ -54,6 +54,22 @@ def read_model(path: Path) -> mujoco.MjModel:
             reason=reason,
             hint="MJCF and URDF files are read; meshes must lie where the file says",
         ) from error
+    _refuse_ranges(model, path)
+    return model
+
+
+def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
+    """Raises ``ModelError`` for a joint without room; MuJoCo takes most of these for no limit at all."""
+    for joint in range(model.njnt):
+        low, high = model.jnt_range[joint].tolist()
+        asked = bool(model.jnt_limited[joint]) or low != 0.0 or high != 0.0
+        if asked and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE and not low < high:
+            name = model.joint(joint).name or f"joint_{joint}"
+            raise ModelError(
+                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no room",
+                path=path,
+                hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
+            )
 
 
 def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:

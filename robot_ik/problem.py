@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -26,18 +27,23 @@ from robot_ik.compiled_goals import (
     target_row,
     wall_distance,
 )
-from robot_ik.errors import InvalidGoalError
+from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PostureGoal, Tolerance
-from robot_ik.goals.base import vector
+from robot_ik.goals.base import numbers, rotation_matrix, vector
 from robot_ik.kernels import residuals, work
 from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
+from robot_ik.kernels.targets import Mover
 from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
 
 __all__ = ["Budget", "Problem", "Tolerance"]
 
 Array = NDArray[np.float64]
+
+
+# What the compiled loops can count to.
+_MOST = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -55,10 +61,15 @@ class Budget:
     restarts: int | None = None
 
     def __post_init__(self) -> None:
-        if self.iterations < 0 or (self.restarts is not None and self.restarts < 0):
-            raise InvalidGoalError("a budget of iterations or restarts must be zero or more")
-        if self.seconds is not None and not self.seconds >= 0:
-            raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds}")
+        for count in (self.iterations, 0 if self.restarts is None else self.restarts):
+            whole = isinstance(count, int | np.integer)
+            if not (whole and 0 <= count <= _MOST):
+                raise InvalidGoalError(
+                    f"a budget of iterations or restarts must be zero or more, at most 2^62, not {count!r}"
+                )
+        seconds: Any = self.seconds
+        if seconds is not None and not (isinstance(seconds, int | float | np.number) and seconds >= 0):
+            raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds!r}")
 
 
 class Problem:
@@ -89,6 +100,7 @@ class Problem:
             UnknownFrameError: A goal names a frame that the robot does not have.
             UnsupportedJointError: A frozen joint should follow one that the goals would move.
         """
+        _require_options(robot, tolerance, budget, seed)
         self.robot = robot
         self.goals = checked_goals(goals)
         self.tolerance = tolerance or Tolerance()
@@ -110,6 +122,7 @@ class Problem:
             if ball is not None:
                 slack = (goal.tolerance or self.tolerance).position
                 self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
+        self.walls = not all(self._whole[g] for g, *_ in self._reach)  # which only ``out_of_reach`` knows
         self._make_work(self.budget.iterations + 1 if trace else 0)
 
     def length(self, goal: Goal) -> float:
@@ -135,8 +148,8 @@ class Problem:
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "accepted": (nq,), "world": (robot.tree.size, 12), "scratch": (2, 12),
-            "frames": (count, 12),
+            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
+            "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
             "normal": (nu, nu), "damped": (nu, nu),
             "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
@@ -152,24 +165,40 @@ class Problem:
         }
         self.arrays["nodes"] = self.nodes
         self.arrays["rest"][:] = robot.home
+        self.arrays["reach"][:, 3] = np.inf
+        for g, *ball in self._reach:
+            self.arrays["reach"][g] = ball if self._whole[g] else (0.0, 0.0, 0.0, np.inf)
         self.work = work.WORK.pack(self.arrays)
+
+    @cached_property
+    def _mover(self) -> Mover:
+        return Mover(self.target)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has work space of its own, and so is compiled anew.
-        options = (self.robot, self.goals, self.tolerance, self.budget, self.seed, self.trace)
-        return _rebuilt, (*options, self.target.copy())
+        options = {name: getattr(self, name) for name in ("tolerance", "budget", "seed", "trace")}
+        return partial(Problem, self.robot, self.goals, **options), (), self.target.copy()
+
+    def __setstate__(self, target: Array) -> None:
+        self.target[:] = target
 
     def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
         """Moves the target of one goal.
 
         Args:
             target: A ``Pose``, a homogeneous matrix (4, 4), a position (3,), or a goal of the same kind,
-                frame and weights.
+                frame and weights.  A matrix is taken to be one: this is the hot loop.
             index: Which goal.
 
         Raises:
             InvalidGoalError: Not finite, or another kind of goal.
         """
+        if self._whole[index] and type(target) is np.ndarray and target.shape == (4, 4):
+            mover = self._mover
+            if target.dtype is mover.dtype:
+                mover.matrix[...] = target
+                if mover.take(mover.move, index):
+                    return
         if not self._whole[index]:
             self._retarget_partial(target, index)
             return
@@ -182,14 +211,13 @@ class Problem:
             self._require_same(target, index)
             self.target[index] = pose_row(target.target)
             return
-        position = np.asarray(target, dtype=float)
-        if position.shape == (4, 4):
-            numbers = position.ravel()
-            if math.isfinite(numbers.dot(numbers)):
-                row = self.target[index]
-                row[:3] = position[:3, 3]
-                row[3:].reshape(3, 3)[:] = position[:3, :3]
-                return
+        try:
+            position = np.asarray(target, dtype=float)
+        except (TypeError, ValueError):
+            position = np.empty(0)
+        if position.shape == (4, 4) and np.isfinite(position).all():
+            self.retarget(position, index)
+            return
         if position.shape != (3,) or not np.isfinite(position).all():
             raise InvalidGoalError(
                 f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"
@@ -209,10 +237,13 @@ class Problem:
         elif isinstance(target, Pose):
             moved = mine.moved_to(target)
         else:
-            numbers = vector(np.ravel(target), 16 if np.shape(target) == (4, 4) else 3, "a target")
-            place, turn = numbers, mine.target.rotation
-            if len(numbers) == 16:
-                place, turn = numbers.reshape(4, 4)[:3, 3], numbers.reshape(4, 4)[:3, :3]
+            given = numbers(target, "a target")
+            place, turn = (
+                vector(given.ravel(), 16 if given.shape == (4, 4) else 3, "a target"),
+                mine.target.rotation,
+            )
+            if len(place) == 16:
+                place, turn = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
             moved = mine.moved_to(Pose.from_rotation(turn, place))
         if isinstance(moved, PostureGoal):
             set_posture(self.robot, self._compiled.arrays, index, moved)
@@ -251,20 +282,18 @@ class Problem:
                 continue
             # As Python's own numbers, which are quicker one by one than NumPy's.
             a, b, c = self.target[g, :3].tolist()
-            if (a - x) ** 2 + (b - y) ** 2 + (c - z) ** 2 > radius * radius:
+            if math.hypot(a - x, b - y, c - z) > radius:
                 return True
         return False
 
 
-def _rebuilt(
-    robot: Robot,
-    goals: list[Goal],
-    tolerance: Tolerance,
-    budget: Budget,
-    seed: int,
-    trace: bool,
-    target: Array,
-) -> Problem:
-    problem = Problem(robot, goals, tolerance=tolerance, budget=budget, seed=seed, trace=trace)
-    problem.target[:] = target
-    return problem
+def _require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
+    """Raises in words for the likely slips: a name in place of a robot, a number in place of a tolerance."""
+    if not isinstance(robot, Robot):
+        raise ModelError(f"a problem needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
+    if not isinstance(tolerance, Tolerance | None):
+        raise InvalidGoalError(f"not a tolerance: {tolerance!r}", hint="Tolerance(position=1e-4, angle=1e-3)")
+    if not isinstance(budget, Budget | None):
+        raise InvalidGoalError(f"not a budget: {budget!r}", hint="Budget(iterations=2000, seconds=0.1)")
+    if not isinstance(seed, int | np.integer):
+        raise InvalidGoalError(f"a seed is a whole number, not {seed!r}")

@@ -118,14 +118,17 @@ class Robot:
         Raises:
             ModelError: Wrong length, or a number that is not finite.
         """
-        array = np.asarray(q, dtype=float)
+        try:
+            array = np.asarray(q, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"{what} must be {self.nq} numbers, not {q!r}") from error
         if array.shape != (self.nq,):
             raise ModelError(
                 f"{what} must have shape ({self.nq},), not {array.shape}",
                 hint=f"{self.name} has these active joints: {', '.join(self.joints)}",
             )
-        # The product is finite whenever all numbers are (and of a sane size), and costs a third of isfinite.
-        if not math.isfinite(array.dot(array)) and not np.isfinite(array).all():
+        # A sum of floats is finite whenever all are (and of a sane size), and costs a third of isfinite.
+        if not math.isfinite(sum(array.tolist())) and not np.isfinite(array).all():
             raise ModelError(f"{what} must be finite, not {array.tolist()}")
         return array
 
@@ -251,17 +254,23 @@ class Robot:
         """The same robot inside the intersection of its limits and these (nv,); home moves inside.
 
         Raises:
-            ModelError: No room is left for some joint.
+            ModelError: No room is left for some joint, or not one number for each degree of freedom.
         """
-        low = np.maximum(self.lower, np.asarray(lower, dtype=float))
-        high = np.minimum(self.upper, np.asarray(upper, dtype=float))
+        try:
+            low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
+        if np.isnan(low).any() or np.isnan(high).any():
+            raise ModelError(f"limits must be numbers, not {low.tolist()}, {high.tolist()}")
+        low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
         for v in range(self.nv):
             if low[v] > high[v]:
                 joint = self.joints[int(np.searchsorted(self.tree.vadr, v, side="right")) - 1]
                 raise ModelError(
                     f"no room is left for joint {joint!r}: "
                     f"the model allows {self.lower[v]:.4f} … {self.upper[v]:.4f}, "
-                    f"the other side {np.asarray(lower)[v]:.4f} … {np.asarray(upper)[v]:.4f}",
+                    f"the other side {np.ravel(lower)[v % np.size(lower)]:.4f} … "
+                    f"{np.ravel(upper)[v % np.size(upper)]:.4f}",
                     hint="check sign, zero and range of the joint in the arm file",
                 )
         tree = narrowed(self.tree.with_limits(low, high))

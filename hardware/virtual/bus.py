@@ -38,12 +38,7 @@ _BROWN_OUT = 0.4
 
 
 class Answer(NamedTuple):
-    """What comes back on some bytes of the host.
-
-    Attributes:
-        data: Bytes.
-        delay: Seconds the servos waited before they answered (Return Delay Time), all together.
-    """
+    """Bytes that come back, and how many seconds the servos waited before (Return Delay Time)."""
 
     data: bytes
     delay: float
@@ -136,7 +131,7 @@ class VirtualBus:
             raise KeyError(f"no servo with id {sorted(missing)}; there are {sorted(self._built)}")
         with self.lock:
             self.faults = faults
-            self.wire = Wire(faults)
+            self.wire = Wire(faults, self._built)
             self._dice = random.Random(faults.seed)
             for id, servo in self._built.items():
                 servo.zero_offset_ticks = faults.zero_offset_deg.get(id, 0.0) * TICKS_PER_DEGREE
@@ -148,7 +143,8 @@ class VirtualBus:
     def change_wire(self, **rates: float) -> None:
         """Other probabilities (fields of ``Faults``) from here on; the dice go on."""
         with self.lock:
-            self.faults = self.wire.faults = dataclasses.replace(self.faults, **rates)  # type: ignore[arg-type]
+            self.faults = dataclasses.replace(self.faults, **rates)  # type: ignore[arg-type]
+            self.wire.change(self.faults)
 
     def inject(self, *faults: Fault) -> None:
         """Lets faults happen, now or at their time; see ``fault_kinds.KINDS``."""
@@ -163,7 +159,7 @@ class VirtualBus:
         self._wakers.append(wake)
 
     def add(self, servo: VirtualServo) -> None:
-        """One servo more on the wire; its id may be taken, which is a fault worth rehearsing."""
+        """One servo more on the wire; its id may be taken."""
         with self.lock:
             self.servos = (*self.servos, servo)
             self._built.setdefault(servo.id, servo)
@@ -179,18 +175,14 @@ class VirtualBus:
             for servo in self.servos:
                 servo.set_supply(volts)
                 starved = volts < _BROWN_OUT * servo.table.supply
-                if starved and not servo.off:
-                    servo.switch_off()
-                elif servo.off and not starved:
-                    servo.switch_on()
+                if starved != servo.off:
+                    (servo.switch_off if starved else servo.switch_on)()
 
     def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
         with self.lock:
             self.advance()
             return np.array([j.to_radians(self._built[j.id].true_ticks) for j in config.joints])
-
-    # ------------------------------------------------------------------------- what is asked
 
     def advance(self) -> None:
         """Brings the world and what was booked up to now, also where nobody asks anything."""
@@ -200,7 +192,7 @@ class VirtualBus:
                 self.world.advance(self.clock.now())
 
     def handle(self, data: bytes, baud: int | None = None) -> bytes:
-        """Takes bytes from the host, gives back what the servos send; ``answer`` without the time."""
+        """``answer`` without the time."""
         return self.answer(data, baud).data
 
     def answer(self, data: bytes, baud: int | None = None) -> Answer:
@@ -216,11 +208,16 @@ class VirtualBus:
             replies = [data] if self.faults.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
                 self.schedule.count()
-                listeners = [s for s in self.servos if not s.deaf and (baud is None or baud == s.baud)]
+                listeners = self._listeners(baud)
                 for servo in listeners:
                     servo.hear()
                 replies += self.wire.carry(self._answer(packet, listeners))
             return Answer(b"".join(replies), self._delay + (self.latency if replies else 0.0))
+
+    def _listeners(self, baud: int | None) -> list[VirtualServo]:
+        now = self.clock.now()
+        awake = [s for s in self.servos if not s.silent and not s.off and now >= s.ready_at]
+        return awake if baud is None else [s for s in awake if s.baud == baud]
 
     def _answer(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
         """Status packets that a packet causes, in the order they go over the wire."""
@@ -242,10 +239,13 @@ class VirtualBus:
                 return []
             case _:
                 return self._execute(packet, listeners)
+        wanted: dict[int, list[tuple[int, bytes]]] = {}
+        for id, address, data in orders:
+            wanted.setdefault(id, []).append((address, data))
         for servo in listeners:
-            mine = (servo.id, servo.memory.get("secondary_id"))
-            for id, address, data in orders:
-                if id in mine:
+            values = servo.memory.values
+            for id in {values["id"], values["secondary_id"]} & wanted.keys():
+                for address, data in wanted[id]:
                     servo.write(address, data)
         return []
 

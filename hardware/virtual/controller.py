@@ -16,6 +16,7 @@ from robot_ik.ports import Clock
 _ERROR_BITS = {name: 1 << bit for bit, name in HARDWARE_ERRORS.items()}
 # Heat and strain change slowly: they are looked at no more often than this, s.
 _ELECTRICS_PERIOD = 0.02
+_NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *drive.TORQUE_MODES)))
 
 
 class Controller:
@@ -35,10 +36,10 @@ class Controller:
         self.electrics = Electrics(memory.table.motor, clock.now())
         self.booted = self.heard = clock.now()
         self._memory = memory
+        self._values = memory.values
         self._shaft = shaft
         self._clock = clock
         self._has_watchdog = "bus_watchdog" in memory.table
-        self._has_drive_mode = "drive_mode" in memory.table
         self._current_unit = drive.current_unit(memory)
         self._reactions: dict[str, Callable[[bool], None]] = {
             "torque_enable": self._torque_written,
@@ -74,9 +75,18 @@ class Controller:
     def update(self) -> None:
         """Lets watchdog and motor act at the time when they do, however late anyone asks."""
         now = self._clock.now()
-        self.watch(now)
+        if self._values.get("bus_watchdog", 0) > 0:
+            self.watch(now)
         if now - self.electrics.at >= _ELECTRICS_PERIOD:
             self._warm(now)
+
+    def hear(self, now: float) -> None:
+        """An instruction packet went over the bus at ``now``, s."""
+        if self._values.get("bus_watchdog", 0) > 0:
+            self.watch(now)
+        if now - self.electrics.at >= _ELECTRICS_PERIOD:
+            self._warm(now)
+        self.heard = now
 
     def watch(self, now: float) -> None:
         """Lets the bus watchdog run out if it has by ``now``, s."""
@@ -163,22 +173,23 @@ class Controller:
                 shaft.go()
 
     def _position_written(self, had_torque: bool) -> None:
-        mode = self._memory.get("operating_mode")
-        self._goal_written(mode not in (OperatingMode.VELOCITY, *drive.TORQUE_MODES))
+        self._goal_written(self._values["operating_mode"] not in _NO_POSITION)
 
     def _velocity_written(self, had_torque: bool) -> None:
         self._goal_written(self._memory.get("operating_mode") == OperatingMode.VELOCITY)
 
     def _effort_written(self, had_torque: bool) -> None:
-        self._goal_written(self._memory.get("operating_mode") in drive.TORQUE_MODES)
+        # In the other modes it is a limit: what was too weak may be strong enough now.
+        torque_on = bool(self._values["torque_enable"])
+        self._goal_written(torque_on or self._values["operating_mode"] in drive.TORQUE_MODES)
 
     def _goal_written(self, of_this_mode: bool) -> None:
         if not of_this_mode or self._slave:
             return
-        by_goal = self._drive_mode & TORQUE_BY_GOAL and not self._memory.get("torque_enable")
-        if by_goal and not self._shut_down():
+        values = self._values
+        if not values["torque_enable"] and self._drive_mode & TORQUE_BY_GOAL and not self._shut_down():
             self.torque_on()
-        if self._memory.get("torque_enable"):
+        if values["torque_enable"]:
             self._shaft.go()
 
     def _mode_written(self, had_torque: bool) -> None:
@@ -193,7 +204,7 @@ class Controller:
 
     @property
     def _drive_mode(self) -> int:
-        return self._memory.get("drive_mode") if self._has_drive_mode else 0
+        return self._values.get("drive_mode", 0)
 
     @property
     def _slave(self) -> bool:

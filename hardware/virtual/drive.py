@@ -60,7 +60,7 @@ def turning(now: float, position: float, velocity: float, memory: Memory, sign: 
     wanted = sign * memory.get("goal_velocity") * VELOCITY_TICKS
     steepness = memory.get("profile_acceleration")
     acceleration = steepness * ACCELERATION_TICKS
-    if "drive_mode" in memory.table and memory.get("drive_mode") & TIME_BASED:
+    if memory.values.get("drive_mode", 0) & TIME_BASED:
         acceleration = abs(wanted - velocity) / (steepness / 1000.0) if steepness else 0.0
     return turn(now, position, velocity, wanted, min(acceleration or math.inf, PHYSICAL_ACCELERATION))
 
@@ -120,6 +120,6 @@ def moving(
         goal,
         profile_velocity=memory.get("profile_velocity"),
         profile_acceleration=memory.get("profile_acceleration"),
-        time_based=bool("drive_mode" in memory.table and memory.get("drive_mode") & TIME_BASED),
+        time_based=bool(memory.values.get("drive_mode", 0) & TIME_BASED),
         physical_top=physical_top,
     )

@@ -84,14 +84,16 @@ class Fault:
         if self.id is not None:
             bus.servo(self.id)
         if self.at_packet is not None:
-            bus.schedule.at_packet(self.at_packet, lambda: self._begin(bus))
+            bus.schedule.at_packet(self.at_packet, lambda: self._begin(bus, bus.clock.now()))
         elif self.at is not None:
-            bus.schedule.at(bus.schedule.start + self.at, lambda: self._begin(bus))
+            when = bus.schedule.start + self.at
+            bus.schedule.at(when, lambda: self._begin(bus, when))
             bus.schedule.run()
         else:
-            self._begin(bus)
+            self._begin(bus, bus.clock.now())
 
-    def _begin(self, bus: VirtualBus) -> None:
+    def _begin(self, bus: VirtualBus, when: float) -> None:
+        """Happens; ``when`` it should have, for that is when its end is counted from."""
         kind = KINDS[self.kind]
         undos: list[Undo] = []
         if kind.on_servo is not None:
@@ -106,9 +108,9 @@ class Fault:
                     undo()
 
         if self.lasts is not None:
-            bus.schedule.at(bus.clock.now() + self.lasts, end)
+            bus.schedule.at(when + self.lasts, end)
         elif self.lasts_packets is not None:
-            bus.schedule.at_packet(bus.schedule.packets + self.lasts_packets, end)
+            bus.schedule.at_packet(bus.schedule.upcoming + self.lasts_packets, end)
 
 
 # ------------------------------------------------------------------------------------- to servos

@@ -118,19 +118,26 @@ class Wire:
 
     Args:
         faults: Which, how often, and the seed.
+        taken: Ids on the wire: a stranger has none of them, for nobody could tell its answer from theirs.
 
     Attributes:
-        faults: May be replaced; the dice go on.
+        faults: The ones in force.
     """
 
-    def __init__(self, faults: Faults) -> None:
-        self.faults = faults
+    def __init__(self, faults: Faults, taken: Iterable[int] = ()) -> None:
+        self._strangers = sorted(set(range(253)).difference(taken)) or [BROADCAST]
+        self.change(faults)
         self._dice = random.Random(faults.seed)
         self._late: list[bytes] = []
 
+    def change(self, faults: Faults) -> None:
+        """Other faults from here on; the dice go on."""
+        self.faults = faults
+        self._clean = not any(getattr(faults, rate) for rate in RATES)
+
     def carry(self, packets: list[bytes]) -> list[bytes]:
         """What of the answers to one request arrives at the host, in the order in which it does."""
-        if not self._late and not any(getattr(self.faults, rate) for rate in RATES):
+        if self._clean and not self._late:
             return packets
         arriving, self._late = self._late, []
         behind: bytes | None = None
@@ -153,11 +160,12 @@ class Wire:
         faults, dice = self.faults, self._dice
         if self._happens(faults.drop):
             return b""
-        whole = packet[4] != BROADCAST  # the torso of a fast read is no status of its own
+        id = packet[4]
+        whole = id != BROADCAST  # the torso of a fast read is no status of its own
         if whole and self._happens(faults.short):
             packet = _shortened(packet)
         if whole and self._happens(faults.error):
-            packet = build_status(packet[4], dice.randrange(1, 8))
+            packet = build_status(id, dice.randrange(1, 8))
         if self._happens(faults.corrupt):
             bit = dice.randrange(8 * len(packet))
             spoiled = bytearray(packet)
@@ -168,7 +176,7 @@ class Wire:
         if self._happens(faults.duplicate):
             packet += packet
         if self._happens(faults.wrong_id):
-            packet = build_status((packet[4] + 1 + dice.randrange(250)) % 253, 0, dice.randbytes(4)) + packet
+            packet = build_status(dice.choice(self._strangers), 0, dice.randbytes(4)) + packet
         if self._happens(faults.garbage):
             packet = dice.randbytes(dice.randrange(1, 9)) + packet
         return packet
@@ -178,6 +186,9 @@ class Wire:
 
 
 def _shortened(packet: bytes) -> bytes:
-    """The same status with one byte of data less; one without data stays."""
-    answer = Parser().feed(packet, 0.0)[0]
+    """The same status with one byte of data less; one without data, or no status at all, stays."""
+    answers = Parser().feed(packet, 0.0)
+    if not answers or not answers[0].is_status:  # servos that talk over each other
+        return packet
+    answer = answers[0]
     return build_status(answer.id, answer.params[0], answer.data[:-1])

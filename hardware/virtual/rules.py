@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 from robot_ik.hardware.control_table import OperatingMode, Register
 from robot_ik.hardware.control_table_data import TIME_BASED
 from robot_ik.hardware.virtual.memory import Memory
@@ -9,28 +11,64 @@ from robot_ik.hardware.virtual.protocol2 import ErrorCode
 
 TRIPPED = -1
 """What Bus Watchdog reads once it has tripped."""
-GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 _LONGEST_RAMP = 32_737  # ms; Profile Acceleration of a time-based profile
 
 
+Rule = Callable[[Memory, str, int], ErrorCode]
+
+
 def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
     """The error of writing ``value``; sizes, access and the register's own range are checked before."""
-    name = register.name
-    tripped = "bus_watchdog" in memory.table and memory.get("bus_watchdog") == TRIPPED
-    if tripped and (name in GOALS or (name == "bus_watchdog" and value != 0)):
+    rule = _RULES.get(register.name)
+    return rule(memory, register.name, value) if rule is not None else ErrorCode.NONE
+
+
+def _tripped(memory: Memory) -> bool:
+    return memory.values.get("bus_watchdog") == TRIPPED
+
+
+def _watchdog(memory: Memory, name: str, value: int) -> ErrorCode:
+    return ErrorCode.DATA_RANGE if _tripped(memory) and value else ErrorCode.NONE
+
+
+def _mode(memory: Memory, name: str, value: int) -> ErrorCode:
+    return ErrorCode.NONE if value in memory.table.modes else ErrorCode.DATA_RANGE
+
+
+def _drive_mode(memory: Memory, name: str, value: int) -> ErrorCode:
+    return ErrorCode.DATA_RANGE if value & ~memory.table.drive_bits else ErrorCode.NONE
+
+
+def _ramp(memory: Memory, name: str, value: int) -> ErrorCode:
+    time_based = memory.values.get("drive_mode", 0) & TIME_BASED
+    return ErrorCode.DATA_RANGE if time_based and value > _LONGEST_RAMP else ErrorCode.NONE
+
+
+def _position(memory: Memory, name: str, value: int) -> ErrorCode:
+    if _tripped(memory):
         return ErrorCode.DATA_RANGE
-    if name == "operating_mode" and value not in memory.table.modes:
-        return ErrorCode.DATA_RANGE
-    if name == "drive_mode" and value & ~memory.table.drive_bits:
-        return ErrorCode.DATA_RANGE
-    if name == "profile_acceleration" and value > _LONGEST_RAMP:
-        time_based = "drive_mode" in memory.table and memory.get("drive_mode") & TIME_BASED
-        return ErrorCode.DATA_RANGE if time_based else ErrorCode.NONE
-    if name == "goal_position" and memory.get("operating_mode") == OperatingMode.POSITION:
-        low, high = memory.get("min_position_limit"), memory.get("max_position_limit")
-        return ErrorCode.NONE if low <= value <= high else ErrorCode.DATA_LIMIT
-    if name in ("goal_velocity", "goal_current", "goal_pwm"):
-        limit = memory.get(name.removeprefix("goal_") + "_limit")
-        return ErrorCode.NONE if abs(value) <= limit else ErrorCode.DATA_LIMIT
+    values = memory.values
+    one_turn = values["operating_mode"] == OperatingMode.POSITION
+    if one_turn and not values["min_position_limit"] <= value <= values["max_position_limit"]:
+        return ErrorCode.DATA_LIMIT
     return ErrorCode.NONE
+
+
+def _limited(memory: Memory, name: str, value: int) -> ErrorCode:
+    if _tripped(memory):
+        return ErrorCode.DATA_RANGE
+    limit = memory.get(name.removeprefix("goal_") + "_limit")
+    return ErrorCode.NONE if abs(value) <= limit else ErrorCode.DATA_LIMIT
+
+
+_RULES: Mapping[str, Rule] = {
+    "bus_watchdog": _watchdog,
+    "operating_mode": _mode,
+    "drive_mode": _drive_mode,
+    "profile_acceleration": _ramp,
+    "goal_position": _position,
+    "goal_velocity": _limited,
+    "goal_current": _limited,
+    "goal_pwm": _limited,
+}

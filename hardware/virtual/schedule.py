@@ -19,11 +19,13 @@ class Schedule:
     Attributes:
         start: When this was made, s.
         packets: Instruction packets so far.
+        upcoming: Number of the packet that is handled next; within ``count`` that is the one counted.
     """
 
     def __init__(self, clock: Clock) -> None:
         self.start = clock.now()
         self.packets = 0
+        self.upcoming = 1
         self._clock = clock
         self._timed: list[tuple[float, int, Action]] = []
         self._counted: list[tuple[int, int, Action]] = []
@@ -54,3 +56,4 @@ class Schedule:
         self.packets += 1
         while self._counted and self._counted[0][0] <= self.packets:
             heapq.heappop(self._counted)[2]()
+        self.upcoming = self.packets + 1

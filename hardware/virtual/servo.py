@@ -3,15 +3,16 @@
 What a register does follows the ROBOTIS e-manual (X series).  Where the manual is silent the choice is
 the less comfortable one for the host: Goal Position keeps its value while torque is off, so that
 switching torque on moves the shaft to a stale goal; a reboot forgets turns; a servo that has shut down
-takes Torque Enable = 1 without an error and does not obey.  Without a model of the arm a shaft without
-torque stays where it is.
+takes Torque Enable = 1 without an error and does not obey.  Without a world a limp shaft stays.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
-from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, Register, control_table
+from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, control_table
 from robot_ik.hardware.virtual.controller import Controller
 from robot_ik.hardware.virtual.load import ROOM_TEMPERATURE, Load
 from robot_ik.hardware.virtual.memory import Memory
@@ -47,6 +48,7 @@ class VirtualServo:
         off: Has no power.
         zero_offset_ticks: May be changed at any time.
         reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
+        ready_at: When the last of these is over, s.
     """
 
     def __init__(
@@ -66,8 +68,9 @@ class VirtualServo:
         self.memory = Memory(self.table)
         self.zero_offset_ticks = zero_offset_ticks
         self.silent = self.off = False
-        self.reboot_time = 0.0
+        self.reboot_time = self.ready_at = 0.0
         self.shaft = Shaft(self.memory, clock, float(position_ticks), load or Load.light(self.table.motor))
+        self._check = partial(check_write, self.memory)
         self.controller = Controller(self.memory, self.shaft, clock)
         self._clock = clock
         self._registered: tuple[int, bytes] | None = None
@@ -76,17 +79,16 @@ class VirtualServo:
         self.memory.set("operating_mode", mode)
         self.memory.set("baud_rate", {rate: code for code, rate in BAUD_RATES.items()}[baud])
         self.memory.set("present_input_voltage", round(10.0 * self.table.supply))
+        self._plans: dict[tuple[int, int], list[tuple[str, Callable[[], int]]]] = {}
         self._live = [(self.table[name], value) for name, value in self.controller.readings().items()]
         if mode == OperatingMode.POSITION:
             self.shaft.fold()
         self.controller.start()
 
-    # --------------------------------------------------------------------- what it is
-
     @property
     def id(self) -> int:
         """The ID register."""
-        return self.memory.get("id")
+        return self.memory.values["id"]
 
     @property
     def baud(self) -> int:
@@ -101,7 +103,7 @@ class VirtualServo:
     @property
     def deaf(self) -> bool:
         """Silent, off, or still starting up."""
-        return self.silent or self.off or self._clock.now() < self.controller.booted + self.reboot_time
+        return self.silent or self.off or self._clock.now() < self.ready_at
 
     @property
     def torque(self) -> bool:
@@ -167,21 +169,23 @@ class VirtualServo:
         if not self.torque:
             self.shaft.turn_by(ticks)
 
-    # ------------------------------------------------------------------- instructions
-
     def hear(self) -> None:
         """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
-        self.controller.update()
-        self.controller.heard = self._clock.now()
+        self.controller.hear(self._clock.now())
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
         """Bytes of the control table as they are now."""
         self.controller.update()
-        for first, end in self.memory.spans(address, length):
-            for register, value in self._live:
-                if first < register.end and end > register.address:
-                    self.memory.set(register.name, value())
-        return self.memory.read(address, length)
+        memory = self.memory
+        live = self._plans.get((address, length))
+        if live is None:
+            spans = memory.spans(address, length)
+            live = [(r.name, v) for r, v in self._live if any(f < r.end and e > r.address for f, e in spans)]
+            if address + length <= memory.first_indirect:  # else the pointers may change
+                self._plans[address, length] = live
+        for name, value in live:
+            memory.set(name, value())
+        return memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> ErrorCode:
         """Sets registers if all of them may be set; then does what they say."""
@@ -238,6 +242,7 @@ class VirtualServo:
                     memory.set(name, value)
         self.shaft.fold()
         self.controller.start()
+        self.ready_at = self.controller.booted + self.reboot_time
         if startup & _TORQUE_AT_START and not self.off:
             self.controller.torque_on()
 
@@ -270,8 +275,6 @@ class VirtualServo:
         self.reboot()
         return ErrorCode.NONE
 
-    # --------------------------------------------------------------- what happens to it
-
     def inject_error(self, name: str) -> None:
         """Makes a hardware error happen, e.g. ``"overload"``; Shutdown says whether torque goes off."""
         self.controller.update()
@@ -295,6 +298,3 @@ class VirtualServo:
         """Gives it power again; it starts up."""
         self.off = False
         self.reboot()
-
-    def _check(self, register: Register, value: int) -> ErrorCode:
-        return check_write(self.memory, register, value)

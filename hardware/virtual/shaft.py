@@ -9,7 +9,7 @@ from typing import Protocol
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
 from robot_ik.hardware.control_table_data import REVERSE, SLAVE
 from robot_ik.hardware.virtual import drive
-from robot_ik.hardware.virtual.load import Load
+from robot_ik.hardware.virtual.load import PWM_FULL, Load
 from robot_ik.hardware.virtual.memory import Memory
 from robot_ik.hardware.virtual.profile import (
     PHYSICAL_ACCELERATION,
@@ -25,8 +25,8 @@ from robot_ik.ports import Clock
 _HOMING_ONE_TURN = TICKS_PER_TURN // 4
 _IN_POSITION_TICKS = 2.0
 _FOLLOWING_ERROR_TICKS = 50.0
-# The whole voltage at so many ticks of error: Position P Gain 800 is 800 / 128 PWM counts a tick, of 885.
-_FULL_EFFORT_TICKS = 141.6
+# PWM counts of 885 that a tick of error gives, for each count of Position P Gain.
+_EFFORT_OF_GAIN = 1.0 / 128.0
 
 
 class Body(Protocol):
@@ -70,8 +70,10 @@ class Shaft:
         self.load = load
         self.powered = False
         self._memory = memory
+        self._values = memory.values
         self._clock = clock
         self._turns = 0.0
+        self._unreached: float | None = None
         self._top = (memory.table["velocity_limit"].initial or 0) * VELOCITY_TICKS
 
     # ---------------------------------------------------------------- where it is
@@ -98,10 +100,10 @@ class Shaft:
 
     def torque(self) -> float:
         """What the motor gives now, N m in encoder direction."""
-        if self.body is not None:
-            return self.body.torque
         if not self.powered or self.stuck_at is not None:
             return 0.0
+        if self.body is not None:
+            return self.body.torque
         volts = self.volts
         position, velocity = self._actual()
         if self._mode in drive.TORQUE_MODES:
@@ -111,8 +113,10 @@ class Shaft:
         if velocity:
             torque += math.copysign(self.load.friction, velocity)
         # Against a stop, and where the load is too much, the controller pushes with what it has.
-        missing = self._planned()[0] - position
-        torque += missing / _FULL_EFFORT_TICKS * self._memory.table.motor.stall_torque
+        wanted = self._planned()[0] if self._unreached is None else self._unreached
+        missing = wanted - position
+        effort = missing * self._values["position_p_gain"] * _EFFORT_OF_GAIN / PWM_FULL
+        torque += effort * self._memory.table.motor.stall_torque
         return max(-limit, min(limit, torque))
 
     @property
@@ -169,11 +173,26 @@ class Shaft:
             self.motion = drive.pushed(now, *self._actual(), torque, self.load, memory, self.volts)
         else:
             goal = self.sign * (memory.get("goal_position") - self._homing - self._turns)
+            if self._too_weak(goal - position):
+                self.stop()
+                self._unreached = goal
+                return
+            self._unreached = None
             self.motion = drive.moving(now, position, velocity, goal, memory, self._top)
+
+    def _too_weak(self, way: float) -> bool:
+        """Goal PWM or Goal Current is too small for the load and the friction that way."""
+        values = self._values
+        limited = abs(values["goal_pwm"]) < PWM_FULL or self._mode == OperatingMode.CURRENT_BASED_POSITION
+        if not limited or not way or self.body is not None:
+            return False
+        needed = abs(self.load.holding(self.encoder) + math.copysign(self.load.friction, way))
+        return drive.torque_limit(self._memory, self.volts) < needed
 
     def stop(self) -> None:
         """Stands still from now on, where it is."""
         self.motion = rest(self._clock.now(), self.encoder)
+        self._unreached = None
 
     def brake_at(self, t: float) -> None:
         """Slowed down from time ``t`` (s, past) on."""
@@ -204,16 +223,18 @@ class Shaft:
 
     @property
     def _mode(self) -> int:
-        return self._memory.get("operating_mode")
+        return self._values["operating_mode"]
 
     @property
     def sign(self) -> int:
         """-1 where Drive Mode reverses."""
-        return -1 if "drive_mode" in self._memory.table and self._memory.get("drive_mode") & REVERSE else 1
+        return -1 if self._values.get("drive_mode", 0) & REVERSE else 1
 
     @property
     def _homing(self) -> int:
-        offset = self._memory.get("homing_offset")
+        offset = self._values["homing_offset"]
+        if not offset:
+            return 0
         ignored = self._mode == OperatingMode.POSITION and abs(offset) > _HOMING_ONE_TURN
         return 0 if ignored else offset
 

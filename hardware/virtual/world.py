@@ -43,7 +43,7 @@ class World:
     Args:
         model: Kept as it is; a copy is changed.  Its actuators are not used.
         config: Which servo turns which joint.
-        bus: Its servos; the joints are put where they stand.
+        bus: Its servos; the joints are put where they stand, and from here on they move its shafts.
         contacts: Bodies touch.  Off by default: models of arms often touch themselves.
 
     Attributes:
@@ -71,6 +71,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
         for joint in self._joints:
             joint.attach()
+        bus.world = self
 
     def advance(self, now: float) -> None:
         """Computes what happened up to ``now``, s on the clock of the bus."""
@@ -91,7 +92,7 @@ class World:
         # Torque for the accelerations that the controllers want; gravity is left for them to feel.
         mujoco.mj_mulM(model, data, self._force, self._wanted)
         for joint in self._joints:
-            data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof])
+            data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof]) + joint.outside()
         mujoco.mj_step2(model, data)
         for joint in self._joints:
             joint.hold()
@@ -185,6 +186,10 @@ class _Joint:
         torque = max(-limit, min(limit, torque))
         self.torque = max(min(-stall - lost, 0.0), min(max(stall - lost, 0.0), torque))
         return self.torque * self._gear
+
+    def outside(self) -> float:
+        """Torque at the joint that the fault ``push`` puts there, N m: the motor has to hold against it."""
+        return -self._servo.shaft.load.push * self._gear
 
     def hold(self) -> None:
         """A joint that something holds stays where it is."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.bench.results import Cell, Results
+from robot_ik.bench.results import Cell, Curve, Results
 from robot_ik.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _success(cells: list[Cell], style: Style) -> bytes:
     return _png(figure, axes)
 
 
-def _labelled(style: Style, cell: Cell) -> dict[str, Any]:
+def _labelled(style: Style, cell: Cell | Curve) -> dict[str, Any]:
     """The style of a cell's method, which says so if it was asked for the position only."""
     label = cell.solver + (" (position)" if cell.goal == "position" else "")
     return style(cell.solver) | {"label": label}
@@ -129,7 +129,7 @@ def _convergence(results: Results, robot: str, style: Style) -> bytes:
     figure, axes = _figure(1, 7.4, 4.0)
     for curve in (c for c in results.curves if c.robot == robot):
         steps = np.arange(1, len(curve.miss) + 1)
-        axes[0].plot(steps, np.maximum(np.array(curve.miss, dtype=float), 1e-10), **style(curve.solver))
+        axes[0].plot(steps, np.maximum(np.array(curve.miss, dtype=float), 1e-10), **_labelled(style, curve))
     axes[0].axhline(results.settings.position_tolerance, color="#999999", linewidth=0.8)
     axes[0].set(
         xscale="log",

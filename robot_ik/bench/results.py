@@ -109,6 +109,7 @@ class Curve(_Data):
 
     solver: str
     robot: str
+    goal: str
     miss: list[float]
 
 

@@ -159,4 +159,9 @@ def curve(bench: Bench, settings: Settings) -> Curve | None:
         rows[k, len(steps) :] = miss
     if longest <= 1:  # a formula
         return None
-    return Curve(solver=bench.cell.solver, robot=bench.cell.robot, miss=np.nanmedian(rows, axis=0).tolist())
+    return Curve(
+        solver=bench.cell.solver,
+        robot=bench.cell.robot,
+        goal=bench.cell.goal,
+        miss=np.nanmedian(rows, axis=0).tolist(),
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shlex
 import sys
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import InvalidGoalError
+from robot_ik.errors import GoalError, InvalidGoalError, UnsupportedJointError
 from robot_ik.files import folder_for_results, write_atomically
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 _EXTRA = ("kernels", "batch")
+_BATCH = 500  # times as many poses as in the other sets
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,10 @@ def run(options: BenchOptions) -> int:
     from robot_ik.bench.plots import need_matplotlib
     from robot_ik.bench.results import Results, Settings, this_machine
     from robot_ik.jobs.reach_files import run_folder
+    from robot_ik.problem import Tolerance
 
     solvers, robots = _solvers(options), _robots(options)
+    Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
     if options.plots:
         need_matplotlib()
     settings = Settings(
@@ -114,27 +118,39 @@ def _robots(options: BenchOptions) -> list[Robot]:
 def _measure(options: BenchOptions, solvers: list[Solver], robots: list[Robot], results: Results) -> None:
     machine = results.machine
     console.say(f"on {machine.processor}, {machine.cores} cores, Python {machine.python}", "dim")
-    benches = _prepare(options, solvers, robots, results.settings)
     with console.progress() as bar:
-        _run_cells(benches, results, bar)
-        if "kernels" in options.sets:
-            _run_kernels(solvers, robots, results, bar)
-        if "batch" in options.sets:
-            _run_batches(options, solvers, robots, results, bar)
+        benches = _prepare(options, solvers, robots, results.settings, bar)
+    # What compiling left behind need not be looked through again before each method's turn.
+    gc.collect()
+    gc.freeze()
+    console.say("kernels are ready; Ctrl-C keeps what is done", "dim")
+    try:
+        with console.progress() as bar:
+            _run_cells(benches, results, bar)
+            if "kernels" in options.sets:
+                _run_kernels(solvers, robots, results, bar)
+            if "batch" in options.sets:
+                _run_batches(options, solvers, robots, results, bar)
+    finally:
+        gc.unfreeze()
 
 
 def _prepare(
-    options: BenchOptions, solvers: list[Solver], robots: list[Robot], settings: Settings
+    options: BenchOptions, solvers: list[Solver], robots: list[Robot], settings: Settings, bar: Progress
 ) -> list[Bench]:
     """All that takes long and is not measured: problem sets, and kernels, which announce themselves."""
     from robot_ik.bench.problems import make_set
     from robot_ik.bench.runner import prepare
 
     benches = []
-    for name in (name for name in dict.fromkeys(options.sets) if name not in _EXTRA):
+    names = [name for name in dict.fromkeys(options.sets) if name not in _EXTRA]
+    task = bar.add_task("preparing", total=max(1, len(names) * len(robots)), note="")
+    for name in names:
         for robot in robots:
+            bar.update(task, note=f"{name}, {robot.name}")
             problems = make_set(name, robot, options.count, options.seed)
             benches += [prepare(solver, robot, problems, settings) for solver in solvers]
+            bar.advance(task)
     return benches
 
 
@@ -160,11 +176,12 @@ def _run_kernels(solvers: list[Solver], robots: list[Robot], results: Results, b
     seed, figure = results.settings.seed, load_robot(floors.FIGURE)
     results.floors += [floors.floor(robot, seed) for robot in robots]
     for solver in solvers:
-        bar.update(task, advance=1, note=f"growth, {solver.name}")
+        bar.update(task, note=f"growth, {solver.name}")
         for point in floors.growth_with_joints(solver, seed):
             results.growth.append(point)
         for point in floors.growth_with_goals(solver, figure, seed):
             results.growth.append(point)
+        bar.advance(task)
     bar.remove_task(task)
 
 
@@ -177,8 +194,11 @@ def _run_batches(
     for robot in robots:
         for solver in solvers:
             bar.update(task, note=f"{robot.name}, {solver.name}")
-            for found in batches(robot, solver, 500 * options.count, options.seed):
-                results.batches.append(found)
+            try:
+                for found in batches(robot, solver, _BATCH * options.count, options.seed):
+                    results.batches.append(found)
+            except (GoalError, UnsupportedJointError) as error:
+                console.say(f"no batch: {error.args[0]}", "dim")
             bar.advance(task)
     bar.remove_task(task)
 
@@ -192,8 +212,10 @@ def _finish(results: Results, folder: Path, *, plots: bool) -> None:
     from robot_ik.cli.bench_table import print_results
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
+    if not (results.cells or results.floors or results.batches):
+        return  # it had not begun
     write_atomically(folder / "bench.json", results_text(results))
     print_results(results)
     for name, picture in (draw(results) if plots else {}).items():
         write_atomically(folder / name, picture)
-    console.say(f"{'' if results.complete else 'partial '}results and plots: {folder}", "dim")
+    console.say(f"{'' if results.complete else 'partial '}results: {folder}", "dim")

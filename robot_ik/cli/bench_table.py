@@ -26,6 +26,10 @@ def print_results(results: Results) -> None:
 
 
 def _print_cells(robot: str, name: str, cells: list[Cell]) -> None:
+    reasons = {cell.skipped for cell in cells}
+    if len(reasons) == 1 and "" not in reasons:  # the problems do not exist, whoever would solve them
+        console.out().print(Text(f"{robot}, {name}: {reasons.pop()}\n"))
+        return
     shown = console.table(
         "solver", "goal", "solved %", "median µs", "mean µs", "p99 µs", "steps", "restarts", "note",
         title=f"{robot}, {name}",
@@ -50,7 +54,7 @@ def microseconds(value: float) -> str:
 def _note(cell: Cell) -> str:
     notes = []
     if cell.count < cell.asked:
-        notes.append(f"{cell.count} of {cell.asked}: time was up")
+        notes.append(f"{cell.count} of {cell.asked} tried")
     if cell.jumps:
         notes.append(f"{cell.jumps} jumps")
     if cell.set == "unreachable":

@@ -198,13 +198,7 @@ def run_solvers(options: SolversOptions) -> int:
         return console.DONE
     shown = console.table("name", "method", "goals", "options")
     for row in rows:
-        shown.add_row(
-            row["name"],
-            Text(row["title"]),
-            goals_text(row),
-            ", ".join(row["honours"]) or "-",
-            str(len(row["options"])),
-        )
+        shown.add_row(row["name"], Text(row["title"]), goals_text(row), str(len(row["options"])))
     console.out().print(shown)
     console.say(f"auto chooses {SOLVERS['auto'].name}; the options of one: robot-ik solvers NAME", "dim")
     return console.DONE

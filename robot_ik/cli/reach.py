@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from rich.text import Text
 from tyro.conf import arg
 
+from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
 from robot_ik.cli import console
 from robot_ik.cli.solve_command import make_goal
 from robot_ik.environment import import_mujoco
@@ -36,6 +37,9 @@ class RehearseOptions:
     """Put the printed marker elsewhere: metres in the world, and degrees about the vertical."""
 
 
+_DEFAULT_ROBOT = f"(default: the arm file's, else {SHOWN_ROBOT}; at a port {SERVO_ROBOT})"
+
+
 @dataclass(frozen=True)
 class ReachOptions:
     """Sees a marker, moves the arm's gripper above it, and lets a camera judge how far off it is.
@@ -47,7 +51,7 @@ class ReachOptions:
     2: wrong input or environment; nothing was sent to a servo.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH")] = "puma560"
+    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=_DEFAULT_ROBOT)] = ""
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
     """Method: see `robot-ik solvers`."""
@@ -139,7 +143,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
     if options.follow and not options.seconds > 0.0:
         raise _wrong("--seconds", f"{options.seconds:g} s", "above 0")
     return ReachRequest(
-        robot=options.robot,
+        robot=options.robot or _robot_meant(options),
         solver=options.solver,
         goal=make_goal(options.goal, options.frame) if options.goal else None,
         frame=options.frame or None,
@@ -158,6 +162,19 @@ def make_request(options: ReachOptions) -> ReachRequest:
         seed=options.seed,
         rehearsal=_rehearsal(options.rehearse),
     )
+
+
+def _robot_meant(options: ReachOptions) -> str:
+    """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
+
+    Raises:
+        ConfigError: The arm file is wrong.
+    """
+    if options.arm:
+        from robot_ik.hardware.config import ArmConfig
+
+        return ArmConfig.load(options.arm).robot
+    return SHOWN_ROBOT if options.bus in ("pty", "sim", "none") else SERVO_ROBOT
 
 
 def _wrong(key: str, problem: str, allowed: str) -> ConfigError:

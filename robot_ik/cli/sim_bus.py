@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
+from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
 from robot_ik.errors import ConfigError, HardwareError, RobotIkError, UnknownRobotError
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Faults
     from robot_ik.hardware.virtual.pty import PtyPort
-    from robot_ik.hardware.virtual.world import World
     from robot_ik.ports import Array
 
 
@@ -31,11 +31,11 @@ class SimBusOptions:
 
     Any program may open the port: the ROBOTIS SDK and tools, another robot_ik, your own code.
 
-    Example: robot-ik sim-bus --arm puma560 --link /tmp/arm
+    Example: robot-ik sim-bus --link /tmp/arm
     and elsewhere: robot-ik reach --bus /tmp/arm
     """
 
-    arm: Annotated[str, arg(metavar="FILE|NAME")] = "puma560"
+    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file (TOML), or a robot of the catalogue that has one."""
     link: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="(default: no link)")] = None
     """Also make a symbolic link to the port: a name that stays the same; removed at the end."""
@@ -82,7 +82,7 @@ def run(options: SimBusOptions) -> int:
     seed = script.seed if options.seed is None else options.seed
     bus = VirtualBus.from_config(config, RealClock(), _home(config), _faults(options, config, seed))
     if options.physics:
-        bus.world = _world(config, bus)
+        _add_world(config, bus)
     bus.inject(*script.faults)
     with (
         _ended_by_signal() as ended,
@@ -134,8 +134,8 @@ def _home(config: ArmConfig) -> Array | None:
     return robot.home if robot.joints == config.names else None
 
 
-def _world(config: ArmConfig, bus: VirtualBus) -> World:
-    """The robot's own MuJoCo model, standing where the servos do.
+def _add_world(config: ArmConfig, bus: VirtualBus) -> None:
+    """From here on the robot's own MuJoCo model moves the shafts.
 
     Raises:
         RobotIkError: It has no model at hand, or not these joints.
@@ -143,7 +143,7 @@ def _world(config: ArmConfig, bus: VirtualBus) -> World:
     from robot_ik.hardware.virtual.world import World
     from robot_ik.robot import load_robot
 
-    return World(load_robot(config.robot).model, config, bus)
+    World(load_robot(config.robot).model, config, bus)
 
 
 def _faults(options: SimBusOptions, config: ArmConfig, seed: int) -> Faults:

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Squares of larger numbers leave the range of floats.
+LARGEST = 1e100
+
 
 @dataclass(frozen=True)
 class Tolerance:
@@ -40,22 +43,41 @@ class Tolerance:
     angle: float = 1e-3
 
     def __post_init__(self) -> None:
-        if not (self.position > 0 and self.angle > 0):
+        try:
+            positive = self.position > 0 and self.angle > 0
+        except TypeError:
+            positive = False
+        if not positive:
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
+
+
+def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
+    """A new array of floats; raises ``InvalidGoalError`` in words for text or uneven rows."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidGoalError(f"{what} must be {wanted}, not {values!r}") from error
 
 
 def vector(values: ArrayLike, size: int, what: str) -> Array:
     """A read-only finite array (size,); raises ``InvalidGoalError`` in words for anything else."""
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidGoalError(f"{what} must be {size} numbers, not {values!r}") from error
+    array = numbers(values, what, f"{size} numbers")
     if array.shape != (size,):
-        raise InvalidGoalError(f"{what} must be {size} numbers, not {array.size} ({values!r})")
+        found = array.size if array.size != size else f"an array of shape {array.shape}"
+        raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
     if not np.isfinite(array).all():
         raise InvalidGoalError(f"{what} must be finite, not {array.tolist()}")
+    if size and np.abs(array).max() > LARGEST:
+        raise InvalidGoalError(f"{what} must be below {LARGEST:g}, not {array.tolist()}")
     array.flags.writeable = False
     return array
+
+
+def rotation_matrix(values: Array, what: str) -> Array:
+    """``values`` (3, 3) if they turn and do nothing else; raises ``InvalidGoalError`` otherwise."""
+    if not (np.abs(values.T @ values - np.eye(3)).max() < 1e-5 and np.linalg.det(values) > 0.0):
+        raise InvalidGoalError(f"{what} has a matrix that does not turn: it scales or mirrors")
+    return values
 
 
 def unit_quaternion(values: ArrayLike, what: str) -> Array:
@@ -172,7 +194,7 @@ class Goal:
                 hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
             )
         priority: object = self.priority
-        if not (isinstance(priority, int) and priority >= 0):
+        if not (isinstance(priority, int | np.integer) and priority >= 0):
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")

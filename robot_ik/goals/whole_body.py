@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError, UnknownJointError
 from robot_ik.geometry import Pose
-from robot_ik.goals.base import Array, Goal, Rows, axes_mask, positive_number, vector
+from robot_ik.goals.base import Array, Goal, Rows, axes_mask, numbers, positive_number, vector
 from robot_ik.kernels.partial_rows import OF_JOINTS, OF_MASS, SOME_AXES
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, V_WIDTH
 
@@ -88,9 +88,13 @@ class PostureGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        count = int(np.size(self.q))
+        count = numbers(self.q, "q").size
         if not count:
             raise InvalidGoalError("a posture goal needs the joints' angles q (nq,), such as robot.home")
+        if not isinstance(self.joints, Mapping):
+            raise InvalidGoalError(
+                f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
+            )
         checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
         self._set(q=vector(self.q, count, "q"), weight=positive_number(self.weight, "weight"), joints=checked)
 

@@ -32,7 +32,7 @@ _AIR, _SLIMMEST = 0.10, 0.42
 # Robots without a scene of their own: so many random poses are tried until one is above the floor.
 _TRIES = 100
 # The sheet: its width, the gap between cards, and how much wider than high a full row of pictures is.
-_SHEET_WIDTH, _GAP, _ROW = 1280, 8, 5.6
+_SHEET_WIDTH, _GAP, _ROW = 1280, 8, 6.6
 _GREY = (120, 114, 110)
 
 

@@ -19,8 +19,8 @@ its work and it holds nobody back.  Joints inside their range are never pinned.
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.loop import room
 from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.room import room
 from robot_ik.kernels.work import DAMPING, PRESSED
 
 # A joint with less room than this, rad or m, stands at its bound.

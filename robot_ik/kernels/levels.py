@@ -15,9 +15,10 @@ from numba import types
 
 from robot_ik.kernels.jacobian_step import goal_end
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.linalg import cholesky_solve
-from robot_ik.kernels.loop import apply_step, copy, measure, room
+from robot_ik.kernels.linalg import eliminate
+from robot_ik.kernels.loop import copy, measure
 from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.room import apply_step, room
 
 # Damping of levels that are served already: nothing where they are met, else in proportion to their cost.
 _HELD_DAMPING = 1e-12
@@ -60,7 +61,7 @@ def serve_level(goal, work, level, damping, rank):
     z = J'ᵀ (J'J'ᵀ + λ)⁻¹ (r − J d) with J' the rows of the level less their part in the basis.
     """
     step, basis, own, gram, rhs = work.step, work.basis, work.own, work.gram, work.rhs
-    jacobian, residual, side, free = work.jacobian, work.residual, work.side, work.free
+    jacobian, residual, side = work.jacobian, work.residual, work.side
     n, m = step.shape[0], residual.shape[0]
     count = types.int64(0)
     for g in range(goal.row.shape[0]):
@@ -79,7 +80,6 @@ def serve_level(goal, work, level, damping, rank):
                     for u in range(n):
                         own[count, u] -= along * basis[b, u]
             rhs[count] = left
-            free[count] = count
             count += 1
     for i in range(count):
         for j in range(i + 1):
@@ -88,10 +88,10 @@ def serve_level(goal, work, level, damping, rank):
                 s += own[i, u] * own[j, u]
             gram[i, j] = s
         gram[i, i] += damping + 1e-15
-    if cholesky_solve(gram, rhs, free, count, work.factor, work.column):
+    if eliminate(gram, rhs, count):
         for i in range(count):
             for u in range(n):
-                step[u] += own[i, u] * work.column[i]
+                step[u] += own[i, u] * rhs[i]
     return widen(work, count, rank)
 
 

@@ -17,8 +17,8 @@ import math
 
 from robot_ik.kernels.cones import AT_CONE, edge_axis, hold_cone, is_cone, leaves_cone, release_cone
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.loop import room
 from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.room import room
 from robot_ik.kernels.rotation_rows import rotation_back
 from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.kernels.work import PRESSED, SCALE, UPDATES

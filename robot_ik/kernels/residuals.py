@@ -18,7 +18,7 @@ from robot_ik.kernels.couplings import slope_of
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity
 from robot_ik.kernels.partial_rows import partial_column, partial_rows
-from robot_ik.kernels.rotation_rows import inverse_right_jacobian, rotation_error
+from robot_ik.kernels.rotation_rows import bent, curvature, inverse_right_jacobian, rotation_error
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import open_work
 
@@ -119,6 +119,35 @@ def column(tree, goal, work, points, u, v, moved, at):
 
 
 @outlined
+def whole_columns(tree, goal, work, points, g):
+    """All columns of a whole position, orientation or pose: what ``column`` does, without asking again."""
+    kind, vadr, dof_node, dofs, moved = tree.kind, tree.vadr, tree.dof_node, goal.dofs, goal.moves
+    world, residual, jacobian = work.world, work.residual, work.jacobian
+    row, what = goal.row[g], goal.kind[g]
+    turned = row if what == ORIENTATION else row + 3
+    px, py, pz = points[g, 0], points[g, 1], points[g, 2]
+    metre, radian = goal.weight[g, 0], goal.weight[g, 1]
+    rx, ry, rz, bend = 0.0, 0.0, 0.0, 0.0
+    if what != POSITION:
+        s = 1.0 / radian if radian != 0.0 else 0.0
+        rx, ry, rz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
+        bend = curvature(rx, ry, rz)
+    for u in range(dofs.shape[0]):
+        v = dofs[u]
+        k = dof_node[v]
+        ax, ay, az, turn = dof_axis(kind, world, k, v - vadr[k])
+        moves = float(moved[g, u])
+        if what != ORIENTATION:
+            w = metre * moves
+            x, y, z = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
+            jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
+        if what != POSITION:
+            w = radian * moves if turn else 0.0
+            x, y, z = bent(rx, ry, rz, bend, ax, ay, az)
+            jacobian[turned, u], jacobian[turned + 1, u], jacobian[turned + 2, u] = w * x, w * y, w * z
+
+
+@outlined
 def add_tied(tree, goal, work, points):
     """Adds what the tied joints do to the columns of their leaders."""
     jacobian, kept = work.jacobian, work.column
@@ -140,8 +169,12 @@ def goal_jacobian(tree, goal, work, points):
     for the alternative Jacobian.
     """
     dofs, ease, jacobian = goal.dofs, goal.ease, work.jacobian
-    for u in range(dofs.shape[0]):
-        column(tree, goal, work, points, u, dofs[u], goal.moves, u)
+    for g in range(goal.kind.shape[0]):
+        if goal.kind[g] != PARTIAL:
+            whole_columns(tree, goal, work, points, g)
+            continue
+        for u in range(dofs.shape[0]):
+            partial_column(tree, goal, work, g, u, dofs[u], float(goal.moves[g, u]))
     if goal.tied.shape[0] > 0:
         add_tied(tree, goal, work, points)
     for u in range(dofs.shape[0]):

@@ -51,24 +51,34 @@ def rotation_error(target, current, g, out, at):
 
 
 @pure
-def inverse_right_jacobian(x, y, z, a, b, c):
+def curvature(x, y, z):
+    """The k of ``bent``, which depends on φ = (x, y, z) alone."""
+    square = x * x + y * y + z * z
+    if square < 1e-6:
+        return 1.0 / 12.0 + square / 720.0
+    half = 0.5 * math.sqrt(square)
+    return (1.0 - half / math.tan(half)) / square
+
+
+@pure
+def bent(x, y, z, k, a, b, c):
     """J_r⁻¹(φ) ω for φ = (x, y, z), ω = (a, b, c): ω + ½ φ×ω + k φ×(φ×ω).
 
     How φ = log(R_target R_currentᵀ) shrinks while the current frame turns with ω; J_r is the right
     Jacobian of SO(3) (Solà et al., A micro Lie theory for state estimation, 2018, eq. 144).
     """
-    square = x * x + y * y + z * z
-    if square < 1e-6:
-        k = 1.0 / 12.0 + square / 720.0
-    else:
-        angle = math.sqrt(square)
-        k = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / square
     p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
     return (
         a + 0.5 * p + k * (y * r - z * q),
         b + 0.5 * q + k * (z * p - x * r),
         c + 0.5 * r + k * (x * q - y * p),
     )
+
+
+@pure
+def inverse_right_jacobian(x, y, z, a, b, c):
+    """``bent`` for a single ω."""
+    return bent(x, y, z, curvature(x, y, z), a, b, c)
 
 
 @pure

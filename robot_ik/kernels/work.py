@@ -9,13 +9,18 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 
 # Entries of work.state (int64).
 (
-    STATUS, ITERATIONS, RESTARTS, TRY_STEPS, STALLS, PRESSED, POLISHING, TRACE_ROWS,
-    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STAGE, UPDATES,
-    STATE_SIZE,
-) = range(18)  # fmt: skip
+    STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
+    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
+    STAGE, UPDATES, STATE_SIZE,
+) = range(22)  # fmt: skip
+# What Python asks for after a solve: the first five.
+OUTCOME = slice(STATUS, BEYOND + 1)
 
 # Entries of work.value (float64).
-COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, SCALE, VALUE_SIZE = range(9)
+COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, LOWEST, SCALE, VALUE_SIZE = range(10)
+
+# What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
+NOTHING, STEP, DRAW, TRY = range(4)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
@@ -31,6 +36,8 @@ WORK = Layout(
     q="floats",  # (nq,) where the solver is
     best="floats",  # (nq,) best so far
     accepted="floats",  # (nq,) free for a solver that may reject a step
+    candidate="floats",  # (nq,) the best of several random starts
+    reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
     nodes="ints",  # joints that move any goal, parents first
     world="table",  # (n, 12) node poses
     scratch="table",  # (2, 12)
@@ -70,3 +77,7 @@ WORK = Layout(
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open
+
+# All that a run needs, as one number: the address of its table.
+RUN = Layout("Run", tree="int_table", goals="int_table", work="int_table", options="floats")
+open_run = RUN.open

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.goals import GOALS, Goal
-from robot_ik.kernels import jit, work
-from robot_ik.problem import Budget, Problem
-from robot_ik.solution import STATUS_OF, Solution, Status
+from robot_ik.kernels import work
+from robot_ik.problem import Problem
+from robot_ik.solution import STATUS_OF, Solution
+from robot_ik.solvers.ready import Ready
 
 Array = NDArray[np.float64]
 
@@ -144,20 +145,6 @@ _FEATURES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class _Ready:
-    """What a solver needs for every solve of one problem, made once: the hot loop only copies it.
-
-    ``asked`` are the solver, budget and seed that it was made for.
-    """
-
-    asked: tuple[Solver, Budget, int]
-    kernel: Callable[..., None]
-    arguments: tuple[Any, ...]
-    state: NDArray[np.int64]
-    value: Array
-
-
 @dataclass(frozen=True)
 class IterativeSolver(Solver):
     """A method that takes steps: the shared loop does the rest."""
@@ -167,6 +154,7 @@ class IterativeSolver(Solver):
     try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
 
     @abstractmethod
     def kernel(self) -> Callable[..., None]:
@@ -184,53 +172,47 @@ class IterativeSolver(Solver):
     def _options(self) -> Array:
         return np.array(self.parameters(), dtype=float)
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        robot, arrays = problem.robot, problem.arrays
-        q = robot.home if start is None else robot.check_q(start, "start")
-        ready = self._ready(problem)
-        began = time.perf_counter()
-        state = arrays["state"]
-        np.copyto(state, ready.state)
-        np.copyto(arrays["value"], ready.value)
-        np.copyto(arrays["start"], q)
-        unreachable = problem.out_of_reach()
-        if unreachable:  # the proof says that no start will help
-            state[work.MAX_RESTARTS], state[work.FIRST_STEPS] = 0, work.NO_LIMIT
-        seconds = problem.budget.seconds
-        if seconds is None:
-            ready.kernel(*ready.arguments)
-        else:
-            self._in_slices(ready.kernel, ready.arguments, state, began + seconds)
-        took = time.perf_counter() - began
-        status = STATUS_OF[int(state[work.STATUS])]
-        if unreachable and status is not Status.CONVERGED:
-            status = Status.UNREACHABLE
-        rows = int(state[work.TRACE_ROWS])
-        return Solution(
-            q=arrays["best"].copy(),
-            status=status,
-            iterations=int(state[work.ITERATIONS]),
-            restarts=int(state[work.RESTARTS]),
-            seconds=took,
-            solver=self.name,
-            robot=robot,
-            goals=tuple(problem.goals),
-            targets=problem.target.copy(),
-            trace_rows=arrays["trace"][:rows].copy() if rows else None,
-        )
+    def arguments(self, problem: Problem) -> tuple[Any, ...]:
+        """What the kernel takes for a problem."""
+        return problem.robot.tree.handle, problem.handle, problem.work, self._options
 
-    def _ready(self, problem: Problem) -> _Ready:
-        ready: _Ready | None = problem.prepared.get("steps")
-        asked = (self, problem.budget, problem.seed)
-        if ready is not None and all(a is b for a, b in zip(ready.asked, asked, strict=True)):
-            return ready
+    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+        # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
+        ready: Ready | None = problem.prepared.get("steps")
+        if (
+            ready is None
+            or ready.solver is not self
+            or ready.budget is not problem.budget
+            or ready.seed != problem.seed
+        ):
+            ready = self._get_ready(problem)
+        if type(start) is np.ndarray and start.shape == ready.shape:
+            ready.start[...] = start  # the kernel asks whether it is finite
+        else:
+            ready.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
+        began = time.perf_counter()
+        ready.state[...], ready.value[...] = ready.fresh
+        if ready.walls and problem.out_of_reach():
+            ready.state[work.BEYOND] = 1
+        if ready.budget.seconds is None:
+            ready.run(*ready.arguments)
+        else:
+            self._in_slices(ready.run, ready.arguments, ready.state, began + ready.budget.seconds)
+        status, iterations, restarts, rows, beyond = ready.outcome.tolist()
+        if status == work.NUMERICAL:
+            problem.robot.check_q(ready.start, "start")
+        elif beyond and status != work.CONVERGED:
+            status = work.UNREACHABLE
+        return Solution(
+            ready.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
+            self.name, problem.robot, tuple(problem.goals), ready.target.copy(),
+            problem.arrays["trace"][:rows].copy() if rows else None,
+        )  # fmt: skip
+
+    def _get_ready(self, problem: Problem) -> Ready:
         self.require_support(problem)
-        kernel = self.kernel_for(problem)
-        jit.announce(kernel, f"solver {self.name!r}")
         self._set_state(problem)
-        arguments = (problem.robot.tree.handle, problem.handle, problem.work, self._options)
-        state, value = problem.arrays["state"].copy(), problem.arrays["value"].copy()
-        ready = _Ready(asked, kernel, arguments, state, value)
+        ready = Ready(self, problem)
         problem.prepared["steps"] = ready
         return ready
 
@@ -245,6 +227,7 @@ class IterativeSolver(Solver):
         state[work.FIRST_STEPS] = self.first_steps if restarts else work.NO_LIMIT
         state[work.TRY_LIMIT] = self.try_steps
         state[work.PATIENCE] = self.patience
+        state[work.DRAWS] = self.draws
         state[work.SLICE_END] = work.NO_LIMIT
         value[:] = 0.0
         value[work.PROGRESS] = self.progress

@@ -23,8 +23,9 @@ from typing import ClassVar
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
-from robot_ik.kernels.loop import advance, apply_step, begin, measure, proceed, room
+from robot_ik.kernels.loop import advance, begin, measure, proceed
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
+from robot_ik.kernels.room import apply_step, room
 from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import IterativeSolver, option

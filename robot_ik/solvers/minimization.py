@@ -16,9 +16,10 @@ from typing import ClassVar
 
 from robot_ik.kernels.cones import carry, slope_left
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.metric import constrain, direction, displacement, learn, reset, slopes
 from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.room import apply_step
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import COST, PATIENCE, STALLS, TRY_STEPS, UPDATES, open_work
 from robot_ik.solvers.base import IterativeSolver, option

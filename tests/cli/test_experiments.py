@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from robot_ik.jobs.experiments import a00
+from robot_ik.jobs.experiments.courses import Course
 
 
 def test_a00_passes_and_says_what_it_chose(
@@ -67,15 +68,17 @@ def test_ctrl_c_keeps_what_is_done(robot_ik: Any, tmp_path: Path, monkeypatch: p
     assert not summary["complete"] and [track["test"] for track in summary["tracks"]] == [4]
 
 
-def test_ctrl_c_before_anything_is_done(
-    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("where", ["make_course", "witness_miss", "track"])
+def test_ctrl_c_at_any_moment(
+    where: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def make_course(number: int, *rest: int | None) -> Any:
+    def stop(*arguments: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(a00, "make_course", make_course)
-    run = robot_ik("experiments", "a00", "--out", tmp_path)
+    monkeypatch.setattr(Course if where == "witness_miss" else a00, where, stop)
+    run = robot_ik("experiments", "a00", "--tests", 9, "--out", tmp_path)
     assert run.code == 130 and "INTERRUPTED" in run.out and "Traceback" not in run.err
+    assert not json.loads((tmp_path / "a00.json").read_text())["complete"]
 
 
 @pytest.mark.parametrize(

@@ -214,11 +214,11 @@ def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
 
     program = [sys.executable, "-m", "robot_ik"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    port = tmp_path / "arm"
+    port, slowly = tmp_path / "arm", ["--robot", "puma560", *GOAL, "--speed", "0.01"]
     servos = subprocess.Popen([*program, "sim-bus", "--arm", "puma560", "--link", str(port)], **pipes)
     try:
         wait_for(port.exists)
-        run = subprocess.Popen([*program, "reach", *GOAL, "--bus", str(port), "--speed", "0.01"], **pipes)
+        run = subprocess.Popen([*program, "reach", *slowly, "--bus", str(port)], **pipes)
         runs = tmp_path / "runs"
         wait_for(runs.exists)
         time.sleep(6.0)  # the motion takes a minute at this speed

@@ -93,8 +93,9 @@ def run_a00(report: A00Report, progress: Progress = lambda stage, share: None) -
     gauge = Gauge(progress, len(report.numbers) * len(report.solvers))
     for number in report.numbers:
         course = make_course(number, report.seed, report.frames)
-        report.courses[number] = course
+        # In this order: whoever is interrupted in between has no course without its witnesses' miss.
         report.witness_miss[number] = course.witness_miss()
+        report.courses[number] = course
         for name in report.solvers:
             gauge.begin(f"test {number}: {name}", len(course.at))
             problem = Problem(course.robot, course.goal, tolerance=TOLERANCE, seed=report.seed)

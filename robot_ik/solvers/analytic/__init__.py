@@ -10,6 +10,7 @@ the exact target: that none is inside the limits does not prove that nothing wit
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -45,6 +46,7 @@ from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recog
 from robot_ik.solvers.analytic.planar import planar_two_link
 from robot_ik.solvers.analytic.six_axes import spherical_wrist, three_parallel
 from robot_ik.solvers.base import Answers, Solver
+from robot_ik.solvers.ready import take_start
 
 Array = NDArray[np.float64]
 
@@ -76,12 +78,14 @@ class Prepared:
         arrays: By their names in ``FORM``.
         tables: What the kernels take first: tree, goals, work space, form.
         family: The form's number.
+        run: ``closed_form`` without numba's look at its arguments.
     """
 
     form: Form
     arrays: dict[str, Any]
     tables: tuple[Any, Any, Any, Any]
     family: int
+    run: Callable[..., None]
 
 
 @dataclass(frozen=True)
@@ -118,30 +122,24 @@ class Analytic(Solver):
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         prepared = self._require(problem)
-        robot, arrays = problem.robot, problem.arrays
-        np.copyto(arrays["start"], robot.home if start is None else robot.check_q(start, "start"))
+        arrays = problem.arrays
+        take_start(problem, start)
         began = time.perf_counter()
         budget = problem.budget
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
-        closed_form(*prepared.tables, prepared.family, mode)
+        prepared.run(*prepared.tables, prepared.family, mode)
         state = arrays["state"]
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
-        status = STATUS_OF[int(state[STATUS])]
+        number, iterations = state[: ITERATIONS + 1].tolist()
+        status = STATUS_OF[number]
         if status is not Status.CONVERGED and problem.out_of_reach():
             status = Status.UNREACHABLE
         return Solution(
-            q=arrays["best"].copy(),
-            status=status,
-            iterations=int(state[ITERATIONS]),
-            restarts=0,
-            seconds=time.perf_counter() - began,
-            solver=self.name,
-            robot=robot,
-            goals=tuple(problem.goals),
-            targets=problem.target.copy(),
-            trace_rows=_trace(arrays) if problem.trace and state[ITERATIONS] else None,
-        )
+            arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
+            problem.robot, tuple(problem.goals), problem.target.copy(),
+            _trace(arrays) if problem.trace and iterations else None,
+        )  # fmt: skip
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         prepared = self._require(problem)
@@ -203,7 +201,8 @@ def _prepare(problem: Problem) -> Prepared | None:
     }
     jit.announce(closed_form, "closed forms")
     tables = (tree.handle, problem.handle, problem.work, FORM.pack(arrays))
-    return Prepared(form, arrays, tables, int(form.family))
+    run = jit.entry(closed_form, *tables, int(form.family), SOLVE)
+    return Prepared(form, arrays, tables, int(form.family), run)
 
 
 @outlined
