@@ -90,7 +90,9 @@ def test_the_cost_never_rises_within_a_try(robot_name, place, robots, reachable)
         problem = Problem(robot, goal, trace=True, budget=Budget(restarts=6))
         solution = Minimization().solve(problem, start)
         assert not solution.converged and solution.restarts == 6
-        for _, rows in itertools.groupby(solution.trace, key=lambda row: row.restart):
+        for restart, rows in itertools.groupby(solution.trace, key=lambda row: row.restart):
+            if restart == 6:  # after the last try comes one from the best point
+                break
             costs = [row.cost for row in rows]
             assert all(after <= before * (1 + 1e-13) for before, after in itertools.pairwise(costs))
         first = [row.cost for row in solution.trace if row.restart == 0]
@@ -205,11 +207,11 @@ def test_limits_hold_at_every_step_and_joints_at_them_do_not_hold_the_others_bac
     robot_name, robots, reachable
 ):
     robot, held, released = robots(robot_name), 0, 0
-    for start, there in zip(reachable(robot, 4, 50), reachable(robot, 4, 51), strict=True):
+    for start, there in zip(reachable(robot, 9, 50), reachable(robot, 9, 51), strict=True):
         pose = robot.forward(there)
-        problem = Problem(robot, PoseGoal(None, 1.5 * pose.position, pose.wxyz), tolerance=FINE)
+        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=FINE)
         before = np.zeros(len(problem.dofs), dtype=bool)
-        for steps in range(1, 25):
+        for steps in range(1, 20):
             problem.budget = Budget(iterations=steps, restarts=0)
             Minimization().solve(problem, start)
             q, arrays = problem.arrays["q"], problem.arrays
@@ -220,7 +222,7 @@ def test_limits_hold_at_every_step_and_joints_at_them_do_not_hold_the_others_bac
             assert np.abs(arrays["metric"][sides & ~ball]).max(initial=0.0) == 0.0
             held, released = held + sides.any(), released + (before & ~sides).any()
             before = sides
-    assert held > 20 and released >= 1
+    assert held > 20 and released >= 3
 
 
 # -------------------------------------------------------------------------- every goal
