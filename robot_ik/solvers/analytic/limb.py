@@ -1,0 +1,320 @@
+"""Closed form of a limb: spherical shoulder, elbow hinge, spherical wrist (7 axes, one more than a pose needs).
+
+After Tolani, Goswami & Badler (Real-time inverse kinematics techniques for anthropomorphic limbs,
+Graphical Models 62, 2000): the elbow's angle follows from the distance of shoulder and wrist, and each
+joint limit cuts the circle of swivel angles at places that are known in closed form (``edges.py``).
+Between two cuts either all or none of the angles are inside the limits, so that no such interval is
+missed, however narrow; inside them the angle nearest to the start is searched for.
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+from __future__ import annotations
+
+import math
+
+from numba import types
+
+from robot_ik.kernels.jit import outlined, pure
+from robot_ik.solvers.analytic.geometry import HINGES, NO_JOINTS
+from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
+from robot_ik.solvers.analytic.subproblems import angles_to_height, image, turn
+from robot_ik.solvers.analytic.swivel import (
+    WHOLE,
+    apply_back,
+    make_parts,
+    put_column,
+    score,
+    start_rotation,
+    swing,
+)
+
+# Metres by which the reach may be missed through rounding.
+_SLACK = 1e-9
+# Places at which a range of swivel angles is looked at, besides its cuts: a wide one, and one near the start.
+_WIDE, _NEAR, _NEAR_RANGE = 28, 8, 0.3
+# Cuts nearer than this (rad) are one.
+_SAME_CUT = 1e-12
+# Cosine from which two axes are so nearly in line that the very place is looked at.
+_IN_LINE = 1.0 - 1e-12
+# Columns of the tally.
+_VALUE, _ANGLE, _LOW, _HIGH = 0, 1, 2, 3
+_GOLDEN, _REFINED, _MOST_STEPS = 0.3819660112501051, 1e-8, 30
+
+
+@pure
+def sinusoid(parts, g, yx, yy, yz, x, y, z):
+    """a, b, c of yᵀ R(φ) x = a + b cos φ + c sin φ; R of the shoulder (g = 0) or the wrist (1)."""
+    return (
+        yx * (parts[g, 0] * x + parts[g, 1] * y + parts[g, 2] * z)
+        + yy * (parts[g, 3] * x + parts[g, 4] * y + parts[g, 5] * z)
+        + yz * (parts[g, 6] * x + parts[g, 7] * y + parts[g, 8] * z),
+        yx * (parts[g, 9] * x + parts[g, 10] * y + parts[g, 11] * z)
+        + yy * (parts[g, 12] * x + parts[g, 13] * y + parts[g, 14] * z)
+        + yz * (parts[g, 15] * x + parts[g, 16] * y + parts[g, 17] * z),
+        yx * (parts[g, 18] * x + parts[g, 19] * y + parts[g, 20] * z)
+        + yy * (parts[g, 21] * x + parts[g, 22] * y + parts[g, 23] * z)
+        + yz * (parts[g, 24] * x + parts[g, 25] * y + parts[g, 26] * z),
+    )
+
+
+@outlined
+def add_cut(cuts, count, angle, widest):
+    """One more cut, in order of size, if it lies within ±widest; returns how many there are."""
+    angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+    if abs(angle) >= widest or count >= cuts.shape[0]:
+        return count
+    i = count
+    while i > 0 and cuts[i - 1] > angle:
+        cuts[i] = cuts[i - 1]
+        i -= 1
+    cuts[i] = angle
+    return count + 1
+
+
+@outlined
+def weigh(form, lower, upper, angle, low, high):
+    """Looks at one swivel angle: notes in the tally where a combination of flips is nearer; whether any fits."""
+    tally = form.tally
+    c, s = math.cos(angle), math.sin(angle)
+    swing(form, types.int64(0), c, s)
+    first = score(form, types.int64(0), types.int64(0), lower, upper)
+    second = score(form, types.int64(0), types.int64(1), lower, upper)
+    if min(first, second) == math.inf:
+        return False
+    swing(form, types.int64(1), c, s)
+    third = score(form, types.int64(1), types.int64(0), lower, upper)
+    fourth = score(form, types.int64(1), types.int64(1), lower, upper)
+    for i in range(4):
+        value = (first if i < 2 else second) + (third if i % 2 == 0 else fourth)
+        if value < tally[i, _VALUE]:
+            tally[i, _VALUE], tally[i, _ANGLE], tally[i, _LOW], tally[i, _HIGH] = value, angle, low, high
+    return min(third, fourth) < math.inf
+
+
+@outlined
+def find_cuts(form, lower, upper, widest):
+    """All swivel angles within ±widest at which a joint meets a limit or a gimbal; returns how many."""
+    parts, edges, cuts, axes = form.parts, form.edges, form.cuts, form.axes
+    cuts[0], cuts[1] = -widest, widest
+    count = types.int64(2)
+    for e in range(edges.shape[0]):
+        g = types.int64(edges[e, 0])
+        if g >= 2:
+            g -= 2
+            a = parts[g, 0] + parts[g, 4] + parts[g, 8]
+            b = parts[g, 9] + parts[g, 13] + parts[g, 17]
+            c = parts[g, 18] + parts[g, 22] + parts[g, 26]
+        else:
+            a, b, c = sinusoid(
+                parts, g, edges[e, 1], edges[e, 2], edges[e, 3], edges[e, 4], edges[e, 5], edges[e, 6]
+            )
+        rest, amplitude = edges[e, 7] - a, math.sqrt(b * b + c * c)
+        if amplitude < 1e-12 or abs(rest) > amplitude + 1e-12:
+            continue
+        middle = math.atan2(c, b)
+        half = math.atan2(math.sqrt(max(0.0, (amplitude - rest) * (amplitude + rest))), rest)
+        count = add_cut(cuts, count, middle + half, widest)
+        count = add_cut(cuts, count, middle - half, widest)
+    for g in range(2):
+        if form.groups[g, 0] != HINGES:
+            continue
+        k = 4 * g
+        a, b, c = sinusoid(
+            parts, g, axes[k, 0], axes[k, 1], axes[k, 2], axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2]
+        )
+        amplitude = math.sqrt(b * b + c * c)
+        if amplitude < 1e-12:
+            continue
+        for end in range(2):  # where axes 1 and 3 are most nearly in line
+            angle = math.atan2(c, b) + math.pi * end
+            count = add_cut(cuts, count, angle, widest)
+            if abs(a + amplitude * (1 - 2 * end)) > _IN_LINE:  # an angle more is free, just there
+                weigh(form, lower, upper, angle, angle, angle)
+    return count
+
+
+@outlined
+def value_at(form, lower, upper, angle, row):
+    """Squared distance to the start at one swivel angle, for the flips of ``row`` of the tally."""
+    c, s = math.cos(angle), math.sin(angle)
+    swing(form, types.int64(0), c, s)
+    value = score(form, types.int64(0), row // 2, lower, upper)
+    if value == math.inf:
+        return value
+    swing(form, types.int64(1), c, s)
+    return value + score(form, types.int64(1), row % 2, lower, upper)
+
+
+@outlined
+def refine(form, lower, upper, row):
+    """Improves the angle of a row of the tally inside its cell: Brent's parabolas and golden sections."""
+    tally = form.tally
+    low, high = tally[row, _LOW], tally[row, _HIGH]
+    x, fx = tally[row, _ANGLE], tally[row, _VALUE]
+    w, fw, v, fv = x, fx, x, fx
+    step, before = 0.0, 0.0
+    for _ in range(_MOST_STEPS):
+        middle = 0.5 * (low + high)
+        if abs(x - middle) <= 2.0 * _REFINED - 0.5 * (high - low):
+            break
+        golden = True
+        if abs(before) > _REFINED:
+            r, q = (x - w) * (fx - fv), (x - v) * (fx - fw)
+            p = (x - v) * q - (x - w) * r
+            q = 2.0 * (q - r)
+            p, q = (-p, q) if q > 0.0 else (p, -q)
+            if abs(p) < abs(0.5 * q * before) and q * (low - x) < p < q * (high - x):
+                before, step, golden = step, p / q, False
+        if golden:
+            before = (high if x < middle else low) - x
+            step = _GOLDEN * before
+        if abs(step) < _REFINED:
+            step = _REFINED if step >= 0.0 else -_REFINED
+        u = min(max(x + step, low), high)
+        fu = value_at(form, lower, upper, u, row)
+        if fu <= fx:
+            low, high = (x, high) if u >= x else (low, x)
+            v, fv, w, fw, x, fx = w, fw, x, fx, u, fu
+        else:
+            low, high = (u, high) if u < x else (low, u)
+            if fu <= fw or w == x:
+                v, fv, w, fw = w, fw, u, fu
+            elif fu <= fv or v == x or v == w:
+                v, fv = u, fu
+    tally[row, _VALUE], tally[row, _ANGLE] = fx, x
+
+
+@outlined
+def around_start(form, count, spacing):
+    """Where the start's own swivel leads the tally: the cell round it, in which it may be improved."""
+    tally, cuts = form.tally, form.cuts
+    low, high = -spacing, spacing
+    for j in range(count):
+        if low < cuts[j] < -_SAME_CUT:
+            low = cuts[j]
+        if _SAME_CUT < cuts[j] < high:
+            high = cuts[j]
+    for i in range(4):
+        if tally[i, _ANGLE] == 0.0:
+            tally[i, _LOW], tally[i, _HIGH] = low, high
+
+
+@outlined
+def scan(form, lower, upper, every, nearest):
+    """Fills the tally: the best swivel angle of each combination of flips, within reach of ``nearest``.
+
+    A shoulder turned by φ more than need be has turned by φ at least, so its joints (of three hinges) have
+    moved by φ/√3: an angle beyond that cannot be nearer than ``nearest``, a squared distance.
+    """
+    tally, cuts = form.tally, form.cuts
+    for i in range(4):
+        tally[i, _VALUE] = math.inf
+    weigh(form, lower, upper, 0.0, 0.0, 0.0)
+    widest = math.pi
+    if not every:
+        nearest = min(nearest, tally[0, _VALUE], tally[1, _VALUE], tally[2, _VALUE], tally[3, _VALUE])
+        widest = min(math.pi, math.sqrt(3.0 * nearest) + 1e-6)
+    spacing = widest / _WIDE * 2.0 if widest > _NEAR_RANGE else widest / _NEAR * 2.0
+    count = find_cuts(form, lower, upper, widest)
+    around_start(form, count, spacing)
+    for i in range(count - 1):
+        low, high = cuts[i], cuts[i + 1]
+        if high - low < _SAME_CUT:
+            continue
+        samples = int(math.ceil((high - low) / spacing))
+        step = (high - low) / samples
+        for k in range(samples):
+            angle = low + (k + 0.5) * step
+            fits = weigh(form, lower, upper, angle, max(low, angle - step), min(high, angle + step))
+            if not fits:
+                break  # nor will any other in this cell
+    if every or min(tally[0, _VALUE], tally[1, _VALUE], tally[2, _VALUE], tally[3, _VALUE]) == math.inf:
+        # A goal at the very corner of the limits may have a single angle, which is a cut.
+        for j in range(count):
+            weigh(form, lower, upper, cuts[j], cuts[j], cuts[j])
+
+
+@outlined
+def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
+    """Puts the best of the tally into ``form.best`` (if nearer than ``nearest``), or all into the branches.
+
+    ``angle``: the elbow's, which moved by the square root of ``moved``.  Returns the nearest, squared.
+    """
+    tally, best, trial, branches = form.tally, form.best, form.trial, form.branches
+    column = form.groups[1, 1] - 1
+    end = trial.shape[1]
+    for turn_of in range(4):
+        row = types.int64(turn_of)
+        if not every:
+            for i in range(4):
+                if tally[i, _VALUE] < tally[row, _VALUE]:
+                    row = types.int64(i)
+        # Refining a sample seldom helps by more than this share.
+        if tally[row, _VALUE] == math.inf or (not every and 0.6 * tally[row, _VALUE] + moved >= nearest):
+            if every:
+                continue
+            break
+        refine(form, lower, upper, row)
+        if every or tally[row, _VALUE] + moved < nearest:
+            nearest = min(nearest, tally[row, _VALUE] + moved)
+            value_at(form, lower, upper, tally[row, _ANGLE], row)
+            for j in range(end):
+                number = angle if j == column else trial[row // 2 if j < column else row % 2, j]
+                if every:
+                    branches[4 * elbow + row, j] = number
+                else:
+                    best[j] = number
+        tally[row, _VALUE] = math.inf
+    return nearest
+
+
+@outlined
+def limb(form, lower, upper, every):
+    """The nearest solution inside the limits into ``form.best``, or the nearest of each branch.
+
+    Branches are rows 4·elbow + 2·shoulder + wrist of ``form.branches``; those there already are replaced.
+    Returns (1 if one is inside the limits else -1, how many elbows reach).
+    """
+    axes, extra, target, start = form.axes, form.extra, form.target, form.start
+    wx, wy, wz = centre(target, extra)
+    sx, sy, sz = axes[0, 3], axes[0, 4], axes[0, 5]
+    dx, dy, dz = wx - sx, wy - sy, wz - sz
+    r = math.sqrt(dx * dx + dy * dy + dz * dz)
+    ux, uy, uz = axes[3, 0], axes[3, 1], axes[3, 2]
+    fx, fy, fz = sx - axes[3, 3], sy - axes[3, 4], sz - axes[3, 5]  # elbow -> shoulder
+    ex, ey, ez = extra[0, 0] - axes[3, 3], extra[0, 1] - axes[3, 4], extra[0, 2] - axes[3, 5]
+    height = 0.5 * (ex * ex + ey * ey + ez * ez + fx * fx + fy * fy + fz * fz - r * r)
+    middle, half, _, possible = angles_to_height(fx, fy, fz, ux, uy, uz, ex, ey, ez, height, _SLACK)
+    if not possible:
+        return -1, 0
+    start_rotation(form)
+    if form.groups[1, 0] != NO_JOINTS:
+        for j in range(3):
+            x, y, z = relative_rotation(
+                target, extra, 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
+            )
+            put_column(form.matrices, WHOLE, j, x, y, z)
+    column = form.groups[1, 1] - 1
+    one, one_fits = image(middle + half, start[column], lower[column], upper[column])
+    two, two_fits = image(middle - half, start[column], lower[column], upper[column])
+    nearest = math.inf
+    for k in range(2):
+        other = (abs(two - start[column]) < abs(one - start[column])) == (k == 0)
+        angle, fits = (two, two_fits) if other else (one, one_fits)
+        moved = (angle - start[column]) * (angle - start[column])
+        if not fits or (not every and (moved >= nearest or (k == 1 and half < _SAME_CUT))):
+            continue
+        c, s = math.cos(angle), math.sin(angle)
+        vx, vy, vz = turn(ux, uy, uz, c, s, ex, ey, ez)
+        vx, vy, vz = vx - fx, vy - fy, vz - fz  # shoulder -> wrist, as the elbow makes it
+        size = math.sqrt(vx * vx + vy * vy + vz * vz)
+        if r > 1e-12 and size > 1e-12:
+            make_parts(form, angle, vx / size, vy / size, vz / size, dx / r, dy / r, dz / r)
+        else:  # folded onto the shoulder: it may turn as it likes
+            vx, vy, vz = apply_back(form.matrices, types.int64(0), 0.0, 0.0, 1.0)
+            make_parts(form, angle, vx, vy, vz, 0.0, 0.0, 1.0)
+        scan(form, lower, upper, every, nearest - moved)
+        nearest = take_best(
+            form, lower, upper, types.int64(1 if other else 0), angle, moved, every, nearest
+        )
+    return (1 if nearest < math.inf else -1), 2
