@@ -37,6 +37,7 @@ from robot_ik.solvers.analytic.entry import closed_form, closed_form_many
 from robot_ik.solvers.analytic.form import EVERY, FORM, LOOK, SOLVE
 from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
 from robot_ik.solvers.analytic.limb_entry import closed_limb, closed_limb_many
+from robot_ik.solvers.analytic.proof_entry import PROOFS
 from robot_ik.solvers.base import Answers, Solver
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ class Prepared:
         arrays: By their names in ``FORM``.
         tables: What the kernels take first: tree, goals, work space, form.
         family: The form's number.
-        kernel, batch: What solves one problem, and many.
+        kernel, batch, prove: What solves one problem, and many, and proves that none will do.
     """
 
     form: Form
@@ -60,6 +61,7 @@ class Prepared:
     family: int
     kernel: Callable[..., None]
     batch: Callable[..., None]
+    prove: Callable[..., None]
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,9 @@ class Analytic(Solver):
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
         prepared.kernel(*prepared.tables, prepared.family, mode)
         state = arrays["state"]
+        if mode == SOLVE and state[STATUS] != CONVERGED:
+            # As a batch of one: its status stands first in the state.
+            prepared.prove(prepared.tables[1], prepared.tables[3], problem.target, state)
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
         status = STATUS_OF[int(state[STATUS])]
@@ -127,6 +132,9 @@ class Analytic(Solver):
         prepared.batch(
             *prepared.tables, prepared.family, targets, starts, answers.q, answers.status, answers.miss
         )
+        if (answers.status != CONVERGED).any():
+            jit.announce(prepared.prove, "proofs of unreachable goals")
+            prepared.prove(prepared.tables[1], prepared.tables[3], targets, answers.status)
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
@@ -170,7 +178,7 @@ def _prepare(problem: Problem) -> Prepared | None:
     kernel, batch = (closed_limb, closed_limb_many) if limb else (closed_form, closed_form_many)
     jit.announce(kernel, "closed forms")
     tables = (tree.handle, problem.handle, problem.work, FORM.pack(arrays))
-    return Prepared(form, arrays, tables, int(form.family), kernel, batch)
+    return Prepared(form, arrays, tables, int(form.family), kernel, batch, PROOFS[form.family])
 
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
@@ -191,5 +199,6 @@ def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
         "target": target, "inverse": np.zeros((1, 12)),
         "turns": middle_turns(form), "edges": limit_edges(form, lower, upper),
         "matrices": np.zeros((7, 9)), "parts": np.zeros((2, 27)), "cuts": np.zeros(64),
-        "tally": np.zeros((4, 4)), "trial": np.zeros((2, n)),
+        "tally": np.zeros((4, 4)), "trial": np.zeros((2, n)), "scores": np.zeros(6),
+        "spin": np.zeros((2, 3)), "speeds": np.zeros(2),
     }  # fmt: skip

@@ -8,13 +8,10 @@ from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import STATUS, open_work
 from robot_ik.solvers.analytic.choose import nearest
-from robot_ik.solvers.analytic.form import SOLVE, look, open_form, settle
+from robot_ik.solvers.analytic.form import SOLVE, invert, look, open_form, settle
 from robot_ik.solvers.analytic.geometry import Family
-from robot_ik.solvers.analytic.intervals import length
 from robot_ik.solvers.analytic.planar import planar_two_link
-from robot_ik.solvers.analytic.proof import planar_is_out_of_reach, wrist_is_out_of_reach
-from robot_ik.solvers.analytic.proof_parallel import parallel_is_out_of_reach
-from robot_ik.solvers.analytic.six_axes import centre, spherical_wrist, three_parallel
+from robot_ik.solvers.analytic.six_axes import spherical_wrist, three_parallel
 
 _PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
 _SHOULDER = int(Family.SPHERICAL_SHOULDER)
@@ -37,36 +34,7 @@ def answer(tree, goal, work, form, family, mode):
     else:
         found = three_parallel(axes, extra, target, start, branches)
     row = nearest(branches, start, lower, upper, form.best)
-    settle(tree, goal, work, form, row, found, row < 0 and out_of_reach(form, goal.tolerance, family))
-
-
-@outlined
-def out_of_reach(form, tolerance, family):
-    """Whether it is proven that nothing within tolerance can be reached inside the limits."""
-    axes, extra, target, lower, upper = form.axes, form.extra, form.target, form.lower, form.upper
-    if family == _PLANAR:
-        return planar_is_out_of_reach(axes, extra, target, lower, upper, tolerance)
-    if family == _WRIST:
-        lever = length(extra[1, 0], extra[1, 1], extra[1, 2])
-        return wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever)
-    if family == _SHOULDER:
-        x, y, z = centre(form.inverse, extra)  # the shoulder, seen from the goal
-        lever = length(x, y, z)
-        return wrist_is_out_of_reach(axes, extra, form.inverse, lower, upper, tolerance, lever)
-    return parallel_is_out_of_reach(axes, extra, target, lower, upper, tolerance)
-
-
-@outlined
-def invert(target, inverse):
-    """The inverse of the pose row target[0] into inverse[0]."""
-    for i in range(3):
-        inverse[0, i] = -(
-            target[0, 3 + i] * target[0, 0]
-            + target[0, 6 + i] * target[0, 1]
-            + target[0, 9 + i] * target[0, 2]
-        )
-        for j in range(3):
-            inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]
+    settle(tree, goal, work, form, row, found)
 
 
 @kernel

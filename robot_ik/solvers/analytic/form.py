@@ -7,7 +7,7 @@ from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined
 from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
-from robot_ik.kernels.work import BEST_COST, BLOCKED, CONVERGED, COST, ITERATIONS, STALLED, STATUS, UNREACHABLE
+from robot_ik.kernels.work import BEST_COST, BLOCKED, CONVERGED, COST, ITERATIONS, STALLED, STATUS
 
 # n numbers of q belong to the chain: one for a hinge, four for a ball.
 FORM = Layout(
@@ -33,6 +33,9 @@ FORM = Layout(
     cuts="floats",  # (64,) swivel angles at which something changes
     tally="table",  # (4, 4) best of each combination of flips: squared distance, angle, cell's ends
     trial="table",  # (2, n) angles by flip
+    scores="floats",  # (6,) squared distances: shoulder's two flips, wrist's two; their slope and speed
+    spin="table",  # (2, 3) by the swivel angle: angular velocity of shoulder and wrist
+    speeds="floats",  # (2,) of ball joints: growth of their turn
 )
 open_form = FORM.open
 
@@ -60,11 +63,11 @@ def look(tree, goal, work, form, mode):
 
 
 @outlined
-def settle(tree, goal, work, form, row, found, proven):
+def settle(tree, goal, work, form, row, found):
     """Takes ``form.best`` for the answer, where some branch ``row`` is inside the limits."""
     state, q, place, best = work.state, work.q, form.place, form.best
     if row < 0:
-        state[STATUS] = UNREACHABLE if proven else BLOCKED if found > 0 else STALLED
+        state[STATUS] = BLOCKED if found > 0 else STALLED
         return
     for j in range(place.shape[0]):
         q[place[j]] = best[j]
@@ -75,3 +78,16 @@ def settle(tree, goal, work, form, row, found, proven):
     else:
         copy(work.best, q)
         measure(tree, goal, work)  # so that the miss is the answer's
+
+
+@outlined
+def invert(target, inverse):
+    """The inverse of the pose row target[0] into inverse[0]."""
+    for i in range(3):
+        inverse[0, i] = -(
+            target[0, 3 + i] * target[0, 0]
+            + target[0, 6 + i] * target[0, 1]
+            + target[0, 9 + i] * target[0, 2]
+        )
+        for j in range(3):
+            inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]

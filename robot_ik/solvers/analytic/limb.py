@@ -15,11 +15,14 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.solvers.analytic.apart import keep_apart
+from robot_ik.solvers.analytic.form import EVERY
 from robot_ik.solvers.analytic.geometry import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
 from robot_ik.solvers.analytic.subproblems import angles_to_height, image, turn
 from robot_ik.solvers.analytic.swivel import (
     WHOLE,
+    add_slope,
     apply_back,
     make_parts,
     put_column,
@@ -31,14 +34,17 @@ from robot_ik.solvers.analytic.swivel import (
 # Metres by which the reach may be missed through rounding.
 _SLACK = 1e-9
 # Places at which a range of swivel angles is looked at, besides its cuts: a wide one, and one near the start.
-_WIDE, _NEAR, _NEAR_RANGE = 28, 8, 0.3
+_WIDE, _NEAR, _NEAR_RANGE = 20, 2, 0.3
 # Cuts nearer than this (rad) are one.
 _SAME_CUT = 1e-12
 # Cosine from which two axes are so nearly in line that the very place is looked at.
 _IN_LINE = 1.0 - 1e-12
 # Columns of the tally.
 _VALUE, _ANGLE, _LOW, _HIGH = 0, 1, 2, 3
-_GOLDEN, _REFINED, _MOST_STEPS = 0.3819660112501051, 1e-8, 30
+# Refining a sample seldom brings its squared distance below this share.
+_GAIN = 0.6
+# Swivel angles (rad) nearer than this are one to the search, which takes at most so many steps.
+_REFINED, _MOST_STEPS = 1e-7, 15
 
 
 @pure
@@ -60,6 +66,7 @@ def sinusoid(parts, g, yx, yy, yz, x, y, z):
 @outlined
 def add_cut(cuts, count, angle, widest):
     """One more cut, in order of size, if it lies within ±widest; returns how many there are."""
+    keep_apart()
     angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
     if abs(angle) >= widest or count >= cuts.shape[0]:
         return count
@@ -71,29 +78,39 @@ def add_cut(cuts, count, angle, widest):
     return count + 1
 
 
+@pure
+def smallest(tally):
+    """The squared distance of the best combination."""
+    return min(tally[0, _VALUE], tally[1, _VALUE], tally[2, _VALUE], tally[3, _VALUE])
+
+
 @outlined
-def weigh(form, lower, upper, angle, low, high):
-    """Looks at one swivel angle: notes in the tally where a combination of flips is nearer; whether any fits."""
-    tally = form.tally
+def weigh(form, lower, upper, angle, low, high, nearest):
+    """Looks at one swivel angle: notes in the tally where a combination of flips is nearer; whether any fits.
+
+    What cannot come nearer than the squared distance ``nearest`` is not looked at to the end.
+    """
+    keep_apart()
+    tally, scores = form.tally, form.scores
     c, s = math.cos(angle), math.sin(angle)
-    swing(form, types.int64(0), c, s)
-    first = score(form, types.int64(0), types.int64(0), lower, upper)
-    second = score(form, types.int64(0), types.int64(1), lower, upper)
-    if min(first, second) == math.inf:
-        return False
-    swing(form, types.int64(1), c, s)
-    third = score(form, types.int64(1), types.int64(0), lower, upper)
-    fourth = score(form, types.int64(1), types.int64(1), lower, upper)
+    for g in range(2):
+        swing(form, g, c, s)
+        closest = score(form, g, 0, 1, lower, upper)
+        if closest == math.inf:
+            return False
+        if g == 0 and _GAIN * closest > nearest:
+            return True
     for i in range(4):
-        value = (first if i < 2 else second) + (third if i % 2 == 0 else fourth)
+        value = scores[i // 2] + scores[2 + i % 2]
         if value < tally[i, _VALUE]:
             tally[i, _VALUE], tally[i, _ANGLE], tally[i, _LOW], tally[i, _HIGH] = value, angle, low, high
-    return min(third, fourth) < math.inf
+    return True
 
 
 @outlined
 def find_cuts(form, lower, upper, widest):
     """All swivel angles within ±widest at which a joint meets a limit or a gimbal; returns how many."""
+    keep_apart()
     parts, edges, cuts, axes = form.parts, form.edges, form.cuts, form.axes
     cuts[0], cuts[1] = -widest, widest
     count = types.int64(2)
@@ -129,59 +146,64 @@ def find_cuts(form, lower, upper, widest):
             angle = math.atan2(c, b) + math.pi * end
             count = add_cut(cuts, count, angle, widest)
             if abs(a + amplitude * (1 - 2 * end)) > _IN_LINE:  # an angle more is free, just there
-                weigh(form, lower, upper, angle, angle, angle)
+                weigh(form, lower, upper, angle, angle, angle, math.inf)
     return count
 
 
 @outlined
 def value_at(form, lower, upper, angle, row):
-    """Squared distance to the start at one swivel angle, for the flips of ``row`` of the tally."""
-    c, s = math.cos(angle), math.sin(angle)
-    swing(form, types.int64(0), c, s)
-    value = score(form, types.int64(0), row // 2, lower, upper)
-    if value == math.inf:
-        return value
-    swing(form, types.int64(1), c, s)
-    return value + score(form, types.int64(1), row % 2, lower, upper)
+    """Squared distance to the start at one swivel angle, for the flips of ``row`` of the tally.
+
+    Half its slope and the squared speed of the joints go into scores[4], scores[5].
+    """
+    keep_apart()
+    c, s, value, scores = math.cos(angle), math.sin(angle), 0.0, form.scores
+    scores[4] = scores[5] = 0.0
+    for g in range(2):
+        swing(form, g, c, s)
+        flip = row // 2 if g == 0 else row % 2
+        value += score(form, g, flip, flip, lower, upper)
+        if value == math.inf:
+            break
+        add_slope(form, g, flip)
+    return value
 
 
 @outlined
-def refine(form, lower, upper, row):
-    """Improves the angle of a row of the tally inside its cell: Brent's parabolas and golden sections."""
-    tally = form.tally
+def refine(form, lower, upper, row, nearest):
+    """Improves the angle of a row of the tally inside its cell: secants on the slope of the distance.
+
+    Gives up where the distance does not look as if it could fall below ``nearest``.
+    """
+    keep_apart()
+    tally, scores = form.tally, form.scores
     low, high = tally[row, _LOW], tally[row, _HIGH]
-    x, fx = tally[row, _ANGLE], tally[row, _VALUE]
-    w, fw, v, fv = x, fx, x, fx
-    step, before = 0.0, 0.0
+    x = tally[row, _ANGLE]
+    value = value_at(form, lower, upper, x, row)
+    slope, curve = scores[4], max(scores[5], 1e-12)
+    if value - 1.5 * slope * slope / curve >= nearest:
+        return
+    step = -slope / curve
     for _ in range(_MOST_STEPS):
-        middle = 0.5 * (low + high)
-        if abs(x - middle) <= 2.0 * _REFINED - 0.5 * (high - low):
-            break
-        golden = True
-        if abs(before) > _REFINED:
-            r, q = (x - w) * (fx - fv), (x - v) * (fx - fw)
-            p = (x - v) * q - (x - w) * r
-            q = 2.0 * (q - r)
-            p, q = (-p, q) if q > 0.0 else (p, -q)
-            if abs(p) < abs(0.5 * q * before) and q * (low - x) < p < q * (high - x):
-                before, step, golden = step, p / q, False
-        if golden:
-            before = (high if x < middle else low) - x
-            step = _GOLDEN * before
-        if abs(step) < _REFINED:
-            step = _REFINED if step >= 0.0 else -_REFINED
-        u = min(max(x + step, low), high)
-        fu = value_at(form, lower, upper, u, row)
-        if fu <= fx:
-            low, high = (x, high) if u >= x else (low, x)
-            v, fv, w, fw, x, fx = w, fw, x, fx, u, fu
+        if slope < 0.0:
+            low = x
         else:
-            low, high = (u, high) if u < x else (low, u)
-            if fu <= fw or w == x:
-                v, fv, w, fw = w, fw, u, fu
-            elif fu <= fv or v == x or v == w:
-                v, fv = u, fu
-    tally[row, _VALUE], tally[row, _ANGLE] = fx, x
+            high = x
+        u = min(max(x + step, low), high)
+        if abs(u - x) < _REFINED:
+            break
+        value = value_at(form, lower, upper, u, row)
+        if value == math.inf:  # the very end of the cell
+            low, high = (low, u) if u > x else (u, high)
+            step *= 0.5
+            continue
+        if value < tally[row, _VALUE]:
+            tally[row, _VALUE], tally[row, _ANGLE] = value, u
+        curve = (scores[4] - slope) / (u - x)
+        if not curve > 0.1 * scores[5]:
+            curve = max(scores[5], 1e-12)
+        x, slope = u, scores[4]
+        step = -slope / curve
 
 
 @outlined
@@ -206,18 +228,27 @@ def scan(form, lower, upper, every, nearest):
     A shoulder turned by φ more than need be has turned by φ at least, so its joints (of three hinges) have
     moved by φ/√3: an angle beyond that cannot be nearer than ``nearest``, a squared distance.
     """
+    keep_apart()
     tally, cuts = form.tally, form.cuts
     for i in range(4):
         tally[i, _VALUE] = math.inf
-    weigh(form, lower, upper, 0.0, 0.0, 0.0)
+    weigh(form, lower, upper, 0.0, 0.0, 0.0, math.inf)
     widest = math.pi
     if not every:
-        nearest = min(nearest, tally[0, _VALUE], tally[1, _VALUE], tally[2, _VALUE], tally[3, _VALUE])
+        nearest = min(nearest, smallest(tally))
         widest = min(math.pi, math.sqrt(3.0 * nearest) + 1e-6)
     spacing = widest / _WIDE * 2.0 if widest > _NEAR_RANGE else widest / _NEAR * 2.0
     count = find_cuts(form, lower, upper, widest)
     around_start(form, count, spacing)
-    for i in range(count - 1):
+    right = 0
+    while right < count - 1 and cuts[right + 1] <= 0.0:
+        right += 1
+    left = right - 1
+    while left >= 0 or right < count - 1:  # the cells, from the start outwards
+        if left < 0 or (right < count - 1 and cuts[right] < -cuts[left + 1]):
+            i, right = right, right + 1
+        else:
+            i, left = left, left - 1
         low, high = cuts[i], cuts[i + 1]
         if high - low < _SAME_CUT:
             continue
@@ -225,13 +256,16 @@ def scan(form, lower, upper, every, nearest):
         step = (high - low) / samples
         for k in range(samples):
             angle = low + (k + 0.5) * step
-            fits = weigh(form, lower, upper, angle, max(low, angle - step), min(high, angle + step))
+            fits = weigh(
+                form, lower, upper, angle, max(low, angle - step), min(high, angle + step),
+                math.inf if every else min(nearest, smallest(tally)),
+            )  # fmt: skip
             if not fits:
                 break  # nor will any other in this cell
-    if every or min(tally[0, _VALUE], tally[1, _VALUE], tally[2, _VALUE], tally[3, _VALUE]) == math.inf:
+    if every or smallest(tally) == math.inf:
         # A goal at the very corner of the limits may have a single angle, which is a cut.
         for j in range(count):
-            weigh(form, lower, upper, cuts[j], cuts[j], cuts[j])
+            weigh(form, lower, upper, cuts[j], cuts[j], cuts[j], math.inf)
 
 
 @outlined
@@ -240,6 +274,7 @@ def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
 
     ``angle``: the elbow's, which moved by the square root of ``moved``.  Returns the nearest, squared.
     """
+    keep_apart()
     tally, best, trial, branches = form.tally, form.best, form.trial, form.branches
     column = form.groups[1, 1] - 1
     end = trial.shape[1]
@@ -249,12 +284,11 @@ def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
             for i in range(4):
                 if tally[i, _VALUE] < tally[row, _VALUE]:
                     row = types.int64(i)
-        # Refining a sample seldom helps by more than this share.
-        if tally[row, _VALUE] == math.inf or (not every and 0.6 * tally[row, _VALUE] + moved >= nearest):
+        if tally[row, _VALUE] == math.inf or (not every and _GAIN * tally[row, _VALUE] + moved >= nearest):
             if every:
                 continue
             break
-        refine(form, lower, upper, row)
+        refine(form, lower, upper, row, math.inf if every else nearest - moved)
         if every or tally[row, _VALUE] + moved < nearest:
             nearest = min(nearest, tally[row, _VALUE] + moved)
             value_at(form, lower, upper, tally[row, _ANGLE], row)
@@ -269,13 +303,15 @@ def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
 
 
 @outlined
-def limb(form, lower, upper, every):
+def limb(form, lower, upper, mode):
     """The nearest solution inside the limits into ``form.best``, or the nearest of each branch.
 
     Branches are rows 4·elbow + 2·shoulder + wrist of ``form.branches``; those there already are replaced.
     Returns (1 if one is inside the limits else -1, how many elbows reach).
     """
+    keep_apart()
     axes, extra, target, start = form.axes, form.extra, form.target, form.start
+    every = mode == EVERY
     wx, wy, wz = centre(target, extra)
     sx, sy, sz = axes[0, 3], axes[0, 4], axes[0, 5]
     dx, dy, dz = wx - sx, wy - sy, wz - sz

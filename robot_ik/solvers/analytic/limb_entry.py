@@ -11,7 +11,6 @@ from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import STATUS, open_work
 from robot_ik.solvers.analytic.form import EVERY, SOLVE, look, open_form, settle
 from robot_ik.solvers.analytic.limb import limb
-from robot_ik.solvers.analytic.proof import limb_is_out_of_reach
 
 
 @outlined
@@ -25,11 +24,11 @@ def answer_limb(tree, goal, work, form, mode):
             for j in range(branches.shape[1]):
                 branches[row, j] = math.nan
         # First without limits: a branch that is nowhere inside them is still a branch.
-        limb(form, form.least, form.most, True)
-        limb(form, form.lower, form.upper, True)
-    row, found = limb(form, form.lower, form.upper, False)
-    proven = row < 0 and limb_is_out_of_reach(form, goal.tolerance)
-    settle(tree, goal, work, form, row, found, proven)
+        limb(form, form.least, form.most, mode)
+    row, found = limb(form, form.lower, form.upper, mode)
+    if mode == EVERY:
+        return
+    settle(tree, goal, work, form, row, found)
 
 
 @kernel

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.solvers.analytic.apart import keep_apart
 from robot_ik.solvers.analytic.intervals import (
     PAD,
     across,
@@ -100,6 +101,7 @@ def limb_is_out_of_reach(form, tolerance):
 @outlined
 def wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, s3, error):
     """Whether joints 4 to 6 may make what rotation is left after joints 1 to 3, known to ``error`` rad."""
+    keep_apart()
     if error >= math.pi:
         return True
     hx, hy, hz = axes[3, 0], axes[3, 1], axes[3, 2]

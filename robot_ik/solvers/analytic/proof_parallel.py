@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import outlined
+from robot_ik.solvers.analytic.apart import keep_apart
 from robot_ik.solvers.analytic.intervals import (
     PAD,
     across,
@@ -78,6 +79,7 @@ def three_may_fit(
     axes, extra, lower, upper, c5, s5, radius5, x, y, z, bx, by, bz, gx, gy, gz, off, turned, polar
 ):  # fmt: skip
     """Whether joints 6 and 2 to 4 of three parallel axes may follow joints 1 and 5."""
+    keep_apart()
     ux, uy, uz = axes[1, 0], axes[1, 1], axes[1, 2]
     along3 = 1.0 if ux * axes[2, 0] + uy * axes[2, 1] + uz * axes[2, 2] > 0.0 else -1.0
     along4 = 1.0 if ux * axes[3, 0] + uy * axes[3, 1] + uz * axes[3, 2] > 0.0 else -1.0

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.solvers.analytic.apart import keep_apart
 from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside, turn
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
@@ -117,6 +118,7 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·elbow + flip; a row that does not exist gets NaN.
     Returns how many exist.
     """
+    keep_apart()
     found = 0
     wx, wy, wz = centre(target, extra)
     h1x, h1y, h1z = axes[0, 0], axes[0, 1], axes[0, 2]
@@ -182,6 +184,7 @@ def three_parallel(axes, extra, target, start, branches):
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·flip + elbow; a row that does not exist gets NaN.
     Returns how many exist.
     """
+    keep_apart()
     found = 0
     for row in range(8):
         for j in range(6):

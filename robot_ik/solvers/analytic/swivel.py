@@ -13,6 +13,7 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.solvers.analytic.apart import keep_apart
 from robot_ik.solvers.analytic.geometry import BALL_JOINT, HINGES
 from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside, turn
 
@@ -53,6 +54,7 @@ def put_column(m, r, j, x, y, z):
 @outlined
 def start_rotation(form):
     """What the start makes of the shoulder, into matrices[START]."""
+    keep_apart()
     m, axes, start = form.matrices, form.axes, form.start
     if form.groups[0, 0] == BALL_JOINT:
         w, x, y, z = start[0], start[1], start[2], start[3]
@@ -75,6 +77,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
 
     v and n are unit vectors from the shoulder to the wrist's centre: as the elbow makes it, and wanted.
     """
+    keep_apart()
     m, parts, axes = form.matrices, form.parts, form.axes
     ax, ay, az = apply(m, START, vx, vy, vz)
     kx, ky, kz = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
@@ -111,6 +114,9 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
         put_column(m, BENT, j, x, y, z)
     # Wrist: W(φ) = BENTᵀ R(n, -φ) WHOLE.
     bx, by, bz = apply_back(m, BENT, nx, ny, nz)
+    spin = form.spin
+    spin[0, 0], spin[0, 1], spin[0, 2] = nx, ny, nz
+    spin[1, 0], spin[1, 1], spin[1, 2] = -bx, -by, -bz
     for j in range(3):
         x, y, z = m[WHOLE, j], m[WHOLE, 3 + j], m[WHOLE, 6 + j]
         along = nx * x + ny * y + nz * z
@@ -131,65 +137,77 @@ def swing(form, g, c, s):
 
 
 @outlined
-def score(form, g, flip, lower, upper):
-    """Joint angles of the rotation made by ``swing``, into trial[flip]; their squared distance to the start.
+def score(form, g, first_flip, last_flip, lower, upper):
+    """Joint angles of the rotation made by ``swing``, into trial; their squared distances to the start.
 
-    ``flip``: which of the two solutions of three hinges.  Infinite where there is none inside the limits.
+    Flips are the two solutions of three hinges.  The distances go into scores[2 g + flip]; infinite where
+    there is no solution inside the limits.  Returns the smallest.
     """
-    how = form.groups[g, 0]
+    scores, how = form.scores, form.groups[g, 0]
+    for flip in range(first_flip, last_flip + 1):
+        scores[2 * g + flip] = math.inf
     if how == HINGES:
-        return three_hinges(form, g, flip, lower, upper)
-    if flip == 1:
-        return math.inf
-    return ball(form, g, upper) if how == BALL_JOINT else 0.0
+        three_hinges(form, g, first_flip, last_flip, lower, upper)
+    elif first_flip == 0:
+        scores[2 * g] = ball(form, g, upper) if how == BALL_JOINT else 0.0
+    return min(scores[2 * g + first_flip], scores[2 * g + last_flip])
 
 
 @outlined
-def three_hinges(form, g, flip, lower, upper):
+def three_hinges(form, g, first_flip, last_flip, lower, upper):
     """``score`` of three hinges that meet: R₁ R₂ R₃ = matrices[TURNED + g]."""
-    axes, m, start, trial = form.axes, form.matrices, form.start, form.trial
-    k, row, first = 4 * g, TURNED + g, form.groups[g, 1]
+    keep_apart()
+    axes, m, start, trial, scores = form.axes, form.matrices, form.start, form.trial, form.scores
+    k, row, j = 4 * g, TURNED + g, form.groups[g, 1]
     hx, hy, hz = axes[k, 0], axes[k, 1], axes[k, 2]
     kx, ky, kz = axes[k + 1, 0], axes[k + 1, 1], axes[k + 1, 2]
     ex, ey, ez = axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2]
     x, y, z = apply(m, row, ex, ey, ez)
-    amplitude = form.turns[g, 1]
+    amplitude, middle = form.turns[g, 1], form.turns[g, 2]
     rest = hx * x + hy * y + hz * z - form.turns[g, 0]
     if abs(rest) > amplitude + 1e-9:
-        return math.inf
-    half = math.atan2(math.sqrt(max(0.0, (amplitude - rest) * (amplitude + rest))), rest)
-    second = form.turns[g, 2] + (half if flip == 0 else -half)
-    c, s = math.cos(second), math.sin(second)
-    ax, ay, az = turn(kx, ky, kz, c, s, ex, ey, ez)  # R₂ h₃
-    one, weight = angle_between(hx, hy, hz, ax, ay, az, x, y, z)
-    if weight > ALIGNED * ALIGNED:
-        bx, by, bz = turn(kx, ky, kz, c, -s, hx, hy, hz)  # R₂ᵀ h₁
-        x, y, z = apply_back(m, row, hx, hy, hz)
-        three, _ = angle_between(ex, ey, ez, bx, by, bz, x, y, z)
-        three = -three
-    else:  # axes 1 and 3 in line: only q₁ ± q₃ counts; the turn of a vector across them tells it
-        px, py, pz = hy * kz - hz * ky, hz * kx - hx * kz, hx * ky - hy * kx
-        x, y, z = turn(kx, ky, kz, c, -s, px, py, pz)
-        x, y, z = apply(m, row, x, y, z)
-        total, _ = angle_between(hx, hy, hz, px, py, pz, x, y, z)
-        one, three = split_inside(
-            total, 1.0 if ax * hx + ay * hy + az * hz > 0.0 else -1.0, start[first], start[first + 2],
-            lower[first], upper[first], lower[first + 2], upper[first + 2],
-        )  # fmt: skip
-    distance = 0.0
-    for j in range(3):
-        angle = one if j == 0 else second if j == 1 else three
-        angle, inside = image(angle, start[first + j], lower[first + j], upper[first + j])
+        return
+    side = math.sqrt(max(0.0, (amplitude - rest) * (amplitude + rest)))
+    half = math.atan2(side, rest)
+    bx, by, bz = apply_back(m, row, hx, hy, hz)  # R₃ᵀ R₂ᵀ h₁
+    for flip in range(first_flip, last_flip + 1):
+        second = middle + (half if flip == 0 else -half)
+        two, inside = image(second, start[j + 1], lower[j + 1], upper[j + 1])
         if not inside:
-            return math.inf
-        trial[flip, first + j] = angle
-        distance += (angle - start[first + j]) * (angle - start[first + j])
-    return distance
+            continue
+        c, s = math.cos(second), math.sin(second)
+        ax, ay, az = turn(kx, ky, kz, c, s, ex, ey, ez)  # R₂ h₃
+        one, weight = angle_between(hx, hy, hz, ax, ay, az, x, y, z)
+        if weight > ALIGNED * ALIGNED:
+            one, inside = image(one, start[j], lower[j], upper[j])
+            if not inside:
+                continue
+            cx, cy, cz = turn(kx, ky, kz, c, -s, hx, hy, hz)  # R₂ᵀ h₁
+            three, _ = angle_between(ex, ey, ez, bx, by, bz, cx, cy, cz)
+        else:  # axes 1 and 3 in line: only q₁ ± q₃ counts; the turn of a vector across them tells it
+            px, py, pz = hy * kz - hz * ky, hz * kx - hx * kz, hx * ky - hy * kx
+            cx, cy, cz = turn(kx, ky, kz, c, -s, px, py, pz)
+            cx, cy, cz = apply(m, row, cx, cy, cz)
+            total, _ = angle_between(hx, hy, hz, px, py, pz, cx, cy, cz)
+            one, three = split_inside(
+                total, 1.0 if ax * hx + ay * hy + az * hz > 0.0 else -1.0, start[j], start[j + 2],
+                lower[j], upper[j], lower[j + 2], upper[j + 2],
+            )  # fmt: skip
+            one, inside = image(one, start[j], lower[j], upper[j])
+            if not inside:
+                continue
+        three, inside = image(three, start[j + 2], lower[j + 2], upper[j + 2])
+        if not inside:
+            continue
+        trial[flip, j], trial[flip, j + 1], trial[flip, j + 2] = one, two, three
+        one, two, three = one - start[j], two - start[j + 1], three - start[j + 2]
+        scores[2 * g + flip] = one * one + two * two + three * three
 
 
 @outlined
 def ball(form, g, upper):
     """``score`` of a ball joint: its quaternion, of the two the one nearer to the start's."""
+    keep_apart()
     m, start, trial = form.matrices, form.start, form.trial
     row, first, t = TURNED + g, form.groups[g, 1], types.int64(0)
     trace = m[row, 0] + m[row, 4] + m[row, 8]
@@ -214,11 +232,46 @@ def ball(form, g, upper):
     if angle > upper[first] + 1e-9:
         return math.inf
     trial[t, first], trial[t, first + 1], trial[t, first + 2], trial[t, first + 3] = w, x, y, z
-    # The turn between the two, of the conjugate start times this.
-    sine = (
-        (a * x - b * w - c * z + d * y) ** 2
-        + (a * y + b * z - c * w - d * x) ** 2
-        + (a * z - b * y + c * x - d * w) ** 2
-    )
-    between = 2.0 * math.atan2(math.sqrt(sine), a * w + b * x + c * y + d * z)
+    # The turn from the start to here, and how it grows with the swivel.
+    px, py, pz = a * x - b * w - d * y + c * z, a * y - c * w - b * z + d * x, a * z - d * w - c * x + b * y
+    sine = math.sqrt(px * px + py * py + pz * pz)
+    between = 2.0 * math.atan2(sine, a * w + b * x + c * y + d * z)
+    spin = form.spin
+    form.speeds[g] = (px * spin[g, 0] + py * spin[g, 1] + pz * spin[g, 2]) / max(sine, 1e-30)
     return between * between
+
+
+@outlined
+def add_slope(form, g, flip):
+    """Adds what ``score`` just found to scores[4] (half its slope by the swivel angle) and scores[5].
+
+    Those are Σ (q - start) q' and Σ q'² of the joints' speeds q', from the axes a: Σ aᵢ q'ᵢ = the spin.
+    """
+    keep_apart()
+    scores, axes, trial, start, spin = form.scores, form.axes, form.trial, form.start, form.spin
+    how = form.groups[g, 0]
+    if how == BALL_JOINT:
+        scores[4] += math.sqrt(scores[2 * g + flip]) * form.speeds[g]
+        scores[5] += 1.0
+    if how != HINGES:
+        return
+    k, j = 4 * g, form.groups[g, 1]
+    ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
+    one = trial[flip, j]
+    bx, by, bz = turn(
+        ax, ay, az, math.cos(one), math.sin(one), axes[k + 1, 0], axes[k + 1, 1], axes[k + 1, 2]
+    )
+    cx, cy, cz = apply(form.matrices, TURNED + g, axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2])
+    nx, ny, nz = spin[g, 0], spin[g, 1], spin[g, 2]
+    ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    volume = ax * ux + ay * uy + az * uz
+    if abs(volume) < ALIGNED:
+        return
+    vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    d1 = (nx * ux + ny * uy + nz * uz) / volume
+    d2 = (nx * vx + ny * vy + nz * vz) / volume
+    d3 = (nx * wx + ny * wy + nz * wz) / volume
+    scores[4] += (one - start[j]) * d1
+    scores[4] += (trial[flip, j + 1] - start[j + 1]) * d2 + (trial[flip, j + 2] - start[j + 2]) * d3
+    scores[5] += d1 * d1 + d2 * d2 + d3 * d3
