@@ -34,7 +34,7 @@ from robot_ik.solvers.analytic.swivel import (
 # Metres by which the reach may be missed through rounding.
 _SLACK = 1e-9
 # Places at which a range of swivel angles is looked at, besides its cuts: a wide one, and one near the start.
-_WIDE, _NEAR, _NEAR_RANGE = 20, 2, 0.3
+_WIDE, _NEAR, _NEAR_RANGE = 12, 2, 0.3
 # Cuts nearer than this (rad) are one.
 _SAME_CUT = 1e-12
 # Cosine from which two axes are so nearly in line that the very place is looked at.
@@ -109,7 +109,7 @@ def weigh(form, lower, upper, angle, low, high, nearest):
 
 @outlined
 def find_cuts(form, lower, upper, widest):
-    """All swivel angles within ±widest at which a joint meets a limit or a gimbal; returns how many."""
+    """All swivel angles within ±widest at which a joint meets a limit; returns how many."""
     keep_apart()
     parts, edges, cuts, axes = form.parts, form.edges, form.cuts, form.axes
     cuts[0], cuts[1] = -widest, widest
@@ -143,9 +143,8 @@ def find_cuts(form, lower, upper, widest):
         if amplitude < 1e-12:
             continue
         for end in range(2):  # where axes 1 and 3 are most nearly in line
-            angle = math.atan2(c, b) + math.pi * end
-            count = add_cut(cuts, count, angle, widest)
             if abs(a + amplitude * (1 - 2 * end)) > _IN_LINE:  # an angle more is free, just there
+                angle = math.atan2(c, b) + math.pi * end
                 weigh(form, lower, upper, angle, angle, angle, math.inf)
     return count
 
