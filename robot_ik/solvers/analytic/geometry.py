@@ -52,7 +52,7 @@ class Form:
         family: Which one.
         nodes: Joints of the chain in the order of the kernel: root first, of a spherical shoulder last.
         axes: (n, 6) direction and a point of each joint axis at q = 0, world.  A limb has seven rows
-            (three, elbow, three), those of a ball joint with its centre.
+            (three, elbow, three), those of a ball joint the axes of its frame.
         extra: (5, 3) wrist centre in the world at q = 0, the same seen from the tool, rows of the tool's
             rotation at q = 0.
         groups: (2, 2) of a limb: how shoulder and wrist are joined, and the column of their first number.
@@ -74,9 +74,9 @@ def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
     kinds = [int(tree.kind[k]) for k in chain]
     if not chain or any(kind not in (HINGE, BALL) for kind in kinds):
         return None
-    axes, tool = _at_zero(tree, chain, local)
+    axes, frames, tool = _at_zero(tree, chain, local)
     scale = float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())
-    limb = _limb(kinds, chain, axes, tool, scale, whole)
+    limb = _limb(kinds, chain, axes, frames, tool, scale, whole)
     if limb is not None or BALL in kinds:
         return limb
     if not whole:
@@ -114,7 +114,13 @@ def _from_the_tool(axes: Array, tool: Pose) -> Array:
 
 
 def _limb(
-    kinds: list[int], chain: list[int], axes: Array, tool: Pose, scale: float, whole: bool
+    kinds: list[int],
+    chain: list[int],
+    axes: Array,
+    frames: list[Array],
+    tool: Pose,
+    scale: float,
+    whole: bool,
 ) -> Form | None:
     """Shoulder (three hinges that meet, or a ball), elbow hinge, and the like wrist.
 
@@ -138,10 +144,9 @@ def _limb(
     table = np.zeros((7, 6))
     table[:3, 3:], table[4:, 3:] = shoulder, centre
     table[3] = elbow
-    if arm == 3:
-        table[:3, :3] = axes[:3, :3]
-    if joined == HINGES:
-        table[4:, :3] = wrist_axes[:, :3]
+    table[:3, :3] = axes[:3, :3] if arm == 3 else frames[0].T
+    if joined != NO_JOINTS:
+        table[4:, :3] = wrist_axes[:, :3] if joined == HINGES else frames[-1].T
     form = _form(Family.LIMB, chain, table, tool, centre)
     first = 4 if arm == 3 else 5
     form.groups[:] = (HINGES if arm == 3 else BALL_JOINT, 0), (joined, first)
@@ -165,12 +170,14 @@ def _centre(axes: Array, scale: float) -> Array | None:
     return centre if centre is not None and _on_axis(axes[0], centre, scale) else None
 
 
-def _at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, Pose]:
-    pose, axes = Pose(), []
+def _at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, list[Array], Pose]:
+    """At q = 0, in the world: axes (n, 6), rotations of the joints' frames, pose of the frame."""
+    pose, axes, frames = Pose(), [], []
     for k in chain:
         pose = pose.compose(row_pose(tree.constant[k]))
+        frames.append(pose.rotation)
         axes.append(np.concatenate([pose.rotation[:, 2], pose.position]))
-    return np.array(axes), pose.compose(row_pose(local))
+    return np.array(axes), frames, pose.compose(row_pose(local))
 
 
 def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array | None) -> Form:

@@ -51,13 +51,35 @@ def put_column(m, r, j, x, y, z):
     m[r, j], m[r, 3 + j], m[r, 6 + j] = x, y, z
 
 
+@pure
+def from_frame(axes, k, x, y, z):
+    """A vector by the axes in rows k to k + 2 of the table, in the world."""
+    return (
+        axes[k, 0] * x + axes[k + 1, 0] * y + axes[k + 2, 0] * z,
+        axes[k, 1] * x + axes[k + 1, 1] * y + axes[k + 2, 1] * z,
+        axes[k, 2] * x + axes[k + 1, 2] * y + axes[k + 2, 2] * z,
+    )
+
+
+@pure
+def into_frame(axes, k, x, y, z):
+    """The inverse of ``from_frame``."""
+    return (
+        axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z,
+        axes[k + 1, 0] * x + axes[k + 1, 1] * y + axes[k + 1, 2] * z,
+        axes[k + 2, 0] * x + axes[k + 2, 1] * y + axes[k + 2, 2] * z,
+    )
+
+
 @outlined
 def start_rotation(form):
     """What the start makes of the shoulder, into matrices[START]."""
     keep_apart()
     m, axes, start = form.matrices, form.axes, form.start
     if form.groups[0, 0] == BALL_JOINT:
-        w, x, y, z = start[0], start[1], start[2], start[3]
+        # A ball joint turns in its own frame; its axes stand in the table.
+        w = start[0]
+        x, y, z = from_frame(axes, types.int64(0), start[1], start[2], start[3])
         s = 2.0 / max(w * w + x * x + y * y + z * z, 1e-30)
         put_column(m, START, 0, 1.0 - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y))
         put_column(m, START, 1, s * (x * y - w * z), 1.0 - s * (x * x + z * z), s * (y * z + w * x))
@@ -223,6 +245,7 @@ def ball(form, g, upper):
         w, x, y, z = wy, xy, 1.0 + yy - xx - zz, yz
     else:
         w, x, y, z = wz, xz, yz, 1.0 + zz - xx - yy
+    x, y, z = into_frame(form.axes, 4 * g, x, y, z)
     a, b, c, d = start[first], start[first + 1], start[first + 2], start[first + 3]
     size = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     if a * w + b * x + c * y + d * z < 0.0:
@@ -234,6 +257,7 @@ def ball(form, g, upper):
     trial[t, first], trial[t, first + 1], trial[t, first + 2], trial[t, first + 3] = w, x, y, z
     # The turn from the start to here, and how it grows with the swivel.
     px, py, pz = a * x - b * w - d * y + c * z, a * y - c * w - b * z + d * x, a * z - d * w - c * x + b * y
+    px, py, pz = from_frame(form.axes, 4 * g, px, py, pz)
     sine = math.sqrt(px * px + py * py + pz * pz)
     between = 2.0 * math.atan2(sine, a * w + b * x + c * y + d * z)
     spin = form.spin

@@ -1,0 +1,19 @@
+"""``keep_apart()``: a large function that LLVM must not copy into its callers, which would compile for minutes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+from numba.extending import intrinsic
+
+
+@intrinsic
+def keep_apart(_typing: Any) -> Any:
+    """Marks the compiled function that calls it; does nothing when it runs."""
+
+    def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return _context.get_dummy_value()
+
+    return types.none(), mark
