@@ -121,7 +121,7 @@ def test_what_is_reachable_inside_the_limits_is_solved_and_no_known_answer_is_ne
         assert solution.converged and not robot.outside(solution.q)
         known = moved(robot, q, start)
         # The search looks at a few places on the circle and improves the best: it may miss a little.
-        assert moved(robot, solution.q, start) <= known * (1.02 if k % 2 else 1.3) + 1e-9
+        assert moved(robot, solution.q, start) <= known * (1.1 if k % 2 else 1.3) + 1e-9
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -183,7 +183,8 @@ def refine(form, lower, upper, row, nearest):
     if value - 1.5 * slope * slope / curve >= nearest:
         return
     step = -slope / curve
-    for _ in range(_MOST_STEPS):
+    width = high - low
+    for k in range(_MOST_STEPS):
         if slope < 0.0:
             low = x
         else:
@@ -191,6 +192,9 @@ def refine(form, lower, upper, row, nearest):
         u = min(max(x + step, low), high)
         if abs(u - x) < _REFINED:
             break
+        if k > 3 and high - low > 0.6 * width:  # where two flips meet, slopes tell little
+            u = 0.5 * (low + high)
+        width = high - low
         value = value_at(form, lower, upper, u, row)
         if value == math.inf:  # the very end of the cell
             low, high = (low, u) if u > x else (u, high)
@@ -199,7 +203,7 @@ def refine(form, lower, upper, row, nearest):
         if value < tally[row, _VALUE]:
             tally[row, _VALUE], tally[row, _ANGLE] = value, u
         curve = (scores[4] - slope) / (u - x)
-        if not curve > 0.1 * scores[5]:
+        if not curve > 1e-3 * scores[5]:
             curve = max(scores[5], 1e-12)
         x, slope = u, scores[4]
         step = -slope / curve
@@ -261,10 +265,14 @@ def scan(form, lower, upper, every, nearest):
             )  # fmt: skip
             if not fits:
                 break  # nor will any other in this cell
-    if every or smallest(tally) == math.inf:
-        # A goal at the very corner of the limits may have a single angle, which is a cut.
-        for j in range(count):
-            weigh(form, lower, upper, cuts[j], cuts[j], cuts[j], math.inf)
+    # A goal at the very corner of the limits may have a single angle, which is a cut: looked for near the
+    # start, so that a path along the limits does not leap, and everywhere where nothing else was found.
+    alone = every or smallest(tally) == math.inf
+    for j in range(count):
+        if alone or abs(cuts[j]) < _NEAR_RANGE:
+            low = max(cuts[max(j - 1, 0)], cuts[j] - spacing)
+            high = min(cuts[min(j + 1, count - 1)], cuts[j] + spacing)
+            weigh(form, lower, upper, cuts[j], low, high, math.inf)
 
 
 @outlined

@@ -22,7 +22,7 @@ from robot_ik.solvers.analytic.subproblems import angle_between, image, split_in
 START, ORIGIN, WHOLE, BENT, TURNED = 0, 1, 2, 3, 4
 
 # Sine below which two axes count as one (a singular pose): the free angle then stays near the start.
-ALIGNED = 1e-7
+ALIGNED = 1e-8
 
 
 @pure
