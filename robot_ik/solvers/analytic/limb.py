@@ -196,12 +196,12 @@ def refine(form, lower, upper, row, nearest):
             u = 0.5 * (low + high)
         width = high - low
         value = value_at(form, lower, upper, u, row)
-        if value == math.inf:  # the very end of the cell
+        if value < tally[row, _VALUE]:
+            tally[row, _VALUE], tally[row, _ANGLE] = value, u
+        if value == math.inf or scores[5] == math.inf:  # the very end of the cell
             low, high = (low, u) if u > x else (u, high)
             step *= 0.5
             continue
-        if value < tally[row, _VALUE]:
-            tally[row, _VALUE], tally[row, _ANGLE] = value, u
         curve = (scores[4] - slope) / (u - x)
         if not curve > 1e-3 * scores[5]:
             curve = max(scores[5], 1e-12)

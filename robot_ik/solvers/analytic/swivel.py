@@ -21,6 +21,8 @@ from robot_ik.solvers.analytic.subproblems import angle_between, image, split_in
 # turn, then the rotations of shoulder and wrist at the swivel angle of the moment.
 START, ORIGIN, WHOLE, BENT, TURNED = 0, 1, 2, 3, 4
 
+# Volume of three axes from which they count as lying in a plane: the joints' speeds are then without bound.
+_FLAT = 1e-6
 # Sine below which two axes count as one (a singular pose): the free angle then stays near the start.
 ALIGNED = 1e-8
 
@@ -270,6 +272,7 @@ def add_slope(form, g, flip):
     """Adds what ``score`` just found to scores[4] (half its slope by the swivel angle) and scores[5].
 
     Those are Σ (q - start) q' and Σ q'² of the joints' speeds q', from the axes a: Σ aᵢ q'ᵢ = the spin.
+    Where the axes lie in a plane the second is infinite.
     """
     keep_apart()
     scores, axes, trial, start, spin = form.scores, form.axes, form.trial, form.start, form.spin
@@ -289,7 +292,8 @@ def add_slope(form, g, flip):
     nx, ny, nz = spin[g, 0], spin[g, 1], spin[g, 2]
     ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     volume = ax * ux + ay * uy + az * uz
-    if abs(volume) < ALIGNED:
+    if abs(volume) < _FLAT:
+        scores[5] = math.inf
         return
     vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
     wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
