@@ -17,7 +17,12 @@ from robot_ik.solve import solve, solve_all
 from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-7, angle=1e-7)
-LIMBS = {"right_arm": "right_hand", "left_arm": "left_hand", "right_leg": "right_foot", "left_leg": "left_foot"}
+LIMBS = {
+    "right_arm": "right_hand",
+    "left_arm": "left_hand",
+    "right_leg": "right_foot",
+    "left_leg": "left_foot",
+}
 
 
 def unit(rng):

@@ -179,6 +179,13 @@ def refine(form, lower, upper, row, nearest):
     low, high = tally[row, _LOW], tally[row, _HIGH]
     x = tally[row, _ANGLE]
     value = value_at(form, lower, upper, x, row)
+    if scores[5] == math.inf:  # where two flips meet: begin a little beside it
+        for side in range(2):
+            u = x + 0.1 * ((high if side == 0 else low) - x)
+            value = value_at(form, lower, upper, u, row)
+            if value < math.inf and scores[5] < math.inf:
+                low, high, x = (x, high, u) if side == 0 else (low, x, u)
+                break
     slope, curve = scores[4], max(scores[5], 1e-12)
     if value - 1.5 * slope * slope / curve >= nearest:
         return
@@ -200,7 +207,7 @@ def refine(form, lower, upper, row, nearest):
             tally[row, _VALUE], tally[row, _ANGLE] = value, u
         if value == math.inf or scores[5] == math.inf:  # the very end of the cell
             low, high = (low, u) if u > x else (u, high)
-            step *= 0.5
+            step = 0.5 * (u - x)
             continue
         curve = (scores[4] - slope) / (u - x)
         if not curve > 1e-3 * scores[5]:
@@ -357,7 +364,5 @@ def limb(form, lower, upper, mode):
             vx, vy, vz = apply_back(form.matrices, types.int64(0), 0.0, 0.0, 1.0)
             make_parts(form, angle, vx, vy, vz, 0.0, 0.0, 1.0)
         scan(form, lower, upper, every, nearest - moved)
-        nearest = take_best(
-            form, lower, upper, types.int64(1 if other else 0), angle, moved, every, nearest
-        )
+        nearest = take_best(form, lower, upper, types.int64(1 if other else 0), angle, moved, every, nearest)
     return (1 if nearest < math.inf else -1), 2

@@ -84,9 +84,7 @@ def limb_is_out_of_reach(form, tolerance):
     r = length(wx - axes[0, 3], wy - axes[0, 4], wz - axes[0, 5])
     fx, fy, fz = axes[0, 3] - axes[3, 3], axes[0, 4] - axes[3, 4], axes[0, 5] - axes[3, 5]
     ex, ey, ez = extra[0, 0] - axes[3, 3], extra[0, 1] - axes[3, 4], extra[0, 2] - axes[3, 5]
-    constant, amplitude, middle = height_terms(
-        fx, fy, fz, axes[3, 0], axes[3, 1], axes[3, 2], ex, ey, ez
-    )
+    constant, amplitude, middle = height_terms(fx, fy, fz, axes[3, 0], axes[3, 1], axes[3, 2], ex, ey, ez)
     sides = 0.5 * (ex * ex + ey * ey + ez * ez + fx * fx + fy * fy + fz * fz) - constant
     near_side, far_side = max(0.0, r - error), r + error
     half, radius, some = arc(

@@ -36,9 +36,7 @@ def prove_planar(goals, form, targets, status):
         if status[row] == CONVERGED:
             continue
         aim_at(form, targets, row)
-        if planar_is_out_of_reach(
-            form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance
-        ):
+        if planar_is_out_of_reach(form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance):
             status[row] = UNREACHABLE
 
 

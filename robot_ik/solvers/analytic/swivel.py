@@ -147,7 +147,11 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
         wx, wy, wz = apply_back(m, BENT, x, y, z)
         sx, sy, sz = apply_back(m, BENT, ny * z - nz * y, nz * x - nx * z, nx * y - ny * x)
         put_column(parts, 1, j, bx * along, by * along, bz * along)
-        parts[1, 9 + j], parts[1, 12 + j], parts[1, 15 + j] = wx - bx * along, wy - by * along, wz - bz * along
+        parts[1, 9 + j], parts[1, 12 + j], parts[1, 15 + j] = (
+            wx - bx * along,
+            wy - by * along,
+            wz - bz * along,
+        )
         parts[1, 18 + j], parts[1, 21 + j], parts[1, 24 + j] = -sx, -sy, -sz
 
 
