@@ -1,4 +1,4 @@
-"""The closed form of limbs: made up from points and axes, so that nothing but the geometry can be recognised."""
+"""The closed form of limbs, made up from points and axes: nothing but the geometry can be recognised."""
 
 import numpy as np
 import pytest
@@ -75,10 +75,11 @@ def make_limb(rng, path, balls=(False, False), off=0.0, limits=None):
     for name, pose in (("tool", Pose(rng.normal(size=3) * 0.2, rng.normal(size=4))), ("wrist", None)):
         pose = pose or Pose(world.inverse().apply(wrist))
         text += f'<site name="{name}" pos="{row(pose.position)}" quat="{row(pose.wxyz)}"/>'
+    text += "</body>" * len(joints)
     base = Pose(rng.normal(size=3), rng.normal(size=4))
     path.write_text(
         f'<mujoco><compiler angle="radian"/><worldbody><body pos="{row(base.position)}" '
-        f'quat="{row(base.wxyz)}"><geom size="0.01"/>{text}{"</body>" * len(joints)}</body></worldbody></mujoco>'
+        f'quat="{row(base.wxyz)}"><geom size="0.01"/>{text}</body></worldbody></mujoco>'
     )
     return load_robot(path, tool="tool")
 

@@ -1,9 +1,9 @@
 """Closed forms: the geometry is recognised from the kinematic tree alone.
 
-Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022).  All branches are
-computed; the answer is the one inside the limits nearest to the start.  At singular poses the free angle
-stays as near to the start as can be.  The branches are those of
-the exact target: that none is inside the limits does not prove that nothing within tolerance is.
+Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022), and the swivel angle of
+a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the answer is the one inside the limits
+nearest to the start.  At singular poses the free angle stays as near to the start as can be.  Where there is
+no answer, a proof is tried that nothing within tolerance can be reached (``proof.py``).
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -107,6 +107,7 @@ class Analytic(Solver):
         state = arrays["state"]
         if mode == SOLVE and state[STATUS] != CONVERGED:
             # As a batch of one: its status stands first in the state.
+            jit.announce(prepared.prove, "proofs of unreachable goals")
             prepared.prove(prepared.tables[1], prepared.tables[3], problem.target, state)
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT

@@ -139,7 +139,7 @@ def _limb(
     elif centre is None or len(wrist_kinds) != hand:
         return None
     elbow = axes[arm]
-    if centre is None or any(_on_axis(elbow, point, scale, 1e-4) for point in (shoulder, centre)):
+    if any(_on_axis(elbow, point, scale, 1e-4) for point in (shoulder, centre)):
         return None  # the elbow would not change the distance of shoulder and wrist
     table = np.zeros((7, 6))
     table[:3, 3:], table[4:, 3:] = shoulder, centre
@@ -157,7 +157,7 @@ def _ball_joint(kinds: list[int], axes: Array, scale: float) -> tuple[int, Array
     """How many joints at the head of a chain turn about one point in every direction, and that point."""
     if kinds and kinds[0] == BALL:
         return 1, axes[0, 3:]
-    if len(kinds) < 3 or any(kind != HINGE for kind in kinds[:3]):
+    if kinds[:3] != [HINGE] * 3:
         return 3, None
     return 3, _centre(axes[:3], scale)
 

@@ -1,8 +1,8 @@
 """Proofs that no joint angles inside the limits bring the frame within tolerance of its target.
 
-The formulas of the closed forms are followed with intervals in place of numbers (``intervals.py``): the wrist's centre
-is known to the tolerance of the position and what that of the angle makes of the tool's length.  Where
-every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.  Near
+The formulas of the closed forms are followed with intervals in place of numbers (``intervals.py``): the
+wrist's centre is known to the tolerance of the position and what that of the angle makes of the tool's
+length.  Where every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.  Near
 singular poses the intervals grow until nothing is proven; they never grow too little.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -51,8 +51,11 @@ def planar_is_out_of_reach(axes, extra, target, lower, upper, tolerance):
 def two_links_may_fit(
     ux, uy, uz, along, ex, ey, ez, fx, fy, fz, gx, gy, gz, error, lower_a, upper_a, lower_b, upper_b
 ):  # fmt: skip
-    """Whether two hinges about u may bring p + e to g ± error: f and e from the second axis, g from the first."""
-    far, near_side, far_side = across(ux, uy, uz, gx, gy, gz), 0.0, 0.0
+    """Whether two hinges about u may bring the end to g ± error, seen from the first.
+
+    f and e: the first axis and the end seen from the second, at q = 0.
+    """
+    far = across(ux, uy, uz, gx, gy, gz)
     near_side, far_side = max(0.0, far - error), far + error
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
     _, amplitude, middle = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
