@@ -2,8 +2,8 @@
 
 The formulas of the closed forms are followed with intervals in place of numbers (``intervals.py``): the
 wrist's centre is known to the tolerance of the position and what that of the angle makes of the tool's
-length.  Where every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.  Near
-singular poses the intervals grow until nothing is proven; they never grow too little.
+length.  Where every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.
+Near singular poses the intervals grow until nothing is proven; they never grow too little.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
