@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Problem, Tolerance
 from robot_ik.robot import load_robot
@@ -222,3 +224,21 @@ def test_far_beyond_every_link_is_proven(tmp_path):
     robot = load_robot("puma560")
     far = solve(robot, PoseGoal("gripper", (3.0, 0.0, 1.0)), solver="analytic")
     assert far.status is Status.UNREACHABLE and np.array_equal(far.q, robot.home)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32), family=st.sampled_from(ARMS))
+def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(
+    seed, family, tmp_path_factory
+):
+    rng = np.random.default_rng(seed)
+    robot = made_up(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
+    solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
+    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance)
+    for _ in range(40):
+        luck = rng.random(6)
+        q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))
+        pose = robot.forward(q)
+        turned = quat_multiply(rotation_exp(0.9999 * tolerance.angle * unit(rng)), pose.wxyz)
+        problem.retarget(Pose(pose.position + 0.9999 * tolerance.position * unit(rng), turned))
+        assert solver.solve(problem).status is not Status.UNREACHABLE
