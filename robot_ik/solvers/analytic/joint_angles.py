@@ -13,6 +13,8 @@ from robot_ik.solvers.analytic.geometry import BALL_JOINT, HINGES
 from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside, turn
 from robot_ik.solvers.analytic.swivel import TURNED, apply, apply_back, from_frame, into_frame
 
+# Sine below which axes 1 and 3 are nearly in line, and the formulas take more care of digits.
+_NEARLY = 1e-3
 # Volume of three axes from which they count as lying in a plane: the joints' speeds are then without bound.
 _FLAT = 1e-6
 # Sine below which two axes count as one (a singular pose): the free angle then stays near the start.
@@ -50,7 +52,15 @@ def three_hinges(form, g, first_flip, last_flip, lower, upper):
     rest = hx * x + hy * y + hz * z - form.turns[g, 0]
     if abs(rest) > amplitude + 1e-9:
         return
-    side = math.sqrt(max(0.0, (amplitude - rest) * (amplitude + rest)))
+    # 1 - cos is exact only by way of the sine, and counts where axes 1 and 3 come in line.
+    above, below, cosine = amplitude - rest, amplitude + rest, rest + form.turns[g, 0]
+    sx, sy, sz = hy * z - hz * y, hz * x - hx * z, hx * y - hy * x
+    sine2 = sx * sx + sy * sy + sz * sz
+    if cosine > 0.0 and abs(form.turns[g, 0] + amplitude - 1.0) < 1e-12:
+        above = sine2 / (1.0 + cosine)
+    elif cosine < 0.0 and abs(form.turns[g, 0] - amplitude + 1.0) < 1e-12:
+        below = sine2 / (1.0 - cosine)
+    side = math.sqrt(max(0.0, above * below))
     half = math.atan2(side, rest)
     bx, by, bz = apply_back(m, row, hx, hy, hz)  # R₃ᵀ R₂ᵀ h₁
     for flip in range(first_flip, last_flip + 1):
@@ -67,6 +77,12 @@ def three_hinges(form, g, first_flip, last_flip, lower, upper):
                 continue
             cx, cy, cz = turn(kx, ky, kz, c, -s, hx, hy, hz)  # R₂ᵀ h₁
             three, _ = angle_between(ex, ey, ez, bx, by, bz, cx, cy, cz)
+            if weight < _NEARLY * _NEARLY:  # what q₁ lacks in digits q₃ must make up for
+                px, py, pz = ey * kz - ez * ky, ez * kx - ex * kz, ex * ky - ey * kx
+                cx, cy, cz = apply(m, row, px, py, pz)
+                cx, cy, cz = turn(hx, hy, hz, math.cos(one), -math.sin(one), cx, cy, cz)
+                cx, cy, cz = turn(kx, ky, kz, c, -s, cx, cy, cz)
+                three, _ = angle_between(ex, ey, ez, px, py, pz, cx, cy, cz)
         else:  # axes 1 and 3 in line: only q₁ ± q₃ counts; the turn of a vector across them tells it
             px, py, pz = hy * kz - hz * ky, hz * kx - hx * kz, hx * ky - hy * kx
             cx, cy, cz = turn(kx, ky, kz, c, -s, px, py, pz)
