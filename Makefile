@@ -24,7 +24,7 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test soak check lint types imports format wheel test-opencv4 constraints clean FORCE
+.PHONY: help reach test soak strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
@@ -32,6 +32,7 @@ help:
 	@echo 'make check         ruff, mypy on the built wheel, import contracts'
 	@echo 'make format        let ruff put the layout and the imports in order'
 	@echo 'make soak          the long tests'
+	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
 	@echo 'make wheel         build wheel and sdist into dist/ and try both in an empty environment'
 	@echo 'make constraints   look for new versions of everything: rewrites constraints.txt'
@@ -47,6 +48,11 @@ test: $(STAMP)
 
 soak: $(STAMP)
 	@$(PY) -m pytest -m soak --timeout 3600 $(ARGS)
+
+# Clients of other people, in an environment of their own: they are not dependencies.
+strangers: $(STAMP)
+	@PYTHON=$(PY) tests/strangers/install .venv-strangers
+	@$(PY) -m pytest tests/strangers/check_clients.py $(ARGS)
 
 check: lint types imports
 

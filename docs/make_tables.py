@@ -1,16 +1,20 @@
 """Writes the tables of the documentation that come from the program: `python docs/make_tables.py`.
 
-A table stands between `<!-- table: NAME -->` and `<!-- end -->`.  The tests fail where one is out of date.
+A table stands between `<!-- table: NAME -->` and `<!-- end -->`; some are of one method, and have its name
+after theirs: `<!-- table: options lm -->`.  The tests fail where one is out of date.
 """
 
 from __future__ import annotations
 
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
-PLACE = re.compile(r"(<!-- table: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+ROOT = Path(__file__).parents[1]
+PLACE = re.compile(r"(<!-- table: (\w+)(?: (\w+))? -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
@@ -22,7 +26,7 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def solvers() -> str:
     """One row for each method."""
-    from robot_ik.cli.listing import solver_facts
+    from robot_ik.cli.listing import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
@@ -30,9 +34,9 @@ def solvers() -> str:
         ("name", "method", "goals", "source"),
         (
             (
-                f"`{f['name']}`",
+                f"[`{f['name']}`](solvers/{f['name']}.md)",
                 f["title"],
-                ", ".join(goal.removesuffix(" goal") for goal in f["goals"]),
+                goals_text(f),
                 f["source"],
             )
             for f in facts
@@ -40,18 +44,43 @@ def solvers() -> str:
     )
 
 
-def options() -> str:
-    """All options of all methods."""
+def method(name: str) -> str:
+    """What one method is: title, goals, source."""
+    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.solvers import SOLVERS
+
+    facts = solver_facts(name, SOLVERS[name])
+    goals = goals_text(facts)
+    return markdown(("method", "goals", "source"), [(facts["title"], goals, facts["source"])])
+
+
+def options(name: str) -> str:
+    """All options of one method."""
     from robot_ik.cli.listing import solver_facts
     from robot_ik.solvers import SOLVERS
 
     rows = []
-    for name, kind in SOLVERS.items():
-        for option in solver_facts(name, kind)["options"]:
-            span = "" if option["low"] is None else f"{option['low']:g} … {option['high']:g} {option['unit']}"
-            cells = (f"`{option['name']}`", option["default"], span.strip(), option["help"])
-            rows.append((f"`{name}`", *cells))
-    return markdown(("method", "option", "default", "range", "meaning"), rows)
+    for option in solver_facts(name, SOLVERS[name])["options"]:
+        bounded = option["low"] is not None and not isinstance(option["default"], bool)
+        span = f"{option['low']:g} … {option['high']:g} {option['unit']}" if bounded else ""
+        span = span or ", ".join(option["choices"])
+        default = f"{option['default']:.4g}" if isinstance(option["default"], float) else option["default"]
+        rows.append((f"`{option['name']}`", default, span.strip(), option["help"]))
+    return markdown(("option", "default", "range", "meaning"), rows) if rows else "It has no options.\n\n"
+
+
+def floors(name: str) -> str:
+    """The solve rates below which the tests fail, of one method."""
+    with (ROOT / "tests" / "solvers" / "floors.toml").open("rb") as stream:
+        table: dict[str, Any] = tomllib.load(stream).get(name, {})
+    kinds = [k for k in ("position", "orientation", "pose") if any(k in row for row in table.values())]
+    rows = []
+    for robot, row in table.items():
+        shares = [f"{100 * row[kind]:.0f} %" if kind in row else "" for kind in kinds]
+        rows.append((f"`{robot}`", *shares, row.get("reason", "")))
+    reasons = any(row[-1] for row in rows)
+    head = ("robot", *kinds, "why") if reasons else ("robot", *kinds)
+    return markdown(head, rows if reasons else [row[:-1] for row in rows])
 
 
 def buses() -> str:
@@ -85,18 +114,18 @@ def commands() -> str:
     return markdown(("command", "what it does"), ((f"`{n}`", c.about) for n, c in COMMANDS.items()))
 
 
-TABLES: dict[str, Callable[[], str]] = {
-    make.__name__: make for make in (solvers, options, buses, servos, commands)
+TABLES: dict[str, Callable[..., str]] = {
+    make.__name__: make for make in (solvers, method, options, floors, buses, servos, commands)
 }
 
 
 def filled(text: str) -> str:
     """``text`` with every table as the program has it now."""
-    return PLACE.sub(lambda m: m[1] + TABLES[m[2]]() + m[4], text)
+    return PLACE.sub(lambda m: m[1] + TABLES[m[2]](*filter(None, [m[3]])) + m[5], text)
 
 
 if __name__ == "__main__":
-    for page in [*Path(__file__).parent.glob("*.md"), Path(__file__).parents[1] / "README.md"]:
+    for page in [*Path(__file__).parent.rglob("*.md"), ROOT / "README.md"]:
         before = page.read_text(encoding="utf-8")
         after = filled(before)
         if after != before:

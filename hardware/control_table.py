@@ -1,8 +1,8 @@
 """Control tables of Dynamixel X servos, as data.
 
 A control table is the memory of a servo: a register is a named, typed piece of it.  One shared table of the
-X series plus the few differences of each model; a new model is one row in ``control_table_data``.
-Source: ROBOTIS e-manual, pages of the models named below; names are the manual's in snake_case.
+X series plus the few differences of each model and firmware; a new model is one row in
+``control_table_models``.  ROBOTIS e-manual, pages of the models; names are the manual's in snake_case.
 """
 
 from __future__ import annotations
@@ -11,10 +11,22 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import lru_cache
 from types import MappingProxyType
 
 from robot_ik.errors import ConfigError, close_matches
-from robot_ik.hardware.control_table_data import MODELS, SHARED, Model, Row
+from robot_ik.hardware.control_table_data import (
+    REVERSE,
+    SHARED,
+    SLAVE,
+    TIME_BASED,
+    TORQUE_BY_GOAL,
+    Indirect,
+    Model,
+    Row,
+)
+from robot_ik.hardware.control_table_models import MODELS
+from robot_ik.hardware.control_table_motors import Motor
 
 TICKS_PER_TURN = 4096
 RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN
@@ -116,21 +128,30 @@ class Register:
 
 @dataclass(frozen=True)
 class ControlTable:
-    """All registers of one model.
+    """All registers of one model with one firmware.
 
     Attributes:
         model: Name, e.g. ``"XM430-W350"``; ``number``: what Model Number reads.
+        firmware: What Firmware Version reads.
         registers: By name, in order of address.
         modes: Operating modes the model has; ``baud_codes``: values its Baud Rate register takes.
-        supply: Nominal supply, V.
+        supply: Nominal supply, V; ``motor``: what it can do.
+        abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``.
+        drive_bits: Bits of Drive Mode that this firmware knows.
+        notes: What the manual leaves open, and what is assumed.
     """
 
     model: str
     number: int
+    firmware: int
     registers: Mapping[str, Register]
     modes: tuple[OperatingMode, ...]
     baud_codes: tuple[int, ...]
     supply: float
+    motor: Motor
+    abilities: frozenset[str]
+    drive_bits: int
+    notes: tuple[str, ...]
     _sorted: tuple[Register, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -169,30 +190,68 @@ def _register(row: Row) -> Register:
     return Register(name, address, size, access, "s" in flags, unit, address < 64, initial, minimum, maximum)
 
 
-def _indirect(blocks: tuple[tuple[int, int, int], ...]) -> Iterator[Register]:
-    """Indirect Address k initially points at Indirect Data k (itself)."""
-    number = 0
-    for addresses, data, count in blocks:
-        for k in range(count):
+def _indirect(blocks: list[Indirect]) -> Iterator[Register]:
+    """Indirect Address k initially points at Indirect Data k (itself); it may point at RAM only."""
+    number, last = 0, max(block.data + block.count for block in blocks) - 1
+    for block in blocks:
+        for k in range(block.count):
             number += 1
-            pointer = (f"indirect_address_{number}", addresses + 2 * k, 2, "", "address", data + k, 0, 65535)
+            data = block.data + k
+            pointer = (
+                f"indirect_address_{number}",
+                block.addresses + 2 * k,
+                2,
+                "",
+                "address",
+                data,
+                64,
+                last,
+            )
             yield _register(pointer)
-            yield _register((f"indirect_data_{number}", data + k, 1, "", "", 0, 0, 255))
+            yield _register((f"indirect_data_{number}", data, 1, "", "", 0, 0, 255))
 
 
-def _build(model: str, row: Model) -> ControlTable:
-    registers = {r.name: r for r in map(_register, (*SHARED, *row.added)) if r.name not in row.removed}
-    for name, change in {**row.changed, "model_number": {"initial": row.number}}.items():
-        registers[name] = replace(registers[name], **change)  # type: ignore[arg-type]
-    registers.update((r.name, r) for r in _indirect(row.indirect))
-    modes = tuple(OperatingMode(mode) for mode in row.modes)
-    return ControlTable(model, row.number, registers, modes, row.baud_codes, row.supply)
+_DRIVE_BITS = {"reverse": REVERSE, "slave": SLAVE, "time_based": TIME_BASED, "torque_by_goal": TORQUE_BY_GOAL}
+_ABILITIES = ("fast_read", "backup", "guarded_reset")
+
+
+def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
+    family = row.family
+    firmware = family.firmware if firmware is None else firmware
+    missing = {name for name, since in family.since.items() if firmware < since}
+    absent = missing.union(row.removed)
+    registers = {r.name: r for r in map(_register, (*SHARED, *row.added)) if r.name not in absent}
+    bits = sum(bit for name, bit in _DRIVE_BITS.items() if name in family.since and name not in missing)
+    own: dict[str, Mapping[str, object]] = {
+        "model_number": {"initial": row.number},
+        "firmware_version": {"initial": firmware},
+        "baud_rate": {"maximum": family.baud_codes[-1]},
+        "drive_mode": {"maximum": bits},
+    }
+    for name, change in (*row.changed.items(), *own.items()):
+        if name in registers:
+            registers[name] = replace(registers[name], **change)  # type: ignore[arg-type]
+    blocks = [b for b in family.indirect if b.since <= firmware < b.below]
+    registers.update((r.name, r) for r in _indirect(blocks))
+    return ControlTable(
+        model,
+        row.number,
+        firmware,
+        registers,
+        tuple(OperatingMode(mode) for mode in row.modes),
+        family.baud_codes,
+        row.supply,
+        row.motor,
+        frozenset(a for a in _ABILITIES if a not in missing),
+        bits,
+        (*family.notes, *row.notes),
+    )
 
 
 CONTROL_TABLES: Mapping[str, ControlTable] = MappingProxyType(
     {model: _build(model, row) for model, row in MODELS.items()}
 )
-"""Model name -> its control table."""
+"""Model name -> its control table with the firmware this project assumes."""
 
 _BY_NUMBER = {table.number: table for table in CONTROL_TABLES.values()}
 
@@ -202,15 +261,14 @@ def model_by_number(number: int) -> ControlTable | None:
     return _BY_NUMBER.get(number)
 
 
-def control_table(model: str) -> ControlTable:
-    """The table of a model by name.
+@lru_cache(maxsize=64)
+def control_table(model: str, firmware: int | None = None) -> ControlTable:
+    """The table of a model by name, with another firmware if asked.
 
     Raises:
-        ConfigError: No such model here.
+        ConfigError: No such model here, or no such firmware.
     """
-    try:
-        return CONTROL_TABLES[model]
-    except KeyError:
+    if model not in CONTROL_TABLES:
         close = close_matches(model, CONTROL_TABLES)
         hint = f"did you mean {' or '.join(close)}?" if close else ""
         raise ConfigError(
@@ -218,4 +276,9 @@ def control_table(model: str) -> ControlTable:
             file="control_table",
             allowed=", ".join(CONTROL_TABLES),
             hint=hint,
-        ) from None
+        )
+    if firmware is None:
+        return CONTROL_TABLES[model]
+    if not 1 <= firmware <= 255:
+        raise ConfigError(f"no firmware has the number {firmware}", file="control_table", allowed="1..255")
+    return _build(model, MODELS[model], firmware)

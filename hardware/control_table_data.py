@@ -1,12 +1,15 @@
-"""The numbers behind ``control_table``: rows only.
+"""The registers of the X series and the shape of what differs by model: rows only.
 
-Source: ROBOTIS e-manual, control table pages of XL430-W250, XM430-W350 and XL330-M288.
+Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), control table pages docs/en/dxl/x/*.md and the texts they
+include, _includes/en/dxl/control_table_*.md.  ``control_table_models`` holds the models.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from robot_ik.hardware.control_table_motors import Motor
 
 # name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.
 # None as initial: depends on the servo's state.  Addresses below 64 are EEPROM.
@@ -18,7 +21,7 @@ SHARED: tuple[Row, ...] = (
     ("id", 7, 1, "", "", 1, 0, 252),
     ("baud_rate", 8, 1, "", "code", 1, 0, 7),
     ("return_delay_time", 9, 1, "", "2 us", 250, 0, 254),
-    ("drive_mode", 10, 1, "", "bits", 0, 0, 13),
+    ("drive_mode", 10, 1, "", "bits", 0, 0, 255),
     ("operating_mode", 11, 1, "", "code", 3, 0, 16),
     ("secondary_id", 12, 1, "", "", 255, 0, 255),
     ("protocol_type", 13, 1, "", "", 2, 1, 2),
@@ -67,10 +70,106 @@ SHARED: tuple[Row, ...] = (
     ("backup_ready", 147, 1, "r", "", 0, 0, 1),
 )
 
-_INDIRECT_430 = ((168, 224, 28), (578, 634, 28))
-_INDIRECT_330 = ((168, 208, 20),)
-# Values of Operating Mode: 0 current, 1 velocity, 3 position, 4 extended, 5 current-based position, 16 PWM.
-_CURRENT_MODES = (0, 1, 3, 4, 5, 16)
+EXTERNAL_PORTS: tuple[Row, ...] = (
+    ("external_port_mode_1", 56, 1, "", "code", 3, 0, 3),
+    ("external_port_mode_2", 57, 1, "", "code", 3, 0, 3),
+    ("external_port_mode_3", 58, 1, "", "code", 3, 0, 3),
+    ("external_port_data_1", 152, 2, "", "", 0, 0, 4095),
+    ("external_port_data_2", 154, 2, "", "", 0, 0, 4095),
+    ("external_port_data_3", 156, 2, "", "", 0, 0, 4095),
+)
+"""The three pins of the 540 class; nothing is connected to those of a virtual servo."""
+
+REVERSE, SLAVE, TIME_BASED, TORQUE_BY_GOAL = 0b0001, 0b0010, 0b0100, 0b1000
+"""Bits of Drive Mode."""
+
+
+@dataclass(frozen=True)
+class Indirect:
+    """One block of indirect registers.
+
+    Attributes:
+        addresses: Of Indirect Address k; ``data``: of Indirect Data k.
+        count: How many.
+        below: The block is there in firmware older than this; ``since``: from this one on.
+    """
+
+    addresses: int
+    data: int
+    count: int
+    since: int = 0
+    below: int = 256
+
+
+@dataclass(frozen=True)
+class Family:
+    """What models of one size have in common.
+
+    Attributes:
+        firmware: Version of the virtual servos; their Firmware Version register.
+        indirect: Blocks of indirect registers.
+        since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
+            ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
+            ``guarded_reset`` (ignores a broadcast factory reset of everything).
+        baud_codes: Values its Baud Rate register takes.
+        notes: What the manual leaves open, and what is assumed.
+    """
+
+    firmware: int
+    indirect: tuple[Indirect, ...]
+    since: Mapping[str, int]
+    baud_codes: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+
+
+FAMILY_430 = Family(
+    firmware=48,
+    indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
+    since={
+        "drive_mode": 38,
+        "bus_watchdog": 38,
+        "reverse": 38,
+        "time_based": 42,
+        "guarded_reset": 42,
+        "torque_by_goal": 45,
+        "startup_configuration": 45,
+        "backup_ready": 45,
+        "backup": 45,
+        "fast_read": 45,
+    },
+    baud_codes=tuple(range(8)),
+    notes=(
+        "Velocity Limit had another, larger initial value before firmware 42; the manual does not say which.",
+        "Model Information has no value in the manual: 0.",
+    ),
+)
+FAMILY_540 = Family(
+    FAMILY_430.firmware,
+    FAMILY_430.indirect,
+    {**FAMILY_430.since, "slave": 38},
+    FAMILY_430.baud_codes,
+    (*FAMILY_430.notes, "External Port Data: the manual gives no initial value and no range: 0, 0..4095."),
+)
+FAMILY_330 = Family(
+    firmware=52,
+    # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
+    indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
+    since={
+        "reverse": 0,
+        "time_based": 0,
+        "guarded_reset": 42,
+        "torque_by_goal": 46,
+        "startup_configuration": 46,
+        "backup_ready": 46,
+        "backup": 46,
+        "fast_read": 46,
+    },
+    baud_codes=tuple(range(7)),
+    notes=(
+        "Indirect Data before firmware 52: that there were 20 of them is assumed.",
+        "Model Information has no value in the manual: 0.",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -79,77 +178,20 @@ class Model:
 
     Attributes:
         number: What Model Number reads.
-        modes: Operating modes it has; ``baud_codes``: values its Baud Rate register takes.
+        family: What it shares with others of its size.
+        modes: Operating modes it has.
         supply: Nominal supply, V.
-        indirect: Blocks of (first address register, first data register, how many).
+        motor: What it can do.
         changed: Register name -> fields of ``Register`` that differ; ``added``, ``removed``: whole registers.
+        notes: What the manual leaves open, and what is assumed.
     """
 
     number: int
+    family: Family
     modes: tuple[int, ...]
-    baud_codes: tuple[int, ...]
     supply: float
-    indirect: tuple[tuple[int, int, int], ...]
+    motor: Motor
     changed: Mapping[str, Mapping[str, object]]
     added: tuple[Row, ...] = ()
     removed: tuple[str, ...] = ()
-
-
-MODELS: Mapping[str, Model] = {
-    "XL430-W250": Model(
-        number=1060,
-        modes=(1, 3, 4, 16),
-        baud_codes=tuple(range(8)),
-        supply=12.0,
-        indirect=_INDIRECT_430,
-        changed={
-            "temperature_limit": {"initial": 72},
-            "max_voltage_limit": {"initial": 140, "minimum": 60, "maximum": 140},
-            "min_voltage_limit": {"initial": 60, "minimum": 60, "maximum": 140},
-            "velocity_limit": {"initial": 265, "maximum": 1023},
-            "velocity_i_gain": {"initial": 1000},
-            "position_d_gain": {"initial": 4000},
-            "position_p_gain": {"initial": 640},
-            "goal_velocity": {"minimum": -1023, "maximum": 1023},
-        },
-        added=(("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000),),
-        removed=("current_limit", "goal_current", "present_current"),
-    ),
-    "XM430-W350": Model(
-        number=1020,
-        modes=_CURRENT_MODES,
-        baud_codes=tuple(range(8)),
-        supply=12.0,
-        indirect=_INDIRECT_430,
-        changed={
-            "max_voltage_limit": {"minimum": 95},
-            "min_voltage_limit": {"minimum": 95},
-            "velocity_limit": {"maximum": 1023},
-            "goal_velocity": {"minimum": -1023, "maximum": 1023},
-        },
-        added=(("acceleration_limit", 40, 4, "", "214.577 rev/min^2", 32767, 0, 32767),),
-    ),
-    "XL330-M288": Model(
-        number=1200,
-        modes=_CURRENT_MODES,
-        baud_codes=tuple(range(7)),
-        supply=5.0,
-        indirect=_INDIRECT_330,
-        changed={
-            "protocol_type": {"maximum": 22},
-            "temperature_limit": {"initial": 70},
-            "max_voltage_limit": {"initial": 70, "maximum": 70},
-            "min_voltage_limit": {"initial": 35, "maximum": 70},
-            "current_limit": {"initial": 1750, "maximum": 1750, "unit": "1 mA"},
-            "goal_current": {"minimum": -1750, "maximum": 1750, "unit": "1 mA"},
-            "present_current": {"unit": "1 mA"},
-            "velocity_limit": {"initial": 445},
-            "shutdown": {"initial": 53},
-            "velocity_i_gain": {"initial": 1600},
-            "velocity_p_gain": {"initial": 180},
-            "position_p_gain": {"initial": 400},
-            "baud_rate": {"maximum": 6},
-        },
-        added=(("pwm_slope", 62, 1, "", "1.977 mV/ms", 140, 1, 255),),
-    ),
-}
+    notes: tuple[str, ...] = field(default=())

@@ -22,7 +22,18 @@ if TYPE_CHECKING:
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
-    from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+    from robot_ik.goals import (
+        AimGoal,
+        CenterOfMassGoal,
+        Goal,
+        HalfSpaceGoal,
+        LineGoal,
+        OrientationGoal,
+        PlaneGoal,
+        PoseGoal,
+        PositionGoal,
+        PostureGoal,
+    )
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
@@ -38,7 +49,18 @@ _HOME = {
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
-    "robot_ik.goals": ("Goal", "OrientationGoal", "PoseGoal", "PositionGoal"),
+    "robot_ik.goals": (
+        "AimGoal",
+        "CenterOfMassGoal",
+        "Goal",
+        "HalfSpaceGoal",
+        "LineGoal",
+        "OrientationGoal",
+        "PlaneGoal",
+        "PoseGoal",
+        "PositionGoal",
+        "PostureGoal",
+    ),
     "robot_ik.motion.line": ("line_move",),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
@@ -52,14 +74,20 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "SOLVERS",
+    "AimGoal",
     "Budget",
+    "CenterOfMassGoal",
     "Goal",
+    "HalfSpaceGoal",
+    "LineGoal",
     "Miss",
     "NotConvergedError",
     "OrientationGoal",
+    "PlaneGoal",
     "Pose",
     "PoseGoal",
     "PositionGoal",
+    "PostureGoal",
     "Problem",
     "RealClock",
     "Robot",

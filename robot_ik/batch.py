@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.goals.base import LARGEST, numbers
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
@@ -20,6 +21,8 @@ from robot_ik.solvers.base import Answers, Solver
 
 Array = NDArray[np.float64]
 
+# How far a matrix may be from a rotation: what six written digits leave.
+_ROUNDING = 1e-5
 # Below this many poses for each thread, starting threads costs more than it gains.
 _LEAST_PER_THREAD = 256
 
@@ -80,9 +83,12 @@ def solve_batch(
         threads: Default: one for each core this process may use.
 
     Raises:
-        InvalidGoalError: Wrong shape, or a pose or start that is not finite.
+        InvalidGoalError: Wrong shape, a pose or start that is not finite, a matrix that is no rotation, or
+            no thread at all.
         UnsupportedGoalError: As in ``solve``.
     """
+    if threads is not None and threads < 1:
+        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     targets, with_angle = _rows(poses)
     begin = _starts(robot, starts, len(targets))
     goal = PoseGoal(frame, (0.0, 0.0, 0.0)) if with_angle else PositionGoal(frame, (0.0, 0.0, 0.0))
@@ -121,10 +127,11 @@ def usable_cores() -> int:
 
 def _rows(poses: ArrayLike) -> tuple[Array, bool]:
     """Targets as pose rows (n, 12), and whether their orientation counts."""
-    array = np.asarray(poses, dtype=float)
-    if not np.isfinite(array).all():
-        raise InvalidGoalError(f"{int((~np.isfinite(array)).sum())} numbers of the poses are not finite")
-    rows = np.zeros((len(array), 12))
+    array = numbers(poses, "poses")
+    if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
+        bad = int((~(np.abs(array) <= LARGEST)).sum())
+        raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")
+    rows = np.zeros((array.shape[0] if array.ndim else 0, 12))
     if array.ndim == 2 and array.shape[1] == 3:
         rows[:, :3] = array
         rows[:, [3, 7, 11]] = 1.0
@@ -132,6 +139,7 @@ def _rows(poses: ArrayLike) -> tuple[Array, bool]:
     if array.ndim == 3 and array.shape[1:] == (4, 4):
         rows[:, :3] = array[:, :3, 3]
         rows[:, 3:] = array[:, :3, :3].reshape(-1, 9)
+        _require_rotations(rows)
         return rows, True
     if array.ndim == 2 and array.shape[1] == 7:
         rows[:, :3] = array[:, :3]
@@ -156,8 +164,20 @@ def _rows(poses: ArrayLike) -> tuple[Array, bool]:
     )
 
 
+def _require_rotations(rows: Array) -> None:
+    """Raises ``InvalidGoalError`` unless all matrices in pose rows (n, 12) turn and do nothing else."""
+    a, b, c, d, e, f, g, h, i = np.ascontiguousarray(rows[:, 3:].T)  # row by row; one copy, then quick sums
+    # Unit columns of which the third is the cross product of the others.
+    off = np.abs(a * a + d * d + g * g - 1.0) + np.abs(b * b + e * e + h * h - 1.0)
+    off += np.abs(d * h - g * e - c) + np.abs(g * b - a * h - f) + np.abs(a * e - d * b - i)
+    if len(off) and off.max() > _ROUNDING:
+        raise InvalidGoalError(
+            f"the matrix of pose {int(np.argmax(off))} does not turn: it scales or mirrors"
+        )
+
+
 def _starts(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
-    array = robot.home if starts is None else np.asarray(starts, dtype=float)
+    array = robot.home if starts is None else numbers(starts, "starts")
     if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
         raise InvalidGoalError(
             f"starts have shape {array.shape}",

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError, UnknownRobotError, close_matches
 
@@ -75,9 +75,30 @@ class ReachScene(_Table):
     tool_marker: ToolMarker
 
 
+class GalleryScene(_Table):
+    """What `robot-ik robots --gallery` draws beside the home pose.
+
+    A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
+    are at home.  ``view_deg``: from where one looks, azimuth (from x towards y) and elevation.
+    """
+
+    about: str = "reaching"
+    goals: dict[str, tuple[float, float, float] | tuple[float, float, float, float, float, float, float]] = {}
+    keep: tuple[str, ...] = ()
+    view_deg: tuple[float, float] = (-55.0, 16.0)
+
+
 class _Motion(_Table):
     velocity_deg: tuple[float, ...] | None = None
     acceleration_deg: tuple[float, ...] | None = None
+
+
+class Coupled(_Table):
+    """A joint that follows another: joint = ratio · leader + offset, rad or m."""
+
+    follows: str
+    ratio: float
+    offset: float = 0.0
 
 
 class _Provenance(_Table):
@@ -94,8 +115,10 @@ class _File(_Table):
     tools: dict[str, Tool] = {}
     groups: dict[str, tuple[str, ...]] = {}
     motion: _Motion = _Motion()
-    stiffness: dict[str, float] = {}
+    stiffness: dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] = {}
+    couplings: dict[str, Coupled] = {}
     reach: ReachScene | None = None
+    gallery: GalleryScene | None = None
     provenance: _Provenance = _Provenance()
 
 
@@ -105,6 +128,8 @@ class RobotFile:
 
     Attributes:
         velocity, acceleration: Per joint, rad/s and rad/s² (m for slides).
+        stiffness: Of joints by name: one of 4 moves half as far as one of 1 where both could serve.
+        couplings: Joints that follow another, by name.
     """
 
     name: str
@@ -118,7 +143,9 @@ class RobotFile:
     velocity: Mapping[str, float] = field(default_factory=dict)
     acceleration: Mapping[str, float] = field(default_factory=dict)
     stiffness: Mapping[str, float] = field(default_factory=dict)
+    couplings: Mapping[str, Coupled] = field(default_factory=dict)
     reach: ReachScene | None = None
+    gallery: GalleryScene | None = None
     sources: tuple[str, ...] = ()
 
 
@@ -157,7 +184,9 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
         velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
         acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
         stiffness=parsed.stiffness,
+        couplings=parsed.couplings,
         reach=parsed.reach,
+        gallery=parsed.gallery,
         sources=parsed.provenance.sources,
     )
 

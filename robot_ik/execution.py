@@ -267,7 +267,7 @@ class _Chase:
 
 def _kind(goal: Goal) -> tuple[object, ...]:
     """What a problem is compiled for; goals that agree in it differ only in their target."""
-    return type(goal), goal.frame, goal.weights
+    return goal.frame, *goal.signature
 
 
 def _frozen(q: ArrayLike) -> Array:

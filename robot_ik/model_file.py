@@ -42,10 +42,10 @@ def read_model(path: Path) -> mujoco.MjModel:
     """MuJoCo's model of an MJCF or URDF file.
 
     Raises:
-        ModelError: With the file and MuJoCo's reason.
+        ModelError: With the file and MuJoCo's reason; or a joint whose lower limit is not below its upper.
     """
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(
@@ -54,6 +54,22 @@ def read_model(path: Path) -> mujoco.MjModel:
             reason=reason,
             hint="MJCF and URDF files are read; meshes must lie where the file says",
         ) from error
+    _refuse_ranges(model, path)
+    return model
+
+
+def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
+    """Raises ``ModelError`` for a joint without room; MuJoCo takes most of these for no limit at all."""
+    for joint in range(model.njnt):
+        low, high = model.jnt_range[joint].tolist()
+        asked = bool(model.jnt_limited[joint]) or low != 0.0 or high != 0.0
+        if asked and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE and not low < high:
+            name = model.joint(joint).name or f"joint_{joint}"
+            raise ModelError(
+                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no room",
+                path=path,
+                hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
+            )
 
 
 def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
@@ -143,3 +159,21 @@ def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[A
         speed[v : v + width] = fastest
         acceleration[v : v + width] = file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
     return speed, acceleration
+
+
+def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
+    """Stiffness (nv,) of the active joints: from robot.toml where it names the joint, else 1.
+
+    ``names`` are those of all joints of the model.
+
+    Raises:
+        UnknownJointError: robot.toml names a joint that the model does not have.
+    """
+    for name in file.stiffness:
+        if name not in names:
+            raise UnknownJointError(name, names)
+    stiffness = np.ones(tree.nv)
+    for k, joint in enumerate(tree.joint_ids):
+        v = int(tree.vadr[k])
+        stiffness[v : v + V_WIDTH[int(tree.kind[k])]] = file.stiffness.get(names[joint], 1.0)
+    return stiffness

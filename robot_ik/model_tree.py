@@ -179,3 +179,41 @@ def build_tree(
         np.array(builder.constant).reshape(-1, 12), *_limits(model, builder), builder.nq, builder.nv,
     )  # fmt: skip
     return tree, tuple(builder.bodies)
+
+
+def mass_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...], root: int) -> Array:
+    """(n + 1, 4) mass and its centre, seen from the node, of what each node carries; last: what never moves.
+
+    Only the body ``root`` and all that hangs on it count.
+    """
+    table = np.zeros((tree.size + 1, 4))
+    inside = {root}
+    for body in range(root, model.nbody):
+        if body != root and int(model.body_parentid[body]) not in inside:
+            continue
+        inside.add(body)
+        mass, at = float(model.body_mass[body]), bodies[body]
+        row = table[at.node]  # node -1, the world, is the last row
+        row[0] += mass
+        row[1:] += mass * at.local.compose(Pose(model.body_ipos[body])).position
+    carried = table[:, 0] > 0.0
+    table[carried, 1:] /= table[carried, :1]
+    return table
+
+
+def random_q(tree: Tree, home: Array, rng: np.random.Generator) -> Array:
+    """A random q (nq,) inside the limits; a floating base within 1 m of home."""
+    q = home.copy()
+    for k in range(tree.size):
+        a, v = int(tree.qadr[k]), int(tree.vadr[k])
+        if tree.kind[k] in (HINGE, SLIDE):
+            q[a] = rng.uniform(tree.low[v], tree.high[v])
+            continue
+        if tree.kind[k] == FREE:
+            q[a : a + 3] = home[a : a + 3] + rng.uniform(-1.0, 1.0, 3)
+            a, v = a + 3, v + 3
+        axis = rng.normal(size=3)
+        half = 0.5 * rng.uniform(0.0, min(float(tree.high[v]), np.pi))
+        q[a] = np.cos(half)
+        q[a + 1 : a + 4] = axis / np.linalg.norm(axis) * np.sin(half)
+    return q

@@ -138,10 +138,9 @@ class Solution:
         )
 
     def _measure(self, goal: Goal, row: Array) -> Miss:
-        pose = self.robot.measure(self.q, goal.frame)
-        metres, radians = pose.distance(Pose.from_rotation(row[3:].reshape(3, 3), row[:3]))
-        asked = goal.weights
-        return Miss(metres if asked[0] > 0.0 else 0.0, radians if asked[1] > 0.0 else 0.0)
+        whole = goal.rows.whole  # the targets of others are in the goals themselves
+        target = Pose.from_rotation(row[3:].reshape(3, 3), row[:3]) if whole else goal.target
+        return Miss(*goal.miss(self.robot, self.q, target))
 
     def __repr__(self) -> str:
         return (

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
+import cv2
+import mujoco
+import numpy as np
 import pytest
 
 from robot_ik.goals import PoseGoal
+from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -22,6 +28,22 @@ def run(name: str, folder: Path, *arguments: str) -> str:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def table(out: str) -> list[tuple[int, str, float, float, str]]:
+    """Rows (priority, goal, mm, deg, met) of the whole-body examples."""
+    rows = re.findall(r"^ +(\d)  (.+?) +([\d.]+) mm +([\d.]+) deg  (yes|no)$", out, re.MULTILINE)
+    return [(int(p), name, float(mm), float(deg), met) for p, name, mm, deg, met in rows]
+
+
+def program(path: Path) -> ModuleType:
+    """A file of examples/ or docs/, imported."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
 
 
 def number(pattern: str, text: str) -> float:
@@ -80,3 +102,41 @@ def test_see_and_reach_tells_a_hidden_fault(tmp_path: Path) -> None:
     # 2 degrees about joint 2 move the gripper, some 0.45 m away from its axis, by 15 mm.
     assert 10.0 < number(r"camera says: ([\d.]+) mm", out) < 20.0
     assert "NOT REACHED" in out
+
+
+def test_whole_body(tmp_path: Path) -> None:
+    near = table(run("04_whole_body.py", tmp_path))
+    assert [row[0] for row in near] == [0, 0, 1, 2, 3, 4]
+    for _, name, mm, deg, met in near[:5]:
+        assert mm <= 0.1 and deg <= 0.0573 and met == "yes", name
+    assert near[5][4] == "no" and near[5][3] > 5.0  # the posture only fills the freedom that is left
+
+
+def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(capsys: pytest.CaptureFixture[str]) -> None:
+    program(EXAMPLES / "04_whole_body.py").main(1.3, -0.3, 1.2)
+    far = table(capsys.readouterr().out)
+    assert [row[4] for row in far[:4]] == ["yes", "yes", "yes", "no"]
+    assert 100.0 < far[3][2] < 400.0  # the arm's length and what a leaning trunk adds are not enough
+
+
+def test_lion(tmp_path: Path) -> None:
+    rows = table(run("05_lion.py", tmp_path))
+    assert [row[0] for row in rows] == [0, 0, 0, 1, 2, 3, 4, 4, 4, 4]
+    for _, name, mm, deg, met in rows[:6]:
+        assert mm <= 0.1 and deg <= 0.0573 and met == "yes", name
+    bends = {name: deg for _, name, _, deg, _ in rows[6:]}
+    assert bends["tail at ease"] < 1.0 < bends["legs at ease"]
+
+
+def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
+    pictures = program(EXAMPLES.parent / "docs" / "make_pictures.py")
+    for name, scene in pictures.SCENES.items():
+        path = EXAMPLES.parent / "docs" / "images" / f"{name}.png"
+        assert path.is_file(), f"python docs/make_pictures.py {name}"
+        assert cv2.imread(str(path)).shape[0] == pictures.SIZE[1]
+        robot, ball = load_robot(scene.robot), pictures.example(scene.example).BALL
+        model = pictures.with_ball(robot.path, ball)
+        assert model.nq == robot.model.nq and model.ngeom == robot.model.ngeom + 1
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(data.geom("ball").xpos, ball)

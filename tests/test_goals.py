@@ -5,7 +5,19 @@ import pytest
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import GOALS, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.goals import (
+    GOALS,
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 
 QUARTER = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
 
@@ -20,18 +32,42 @@ def test_targets_and_weights():
     assert goal.target.distance(pose) == (0.0, 0.0) and goal.weights == (1.0, 1.0) and goal.frame == "tool"
 
 
-@pytest.mark.parametrize("kind", GOALS)
-def test_a_goal_moves_and_keeps_its_weights_and_frame(kind):
-    weights = {"position_weight": 2.0, "angle_weight": 3.0} if kind is PoseGoal else {"weight": 2.0}
-    target = {"position": (1, 2, 3)} if kind.has_position else {}
-    target |= {"wxyz": QUARTER} if kind.has_angle else {}
-    goal = kind("tool", **target, **weights)
+MADE = [
+    PositionGoal("tool", (1, 2, 3), weight=2.0, priority=1),
+    PositionGoal("tool", (1, 2, 3), axes="zx"),
+    OrientationGoal("tool", QUARTER, weight=2.0),
+    OrientationGoal("tool", QUARTER, free_axis="-x", tolerance=Tolerance(1.0, 0.1)),
+    PoseGoal("tool", (1, 2, 3), QUARTER, position_weight=2.0, angle_weight=3.0, length=0.4),
+    PoseGoal("tool", (1, 2, 3), QUARTER, free_axis=(0, 3, 4)),
+    AimGoal("tool", (1, 2, 3), axis="y"),
+    LineGoal("tool", (1, 2, 3), (0, 0, 2)),
+    PlaneGoal("tool", (1, 2, 3), "x"),
+    HalfSpaceGoal("tool", (1, 2, 3), "-y"),
+    CenterOfMassGoal("body", (1, 2, 3), axes="xy"),
+]
+
+
+@pytest.mark.parametrize("goal", MADE, ids=lambda goal: f"{goal.name} {goal.rows.mask}")
+def test_a_goal_moves_and_keeps_all_but_its_target(goal):
     there = Pose((4, 5, 6), (0, 1, 0, 0))
+    before = goal.target
     moved = goal.moved_to(there)
-    assert type(moved) is kind and moved.frame == "tool" and moved.weights == goal.weights
-    assert moved.target.position.tolist() == ([4, 5, 6] if kind.has_position else [0, 0, 0])
-    assert moved.target.wxyz.tolist() == ([0, 1, 0, 0] if kind.has_angle else [1, 0, 0, 0])
-    assert goal.target.position.tolist() == ([1, 2, 3] if kind.has_position else [0, 0, 0])
+    assert type(moved) is type(goal) and moved.frame == goal.frame and moved.signature == goal.signature
+    if goal.has_position or isinstance(goal, AimGoal):
+        assert moved.target.position.tolist() == [4, 5, 6]
+    if isinstance(goal, (OrientationGoal, PoseGoal)):
+        assert moved.target.wxyz.tolist() == [0, 1, 0, 0]
+    if isinstance(goal, (LineGoal, PlaneGoal, HalfSpaceGoal)):
+        np.testing.assert_allclose(moved.target.rotation[:, 2], [0, 0, -1], atol=1e-12)
+    assert goal.target.distance(before) == (0.0, 0.0)
+
+
+def test_every_kind_is_tried_above_and_below():
+    assert {type(goal) for goal in MADE} | {PostureGoal} == set(GOALS)
+    rest = PostureGoal(q=(0.1, 0.2), joints={"elbow": 2.0}, priority=3)
+    assert rest.moved_to_q((0.3, 0.4)).signature == rest.signature
+    with pytest.raises(InvalidGoalError, match="no pose to move"):
+        rest.moved_to(Pose())
 
 
 @pytest.mark.parametrize(
@@ -50,6 +86,21 @@ def test_a_goal_moves_and_keeps_its_weights_and_frame(kind):
         (lambda: OrientationGoal("tool", (np.inf, 0, 0, 0)), "finite"),
         (lambda: PoseGoal("tool", (1, 2, 3), (0, 0, 0, 0)), "w, x, y, z"),
         (lambda: PoseGoal("tool", (1, 2, 3), angle_weight=-0.1), "angle_weight"),
+        (lambda: PoseGoal("tool", (1, 2, 3), length=0.0), "length"),
+        (lambda: PoseGoal("tool", (1, 2, 3), free_axis="w"), "free_axis"),
+        (lambda: PositionGoal("tool", (1, 2, 3), axes="xx"), "letters x, y and z"),
+        (lambda: PositionGoal("tool", (1, 2, 3), axes=""), "letters x, y and z"),
+        (lambda: PositionGoal("tool", (1, 2, 3), priority=-1), "priority"),
+        (lambda: PositionGoal("tool", (1, 2, 3), priority=0.5), "priority"),
+        (lambda: PositionGoal("tool", (1, 2, 3), tolerance=1e-3), "Tolerance"),
+        (lambda: AimGoal("tool", (1, 2, 3), axis=(0, 0, 0)), "zero vector"),
+        (lambda: AimGoal("tool"), "point must be 3 numbers"),
+        (lambda: LineGoal("tool", (1, 2, 3), (0, 0, 0)), "zero vector"),
+        (lambda: PlaneGoal("tool", (1, 2, np.nan), "z"), "finite"),
+        (lambda: CenterOfMassGoal(None, (1, 2, 3), axes="q"), "letters"),
+        (lambda: PostureGoal(), "robot.home"),
+        (lambda: PostureGoal(q=(0, np.inf)), "finite"),
+        (lambda: PostureGoal(q=(0, 1), joints={"elbow": -1.0}), "elbow"),
     ],
 )
 def test_what_makes_no_sense_is_refused(make, says):

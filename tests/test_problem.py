@@ -1,13 +1,12 @@
-"""Problems: what is refused before any step is taken, retargeting, and coupled joints."""
+"""Problems: what is refused before any step is taken, and retargeting."""
 
 import copy
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError, UnsupportedJointError
+from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance
@@ -89,46 +88,3 @@ def test_a_copy_has_work_space_of_its_own(puma):
         other.retarget(puma.forward(puma.home + 0.2))
         assert np.array_equal(make_solver("lm").solve(other).q, expected)
         assert np.array_equal(make_solver("lm").solve(problem).q, moved)
-
-
-COUPLED = """<mujoco><worldbody>
-<body name="a"><joint name="shoulder"/><geom size="0.1"/>
- <body name="b" pos="1 0 0"><joint name="elbow"/><geom size="0.1"/><site name="tool" pos="1 0 0"/>
-  <body name="left"><joint name="left" type="slide"/><geom size="0.1"/></body>
-  <body name="right"><joint name="right" type="slide"/><geom size="0.1"/></body></body></body>
-</worldbody><equality>{}</equality></mujoco>"""
-
-
-def coupled(tmp_path: Path, equality: str, **options):
-    path = tmp_path / "coupled.xml"
-    path.write_text(COUPLED.format(equality))
-    return load_robot(path, tool="tool", **options)
-
-
-GOAL = PositionGoal("tool", (1, 1, 0))
-
-
-@pytest.mark.parametrize(
-    ("equality", "names"),
-    [
-        ('<joint joint1="elbow" joint2="shoulder" polycoef="0 2 0 0 0"/>', "joints 'elbow' and 'shoulder'"),
-        ('<joint joint1="left" joint2="elbow"/>', "joints 'left' and 'elbow'"),
-        ('<joint joint1="elbow" polycoef="0.5 0 0 0 0"/>', "joint 'elbow'"),
-    ],
-)
-def test_coupled_joints_that_a_solve_would_move_are_refused_by_name(tmp_path, equality, names):
-    with pytest.raises(UnsupportedJointError, match=names) as caught:
-        Problem(coupled(tmp_path, equality), GOAL)
-    assert "coupled.xml" in str(caught.value) and "freeze" in caught.value.hint
-
-
-def test_coupled_joints_that_do_not_matter_are_fine(tmp_path):
-    fingers = '<joint joint1="left" joint2="right" polycoef="0 -1 0 0 0"/>'
-    Problem(coupled(tmp_path, fingers), GOAL)
-    with pytest.raises(UnsupportedJointError, match="'left' and 'right'"):
-        Problem(coupled(tmp_path, fingers), PositionGoal("left", (1, 1, 0)))
-    tied = '<joint joint1="elbow" joint2="shoulder"/>'
-    Problem(coupled(tmp_path, tied.replace("/>", ' active="false"/>')), GOAL)
-    with pytest.raises(UnsupportedJointError):  # one of two moves: that breaks it as well
-        Problem(coupled(tmp_path, tied, joints=["elbow"]), GOAL)
-    Problem(coupled(tmp_path, tied, joints=["left"]), PositionGoal("left", (1, 1, 0)))

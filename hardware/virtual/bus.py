@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
+import dataclasses
+import random
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from itertools import zip_longest
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.virtual import instructions
+from robot_ik.hardware.virtual.collision import collide
 from robot_ik.hardware.virtual.faults import TICKS_PER_DEGREE, Faults, Wire
+from robot_ik.hardware.virtual.instructions import ANSWERS_ALL, ANSWERS_READ, Request, answering, fast_answers
 from robot_ik.hardware.virtual.protocol2 import (
     BROADCAST,
-    MAX_PACKET,
     ErrorCode,
     Instruction,
     Packet,
     Parser,
-    build_fast_status,
     build_status,
 )
+from robot_ik.hardware.virtual.schedule import Schedule
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import Clock
 
-# What a servo answers at each Status Return Level: 0 ping only, 1 also reads, 2 everything.
-_ANSWERS_READ, _ANSWERS_ALL = 1, 2
+if TYPE_CHECKING:
+    from robot_ik.hardware.virtual.fault_kinds import Fault
+    from robot_ik.hardware.virtual.world import World
 
-# (servo id, address, length) of one part of a sync or bulk read
-_Request = tuple[int, int, int]
+# Share of the nominal supply below which a servo loses its mind and starts anew when power is back.
+_BROWN_OUT = 0.4
+
+
+class Answer(NamedTuple):
+    """Bytes that come back, and how many seconds the servos waited before (Return Delay Time)."""
+
+    data: bytes
+    delay: float
 
 
 class VirtualBus:
@@ -39,24 +51,31 @@ class VirtualBus:
         servos: Ids may repeat, as they may by mistake on a real bus: answers then collide.
         clock: Tells when bytes arrive.
         faults: What is wrong from the start.
+        world: Moves the shafts by a model of the arm; ``None``: their profiles do.
+
+    Attributes:
+        unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
+        latency: Seconds by which answers come later than they should, besides what the port was told.
     """
 
-    def __init__(self, servos: Iterable[VirtualServo], clock: Clock, faults: Faults | None = None) -> None:
+    def __init__(
+        self,
+        servos: Iterable[VirtualServo],
+        clock: Clock,
+        faults: Faults | None = None,
+        world: World | None = None,
+    ) -> None:
         self.servos = tuple(servos)
         self.clock = clock
         self.lock = threading.RLock()
+        self.world = world
+        self.unplugged = False
+        self.latency = 0.0
+        self.schedule = Schedule(clock)
         self._built = {servo.id: servo for servo in self.servos}
         self._parser = Parser()
-        self._single: dict[int, Callable[[VirtualServo, bytes], tuple[ErrorCode, bytes]]] = {
-            Instruction.PING: _ping,
-            Instruction.READ: _read,
-            Instruction.WRITE: _write,
-            Instruction.REG_WRITE: _reg_write,
-            Instruction.ACTION: lambda servo, params: (servo.action(), b""),
-            Instruction.FACTORY_RESET: _factory_reset,
-            Instruction.REBOOT: _reboot,
-            Instruction.CLEAR: lambda servo, params: (servo.clear(params), b""),
-        }
+        self._delay = 0.0
+        self._wakers: list[Callable[[], None]] = []
         self.set_faults(faults or Faults())
 
     @classmethod
@@ -112,7 +131,8 @@ class VirtualBus:
             raise KeyError(f"no servo with id {sorted(missing)}; there are {sorted(self._built)}")
         with self.lock:
             self.faults = faults
-            self._wire = Wire(faults)
+            self.wire = Wire(faults, self._built)
+            self._dice = random.Random(faults.seed)
             for id, servo in self._built.items():
                 servo.zero_offset_ticks = faults.zero_offset_deg.get(id, 0.0) * TICKS_PER_DEGREE
                 servo.stuck = id in faults.stuck
@@ -120,12 +140,62 @@ class VirtualBus:
                 if id in faults.overload:
                     servo.inject_error("overload")
 
+    def change_wire(self, **rates: float) -> None:
+        """Other probabilities (fields of ``Faults``) from here on; the dice go on."""
+        with self.lock:
+            self.faults = dataclasses.replace(self.faults, **rates)  # type: ignore[arg-type]
+            self.wire.change(self.faults)
+
+    def inject(self, *faults: Fault) -> None:
+        """Lets faults happen, now or at their time; see ``fault_kinds.KINDS``."""
+        with self.lock:
+            for fault in faults:
+                fault.book(self)
+        for wake in self._wakers:
+            wake()
+
+    def when_changed(self, wake: Callable[[], None]) -> None:
+        """``wake`` is called after faults were injected, so that nobody sleeps through them."""
+        self._wakers.append(wake)
+
+    def add(self, servo: VirtualServo) -> None:
+        """One servo more on the wire; its id may be taken."""
+        with self.lock:
+            self.servos = (*self.servos, servo)
+            self._built.setdefault(servo.id, servo)
+
+    def remove(self, servo: VirtualServo) -> None:
+        """Takes a servo off the wire."""
+        with self.lock:
+            self.servos = tuple(s for s in self.servos if s is not servo)
+
+    def set_supply(self, volts: float) -> None:
+        """The supply of all servos; so low that a servo cannot run, it starts anew once power is back."""
+        with self.lock:
+            for servo in self.servos:
+                servo.set_supply(volts)
+                starved = volts < _BROWN_OUT * servo.table.supply
+                if starved != servo.off:
+                    (servo.switch_off if starved else servo.switch_on)()
+
     def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
         with self.lock:
+            self.advance()
             return np.array([j.to_radians(self._built[j.id].true_ticks) for j in config.joints])
 
+    def advance(self) -> None:
+        """Brings the world and what was booked up to now, also where nobody asks anything."""
+        with self.lock:
+            self.schedule.run()
+            if self.world is not None:
+                self.world.advance(self.clock.now())
+
     def handle(self, data: bytes, baud: int | None = None) -> bytes:
+        """``answer`` without the time."""
+        return self.answer(data, baud).data
+
+    def answer(self, data: bytes, baud: int | None = None) -> Answer:
         """Takes bytes from the host, gives back what the servos send.
 
         Args:
@@ -133,162 +203,97 @@ class VirtualBus:
             baud: Bits/s of the host; servos set to another rate hear nothing.  ``None``: all hear.
         """
         with self.lock:
+            self.advance()
+            self._delay = 0.0
             replies = [data] if self.faults.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
-                listeners = [s for s in self.servos if not s.deaf and baud in (None, s.baud)]
+                self.schedule.count()
+                listeners = self._listeners(baud)
                 for servo in listeners:
                     servo.hear()
-                replies += [self._wire.spoil(reply) for reply in self._answer(packet, listeners)]
-            return b"".join(replies)
+                replies += self.wire.carry(self._answer(packet, listeners))
+            return Answer(b"".join(replies), self._delay + (self.latency if replies else 0.0))
 
-    # --------------------------------------------------------------- instructions
+    def _listeners(self, baud: int | None) -> list[VirtualServo]:
+        now = self.clock.now()
+        awake = [s for s in self.servos if not s.silent and not s.off and now >= s.ready_at]
+        return awake if baud is None else [s for s in awake if s.baud == baud]
 
     def _answer(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
         """Status packets that a packet causes, in the order they go over the wire."""
         params = packet.params
         match packet.instruction if packet.valid else None:
+            case Instruction.SYNC_WRITE:
+                orders = instructions.sync_writes(params)
+            case Instruction.BULK_WRITE:
+                orders = instructions.bulk_writes(params)
+            case Instruction.SYNC_READ:
+                return self._read_many(instructions.sync_requests(params), listeners)
+            case Instruction.BULK_READ:
+                return self._read_many(instructions.bulk_requests(params), listeners)
+            case Instruction.FAST_SYNC_READ:
+                return self._read_fast(instructions.sync_requests(params), listeners)
+            case Instruction.FAST_BULK_READ:
+                return self._read_fast(instructions.bulk_requests(params), listeners)
             case Instruction.STATUS:
                 return []
-            case Instruction.SYNC_READ:
-                return self._read_many(_sync_requests(params), listeners)
-            case Instruction.BULK_READ:
-                return self._read_many(_bulk_requests(params), listeners)
-            case Instruction.FAST_SYNC_READ:
-                return self._read_fast(_sync_requests(params), listeners)
-            case Instruction.FAST_BULK_READ:
-                return self._read_fast(_bulk_requests(params), listeners)
-            case Instruction.SYNC_WRITE:
-                writes = _sync_writes(params)
-            case Instruction.BULK_WRITE:
-                writes = _bulk_writes(params)
             case _:
                 return self._execute(packet, listeners)
-        for id, address, data in writes:
-            for servo in listeners:
-                if id in (servo.id, servo.memory.get("secondary_id")):
+        wanted: dict[int, list[tuple[int, bytes]]] = {}
+        for id, address, data in orders:
+            wanted.setdefault(id, []).append((address, data))
+        for servo in listeners:
+            values = servo.memory.values
+            for id in {values["id"], values["secondary_id"]} & wanted.keys():
+                for address, data in wanted[id]:
                     servo.write(address, data)
         return []
 
     def _execute(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
         """An instruction to one servo, or to all."""
         broadcast = packet.id == BROADCAST
-        replies = []
+        ping, read = packet.instruction == Instruction.PING, packet.instruction == Instruction.READ
+        replies: dict[int, list[bytes]] = {}
         for servo in sorted(listeners, key=lambda s: s.id):
             id, level, alert = servo.id, servo.memory.get("status_return_level"), servo.status_byte(0)
+            delay = servo.return_delay
             if not (broadcast or packet.id == id):
                 if packet.valid and packet.id == servo.memory.get("secondary_id"):
-                    self._do(servo, packet, broadcast=True)
+                    instructions.execute(servo, packet.instruction, packet.params, broadcast=True)
                 continue
-            error, data = self._do(servo, packet, broadcast)
-            ping, read = packet.instruction == Instruction.PING, packet.instruction == Instruction.READ
-            if ping or (not broadcast and level >= (_ANSWERS_READ if read else _ANSWERS_ALL)):
-                replies.append(build_status(id, error | alert | servo.status_byte(0), data))
-        return replies if broadcast or len(replies) < 2 else [_collide(replies)]
+            error, data = ErrorCode.CRC, b""
+            if packet.valid:
+                error, data = instructions.execute(
+                    servo, packet.instruction, packet.params, broadcast=broadcast
+                )
+            if ping or (not broadcast and level >= (ANSWERS_READ if read else ANSWERS_ALL)):
+                self._delay += delay
+                replies.setdefault(id, []).append(
+                    build_status(id, error | alert | servo.status_byte(0), data)
+                )
+        return [self._on_wire(answers) for answers in replies.values()]
 
-    def _do(self, servo: VirtualServo, packet: Packet, broadcast: bool) -> tuple[ErrorCode, bytes]:
-        if not packet.valid:
-            return ErrorCode.CRC, b""
-        if packet.instruction == Instruction.FACTORY_RESET and broadcast and packet.params == b"\xff":
-            return ErrorCode.RESULT_FAIL, b""
-        action = self._single.get(packet.instruction)
-        return action(servo, packet.params) if action else (ErrorCode.INSTRUCTION, b"")
-
-    def _read_many(self, requests: list[_Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
+    def _read_many(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
         """A status packet from each servo asked; those that are missing leave a gap in time only."""
         replies = []
+        by_id = answering(listeners)
         for id, address, length in requests:
             answers = []
-            for servo in _answering(id, listeners):
+            for servo in by_id.get(id, ()):
+                self._delay += servo.return_delay
                 data, error = servo.read(address, length)
                 answers.append(build_status(id, servo.status_byte(error), data))
-            replies += answers if len(answers) < 2 else [_collide(answers)]
+            if answers:
+                replies.append(self._on_wire(answers))
         return replies
 
-    def _read_fast(self, requests: list[_Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
+    def _read_fast(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
         """One status packet to which each servo adds; it ends before the first that is missing."""
-        answers: list[tuple[int, int, bytes]] = []
-        expected = 8 + sum(length + 4 for _, _, length in requests)
-        for id, address, length in requests if expected <= MAX_PACKET else []:
-            servos = _answering(id, listeners)
-            if not servos:
-                break
-            data, error = servos[0].read(address, length)
-            answers.append((servos[0].status_byte(error), id, data.ljust(length, b"\x00")))
-        return [build_fast_status(answers, expected)] if answers else []
+        able = answering([s for s in listeners if "fast_read" in s.table.abilities])
+        first = able.get(requests[0][0]) if requests else None
+        self._delay += first[0].return_delay if first else 0.0
+        packets = fast_answers(requests, able)
+        return [self._on_wire(packets)] if packets else []
 
-
-def _answering(id: int, listeners: Sequence[VirtualServo]) -> list[VirtualServo]:
-    return [s for s in listeners if s.id == id and s.memory.get("status_return_level") >= _ANSWERS_READ]
-
-
-def _collide(replies: Sequence[bytes]) -> bytes:
-    """Servos that talk at once: a line pulled low by one is low (equal answers cannot be told from one)."""
-    columns = zip_longest(*replies, fillvalue=0xFF)
-    overlaid = bytearray()
-    for column in columns:
-        byte = 0xFF
-        for value in column:
-            byte &= value
-        overlaid.append(byte)
-    return bytes(overlaid)
-
-
-def _word(data: bytes, at: int) -> int:
-    return int.from_bytes(data[at : at + 2], "little")
-
-
-def _sync_requests(params: bytes) -> list[_Request]:
-    return [(id, _word(params, 0), _word(params, 2)) for id in params[4:]]
-
-
-def _bulk_requests(params: bytes) -> list[_Request]:
-    return [(params[k], _word(params, k + 1), _word(params, k + 3)) for k in range(0, len(params) - 4, 5)]
-
-
-def _sync_writes(params: bytes) -> list[tuple[int, int, bytes]]:
-    """(id, address, data) of each servo; nothing at all if the lengths do not add up."""
-    address, length, rest = _word(params, 0), _word(params, 2), params[4:]
-    if length == 0 or len(rest) % (length + 1):
-        return []
-    return [(rest[k], address, rest[k + 1 : k + 1 + length]) for k in range(0, len(rest), length + 1)]
-
-
-def _bulk_writes(params: bytes) -> list[tuple[int, int, bytes]]:
-    found, at = [], 0
-    while at + 5 <= len(params):
-        length = _word(params, at + 3)
-        data = params[at + 5 : at + 5 + length]
-        if len(data) == length:
-            found.append((params[at], _word(params, at + 1), data))
-        at += 5 + length
-    return found
-
-
-def _ping(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    data, _ = servo.read(0, 2)
-    firmware, _ = servo.read(6, 1)
-    return ErrorCode.NONE, data + firmware
-
-
-def _read(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    if len(params) != 4:
-        return ErrorCode.DATA_LENGTH, b""
-    data, error = servo.read(_word(params, 0), _word(params, 2))
-    return error, data
-
-
-def _write(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    return servo.write(_word(params, 0), params[2:]), b""
-
-
-def _reg_write(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    return servo.reg_write(_word(params, 0), params[2:]), b""
-
-
-def _factory_reset(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    return (servo.factory_reset(params[0]) if len(params) == 1 else ErrorCode.DATA_LENGTH), b""
-
-
-def _reboot(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    servo.reboot()
-    return ErrorCode.NONE, b""
+    def _on_wire(self, answers: list[bytes]) -> bytes:
+        return answers[0] if len(answers) == 1 else collide(answers, self._dice)

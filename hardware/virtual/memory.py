@@ -9,19 +9,34 @@ from robot_ik.hardware.virtual.protocol2 import ErrorCode
 
 Checker = Callable[[Register, int], ErrorCode]
 
+GAINS = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
+FEEDFORWARD = ("feedforward_2nd_gain", "feedforward_1st_gain")
+PROFILE = ("profile_acceleration", "profile_velocity")
+BACKED_UP_RAM = frozenset((*GAINS, *FEEDFORWARD, *PROFILE))
+"""Protocol 2.0 manual, "Control Table Backup"; the indirect addresses come on top."""
+
+
+def _pointer(register: Register) -> bool:
+    return register.name.startswith("indirect_address_")
+
 
 class Memory:
     """Bytes of one servo.
 
     Args:
         table: Which registers there are.
+
+    Attributes:
+        first_indirect: Address of the first byte that may stand for another.
+        values: Register name -> value; change it by ``set`` only.
     """
 
     def __init__(self, table: ControlTable) -> None:
         self.table = table
         self._bytes = bytearray(table.size)
         # The same once more, decoded: a servo asks itself far more often than it is asked.
-        self._values: dict[str, int] = {}
+        self.values: dict[str, int] = {}
+        self._registers = dict(table.registers)
         self._at = {register.address: register for register in table}
         self._defined = bytearray(table.size)
         for register in table:
@@ -29,9 +44,9 @@ class Memory:
         self._pointers = {
             table[name.replace("address", "data")].address: table[name]
             for name in table.registers
-            if name.startswith("indirect_address_")
+            if _pointer(table[name])
         }
-        self._first_indirect = min(self._pointers, default=table.size)
+        self.first_indirect = min(self._pointers, default=table.size)
         self.reset(eeprom=True)
 
     def reset(self, *, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
@@ -40,15 +55,21 @@ class Memory:
             if (eeprom or not register.eeprom) and register.name not in keep:
                 self.set(register.name, register.initial or 0)
 
+    def backup(self) -> dict[str, int]:
+        """What Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
+        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in BACKED_UP_RAM or _pointer(r)))
+        return {r.name: self.get(r.name) for r in kept}
+
     def get(self, name: str) -> int:
-        """Value of a register."""
-        return self._values[name]
+        """Value of a register; ``values[name]`` is the same and quicker."""
+        return self.values[name]
 
     def set(self, name: str, value: int) -> None:
         """Sets a register as the servo itself does: without any check but its size."""
-        register = self.table[name]
-        self._bytes[register.address : register.end] = register.encode(value)
-        self._values[name] = value
+        register = self._registers[name]
+        first, size = register.address, register.size
+        self._bytes[first : first + size] = value.to_bytes(size, "little", signed=register.signed)
+        self.values[name] = value
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
         """Bytes of any stretch; gaps between registers read 0.
@@ -58,13 +79,13 @@ class Memory:
         end = address + length
         if length == 0 or end > len(self._bytes) or not any(self._defined[address:end]):
             return b"", ErrorCode.ACCESS if length else ErrorCode.DATA_LENGTH
-        if end <= self._first_indirect:
+        if end <= self.first_indirect:
             return bytes(self._bytes[address:end]), ErrorCode.NONE
         return bytes(self._bytes[self._resolve(a)] for a in range(address, end)), ErrorCode.NONE
 
     def spans(self, address: int, length: int) -> list[tuple[int, int]]:
         """Stretches (first, end) of real memory that a stretch stands for; indirect data point elsewhere."""
-        if address + length <= self._first_indirect:
+        if address + length <= self.first_indirect:
             return [(address, address + length)]
         found: list[tuple[int, int]] = []
         for a in range(address, address + length):
@@ -86,6 +107,10 @@ class Memory:
             locked: EEPROM is locked (torque is on).
             check: The servo's own rule for a register and a value.
         """
+        register = self._at.get(address)
+        if register is not None and register.size == len(data) and address not in self._pointers:
+            error = self._refusal(register, value := register.decode(data), locked, check)
+            return ([], error) if error else ([(register, value)], ErrorCode.NONE)
         values: list[tuple[Register, int]] = []
         if not data:
             return [], ErrorCode.DATA_LENGTH
@@ -100,22 +125,27 @@ class Memory:
                     return [], ErrorCode.DATA_LENGTH if self._defined[at] else ErrorCode.ACCESS
                 if register.end > end:
                     return [], ErrorCode.DATA_LENGTH
-                if not register.writable or (register.eeprom and locked):
-                    return [], ErrorCode.ACCESS
                 value = register.decode(data[done : done + register.size])
-                if not register.minimum <= value <= register.maximum:
-                    return [], ErrorCode.DATA_RANGE
-                error = check(register, value)
+                error = self._refusal(register, value, locked, check)
                 if error:
                     return [], error
                 values.append((register, value))
                 at, done = register.end, done + register.size
         return values, ErrorCode.NONE
 
+    @staticmethod
+    def _refusal(register: Register, value: int, locked: bool, check: Checker) -> ErrorCode:
+        """Why a register does not take a value."""
+        if not register.writable or (register.eeprom and locked):
+            return ErrorCode.ACCESS
+        if not register.minimum <= value <= register.maximum:
+            return ErrorCode.DATA_RANGE
+        return check(register, value)
+
     def _resolve(self, address: int) -> int:
         """Where the byte at an address really lives; a pointer out of the table is as good as none."""
         pointer = self._pointers.get(address)
         if pointer is None:
             return address
-        target = self._values[pointer.name]
+        target = self.values[pointer.name]
         return target if target < len(self._bytes) else address

@@ -8,7 +8,6 @@ Source: ROBOTIS e-manual, "Profile Acceleration", "Profile Velocity" and "Moving
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 
 from robot_ik.hardware.control_table import ACCELERATION_UNIT, RADIANS_PER_TICK, VELOCITY_UNIT
@@ -30,63 +29,59 @@ class ProfileKind(IntEnum):
     TRAPEZOIDAL = 3
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """From ``start`` (s) on: position, velocity there and the constant acceleration."""
-
-    start: float
-    position: float
-    velocity: float
-    acceleration: float
-
-    def at(self, t: float) -> tuple[float, float]:
-        dt = t - self.start
-        return (
-            self.position + (self.velocity + 0.5 * self.acceleration * dt) * dt,
-            self.velocity + self.acceleration * dt,
-        )
+_Piece = tuple[float, float, float, float]
+"""From a time (s) on: position and velocity there, and the constant acceleration."""
 
 
-@dataclass(frozen=True)
+def _at(piece: _Piece, t: float) -> tuple[float, float]:
+    start, position, velocity, acceleration = piece
+    dt = t - start
+    return position + (velocity + 0.5 * acceleration * dt) * dt, velocity + acceleration * dt
+
+
 class Motion:
-    """A planned motion.
+    """A planned motion.  Plain, for one is made for every goal that comes over the bus.
 
-    Attributes:
+    Args:
         pieces: In order of time; the last one goes on for ever.
         end: When it is over, s; infinite for turning at a velocity.
         kind: As Moving Status reports it.
     """
 
-    pieces: tuple[_Piece, ...]
-    end: float
-    kind: ProfileKind = ProfileKind.STEP
+    __slots__ = ("end", "kind", "pieces")
+
+    def __init__(self, pieces: tuple[_Piece, ...], end: float, kind: ProfileKind = ProfileKind.STEP) -> None:
+        self.pieces = pieces
+        self.end = end
+        self.kind = kind
 
     def at(self, t: float) -> tuple[float, float]:
         """(position, velocity) at time ``t``, s, not before the start."""
         for piece in reversed(self.pieces):
-            if t >= piece.start:
-                return piece.at(t)
-        return self.pieces[0].at(self.pieces[0].start)
+            if t >= piece[0]:
+                return _at(piece, t)
+        first = self.pieces[0]
+        return first[1], first[2]
 
 
 def rest(t: float, position: float) -> Motion:
     """Standing still."""
-    return Motion((_Piece(t, position, 0.0, 0.0),), t)
+    return Motion(((t, position, 0.0, 0.0),), t)
 
 
 def brake(t: float, position: float, velocity: float, acceleration: float) -> Motion:
     """Slowing down to a stand, wherever that is."""
     seconds = abs(velocity) / acceleration
     stop = position + 0.5 * velocity * seconds
-    slowing = _Piece(t, position, velocity, -math.copysign(acceleration, velocity))
-    return Motion((slowing, _Piece(t + seconds, stop, 0.0, 0.0)), t + seconds, ProfileKind.TRIANGULAR)
+    slowing = (t, position, velocity, -math.copysign(acceleration, velocity))
+    return Motion((slowing, (t + seconds, stop, 0.0, 0.0)), t + seconds, ProfileKind.TRIANGULAR)
 
 
 def turn(t: float, position: float, velocity: float, wanted: float, acceleration: float) -> Motion:
     """Ramp to the ``wanted`` velocity and keep it."""
     seconds = abs(wanted - velocity) / acceleration
-    ramp = _Piece(t, position, velocity, math.copysign(acceleration, wanted - velocity))
-    return Motion((ramp, _Piece(t + seconds, ramp.at(t + seconds)[0], wanted, 0.0)), math.inf)
+    ramp = (t, position, velocity, math.copysign(acceleration, wanted - velocity))
+    return Motion((ramp, (t + seconds, _at(ramp, t + seconds)[0], wanted, 0.0)), math.inf)
 
 
 def move(
@@ -121,13 +116,16 @@ def move(
     last = peak / acceleration
     rest_of_way = distance - 0.5 * (velocity + cruise) * first - 0.5 * cruise * last
     middle = max(0.0, side * rest_of_way / peak) if peak > 0.0 else 0.0
-    ramp = _Piece(t, position, velocity, math.copysign(acceleration, cruise - velocity))
-    steady = _Piece(t + first, ramp.at(t + first)[0], cruise, 0.0)
-    slowing = _Piece(steady.start + middle, steady.position + cruise * middle, cruise, -side * acceleration)
-    end = slowing.start + last
+    ramp = (t, position, velocity, math.copysign(acceleration, cruise - velocity))
+    cruising = t + first
+    there = _at(ramp, cruising)[0]
+    braking = cruising + middle
+    end = braking + last
+    steady = (cruising, there, cruise, 0.0)
+    slowing = (braking, there + cruise * middle, cruise, -side * acceleration)
     if kind is None:
         kind = ProfileKind.TRAPEZOIDAL if peak >= top else ProfileKind.TRIANGULAR
-    return Motion((ramp, steady, slowing, _Piece(end, goal, 0.0, 0.0)), end, kind)
+    return Motion((ramp, steady, slowing, (end, goal, 0.0, 0.0)), end, kind)
 
 
 def profiled_move(

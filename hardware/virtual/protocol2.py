@@ -6,6 +6,7 @@ that the two check each other.  Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -18,6 +19,7 @@ MAX_PACKET = 1024
 PACKET_GAP = 0.050
 """A packet whose bytes stop for longer than this, s, is dropped."""
 
+_PAIR = struct.Struct(">H")
 _SHORTEST = 10  # header 4, id 1, length 2, instruction 1, CRC 2
 _STUFFED = b"\xff\xff\xfd"
 
@@ -33,6 +35,7 @@ class Instruction(IntEnum):
     FACTORY_RESET = 0x06
     REBOOT = 0x08
     CLEAR = 0x10
+    CONTROL_TABLE_BACKUP = 0x20
     STATUS = 0x55
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
@@ -68,11 +71,21 @@ def _crc_table() -> tuple[int, ...]:
 _CRC_TABLE = _crc_table()
 
 
+# Of two bytes at once: the remainder of any 16 bits is one entry.
+_CRC_PAIRS = tuple(
+    ((_CRC_TABLE[high] << 8) & 0xFF00) ^ _CRC_TABLE[(_CRC_TABLE[high] >> 8) ^ low]
+    for high in range(256)
+    for low in range(256)
+)
+
+
 def crc16(data: bytes) -> int:
     """CRC-16 with polynomial 0x8005, initial 0, not reflected, no final xor."""
     crc = 0
-    for byte in data:
-        crc = ((crc << 8) & 0xFF00) ^ _CRC_TABLE[(crc >> 8) ^ byte]
+    for (pair,) in _PAIR.iter_unpack(data[: len(data) & ~1]):
+        crc = _CRC_PAIRS[crc ^ pair]
+    if len(data) & 1:
+        crc = ((crc << 8) & 0xFF00) ^ _CRC_TABLE[(crc >> 8) ^ data[-1]]
     return crc
 
 

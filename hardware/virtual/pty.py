@@ -26,6 +26,8 @@ from robot_ik.hardware.virtual.bus import VirtualBus
 log = logging.getLogger(__name__)
 
 _CHUNK = 4096
+_REPLUG_PERIOD = 0.02  # s; how often an unplugged port looks whether it is plugged in again
+_WORLD_PERIOD = 0.01  # s; how often a world of its own goes on where nobody asks anything
 _BITS_PER_BYTE = 10  # 8N1: a start bit, eight of data, a stop bit
 _TCGETS2 = 0x802C542A  # Linux: struct termios2, which also knows rates without a B constant
 _TERMIOS2 = struct.Struct("4I20x2I")  # four flag words, line and control characters, two rates
@@ -38,7 +40,8 @@ class PtyPort:
     """Serves a virtual bus on a pty; a context manager.
 
     The thread sleeps in ``select`` until bytes come, so an idle port costs nothing.  A client may close
-    and another open the port at any time; while this object lives the port stays.
+    and another open the port at any time; while this object lives the port stays, but for the fault
+    ``port_unplugged``: then it is gone, and a new one appears under the same link afterwards.
 
     Args:
         bus: The servos.
@@ -48,7 +51,7 @@ class PtyPort:
         latency_ms: Answers come so much later, as from a USB adapter.
 
     Attributes:
-        path: Of the port, e.g. ``/dev/pts/7``.
+        path: Of the port, e.g. ``/dev/pts/7``; another one after it was unplugged.
         link: As given, or ``None``.
 
     Raises:
@@ -70,18 +73,14 @@ class PtyPort:
         self._wire_baud = wire_baud
         self._latency = latency_ms / 1000.0
         self._closed = threading.Event()
-        self._master, self._slave = os.openpty()
         self._wake_reader, self._wake_writer = os.pipe()
+        self._master = self._slave = -1
         try:
-            # Raw before anyone opens it: else the line discipline echoes and swallows bytes.
-            tty.setraw(self._slave)
-            os.set_blocking(self._master, False)
-            self.path = os.ttyname(self._slave)
-            if self.link is not None:
-                _make_link(self.link, self.path)
+            self._plug_in()
         except BaseException:
-            self._close_files()
+            self._close_files(self._wake_reader, self._wake_writer)
             raise
+        bus.when_changed(self._wake)
         self._thread = threading.Thread(target=self._serve, name=f"virtual bus {self.path}", daemon=True)
         self._thread.start()
 
@@ -93,9 +92,8 @@ class PtyPort:
         os.write(self._wake_writer, b"x")
         if threading.current_thread() is not self._thread:
             self._thread.join()
-        if self.link is not None:
-            _remove_link(self.link, self.path)
-        self._close_files()
+        self._pull_out()
+        self._close_files(self._wake_reader, self._wake_writer)
 
     def __enter__(self) -> PtyPort:
         return self
@@ -109,17 +107,68 @@ class PtyPort:
         """Bits/s the client has set the port to; 0 if it cannot be told."""
         return _baud_of(self._master)
 
-    def _close_files(self) -> None:
-        for handle in (self._master, self._slave, self._wake_reader, self._wake_writer):
+    def _wake(self) -> None:
+        """Lets the thread look at what has changed."""
+        if not self._closed.is_set():
+            os.write(self._wake_writer, b"x")
+
+    def _plug_in(self) -> None:
+        """Makes the pty and the link to it."""
+        self._master, self._slave = os.openpty()
+        try:
+            # Raw before anyone opens it: else the line discipline echoes and swallows bytes.
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            self.path = os.ttyname(self._slave)
+            if self.link is not None:
+                _make_link(self.link, self.path)
+        except BaseException:
+            self._close_files(self._master, self._slave)
+            raise
+
+    def _pull_out(self) -> None:
+        """Takes link and pty away; a client that has it open gets an error."""
+        if self._master < 0:
+            return
+        if self.link is not None:
+            _remove_link(self.link, self.path)
+        self._close_files(self._master, self._slave)
+        self._master = self._slave = -1
+
+    @staticmethod
+    def _close_files(*handles: int) -> None:
+        for handle in handles:
             with contextlib.suppress(OSError):
                 os.close(handle)
+
+    def _wait(self) -> bool:
+        """Sleeps until there are bytes, something booked is due, or it is over; whether there are bytes."""
+        self.bus.advance()
+        if self.bus.unplugged and self._master >= 0:
+            self._pull_out()
+        elif not self.bus.unplugged and self._master < 0:
+            self._plug_in()
+        due = self.bus.schedule.next_time
+        wait = None if due is None else max(0.0, due - self.bus.clock.now())
+        if self.bus.unplugged:  # the program that runs the bus may plug it in at any time
+            wait = _REPLUG_PERIOD if wait is None else min(wait, _REPLUG_PERIOD)
+        if self.bus.world is not None:  # else it would have to catch up while a client waits
+            wait = _WORLD_PERIOD if wait is None else min(wait, _WORLD_PERIOD)
+        handles = [self._wake_reader] if self._master < 0 else [self._master, self._wake_reader]
+        ready, _, _ = select.select(handles, [], [], wait)
+        if self._wake_reader in ready:
+            os.read(self._wake_reader, _CHUNK)
+        return self._master in ready
 
     def _serve(self) -> None:
         """The thread: bytes to the bus, answers back, until closed."""
         while not self._closed.is_set():
-            ready, _, _ = select.select([self._master, self._wake_reader], [], [])
-            if self._master not in ready:
-                continue
+            try:
+                if not self._wait():
+                    continue
+            except OutputError as error:
+                log.warning("virtual bus: it cannot be plugged in again: %s", error)
+                return
             arrived = time.monotonic()
             try:
                 data = os.read(self._master, _CHUNK)
@@ -129,17 +178,18 @@ class PtyPort:
                 log.warning("virtual bus on %s: the port went away: %s", self.path, error)
                 return
             try:
-                reply = self.bus.handle(data, self.client_baud() if self._match_baud else None)
+                reply, delay = self.bus.answer(data, self.client_baud() if self._match_baud else None)
             except Exception:
                 # A mistake in a servo must not look like a dead cable.
                 log.exception("virtual bus on %s failed on %s", self.path, data.hex(" "))
                 continue
-            self._pace(arrived, len(data), len(reply))
-            self._send(reply)
+            self._pace(arrived, len(data), len(reply), delay)
+            if not self.bus.unplugged:
+                self._send(reply)
 
-    def _pace(self, arrived: float, received: int, sent: int) -> None:
+    def _pace(self, arrived: float, received: int, sent: int, delay: float) -> None:
         """Waits until the last byte of the answer would have come over the wire."""
-        seconds = self._latency if sent else 0.0
+        seconds = self._latency + delay if sent else 0.0
         if self._wire_baud:
             seconds += (received + sent) * _BITS_PER_BYTE / self._wire_baud
         if seconds > 0.0:

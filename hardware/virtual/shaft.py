@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Protocol
 
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.control_table_data import REVERSE, SLAVE
+from robot_ik.hardware.virtual import drive
+from robot_ik.hardware.virtual.load import PWM_FULL, Load
 from robot_ik.hardware.virtual.memory import Memory
 from robot_ik.hardware.virtual.profile import (
     PHYSICAL_ACCELERATION,
@@ -13,19 +17,27 @@ from robot_ik.hardware.virtual.profile import (
     Motion,
     ProfileKind,
     brake,
-    profiled_move,
     rest,
-    turn,
 )
 from robot_ik.ports import Clock
-
-REVERSE, TIME_BASED, TORQUE_BY_GOAL = 0b0001, 0b0100, 0b1000
-"""Bits of Drive Mode."""
 
 # Homing Offset beyond a quarter turn is ignored in the one-turn mode.
 _HOMING_ONE_TURN = TICKS_PER_TURN // 4
 _IN_POSITION_TICKS = 2.0
 _FOLLOWING_ERROR_TICKS = 50.0
+# PWM counts of 885 that a tick of error gives, for each count of Position P Gain.
+_EFFORT_OF_GAIN = 1.0 / 128.0
+
+
+class Body(Protocol):
+    """The shaft as somebody else's world has it: encoder ticks, ticks/s and N m at the shaft."""
+
+    position: float
+    velocity: float
+    torque: float
+
+    def turn_by(self, ticks: float) -> None:
+        """Is turned from outside."""
 
 
 class Shaft:
@@ -38,18 +50,30 @@ class Shaft:
         memory: Registers that say how to move and how to count.
         clock: The only source of time.
         position: Encoder ticks at first.
+        load: What it carries, where no ``body`` says better.
 
     Attributes:
         motion: What the profile wants, in encoder ticks.
-        stuck_at: Encoder ticks where it is stuck, or ``None``.
+        stuck_at: Encoder ticks where a broken gear lets it rest without load, or ``None``.
+        stops: Encoder ticks between which it can turn; it presses against them.
+        body: Moves it instead of the profile; ``None``: the profile does.
+        master: Of a dual joint: (its shaft, +1 or -1 by the sync cable, own ticks where its are 0).
+        powered: Torque is on.
     """
 
-    def __init__(self, memory: Memory, clock: Clock, position: float) -> None:
+    def __init__(self, memory: Memory, clock: Clock, position: float, load: Load) -> None:
         self.motion: Motion = rest(clock.now(), position)
         self.stuck_at: float | None = None
+        self.stops = (-math.inf, math.inf)
+        self.body: Body | None = None
+        self.master: tuple[Shaft, int, float] | None = None
+        self.load = load
+        self.powered = False
         self._memory = memory
+        self._values = memory.values
         self._clock = clock
         self._turns = 0.0
+        self._unreached: float | None = None
         self._top = (memory.table["velocity_limit"].initial or 0) * VELOCITY_TICKS
 
     # ---------------------------------------------------------------- where it is
@@ -66,8 +90,39 @@ class Shaft:
 
     @property
     def standing(self) -> bool:
-        """It does not move at all."""
-        return self._actual()[1] == 0.0
+        """It does not move at all, or too slowly to be seen."""
+        return abs(self._actual()[1]) < 0.5 * VELOCITY_TICKS
+
+    @property
+    def speed(self) -> float:
+        """Ticks/s in encoder direction."""
+        return self._actual()[1]
+
+    def torque(self) -> float:
+        """What the motor gives now, N m in encoder direction."""
+        if not self.powered or self.stuck_at is not None:
+            return 0.0
+        if self.body is not None:
+            return self.body.torque
+        volts = self.volts
+        position, velocity = self._actual()
+        if self._mode in drive.TORQUE_MODES:
+            return self.sign * drive.effort(self._memory, volts)
+        limit = drive.torque_limit(self._memory, volts)
+        torque = self.load.holding(position)
+        if velocity:
+            torque += math.copysign(self.load.friction, velocity)
+        # Against a stop, and where the load is too much, the controller pushes with what it has.
+        wanted = self._planned()[0] if self._unreached is None else self._unreached
+        missing = wanted - position
+        effort = missing * self._values["position_p_gain"] * _EFFORT_OF_GAIN / PWM_FULL
+        torque += effort * self._memory.table.motor.stall_torque
+        return max(-limit, min(limit, torque))
+
+    @property
+    def volts(self) -> float:
+        """Supply, V."""
+        return self._memory.get("present_input_voltage") / 10.0
 
     def registers(self) -> dict[str, Callable[[], int]]:
         """Registers that follow the shaft, and how to ask for them."""
@@ -82,19 +137,19 @@ class Shaft:
 
     def position_register(self) -> int:
         """Present Position."""
-        return self._round(self.reading)
+        return round(self.reading)
 
     def velocity_register(self) -> int:
         """Present Velocity, units of 0.229 rev/min."""
-        return self._sign * round(self._actual()[1] / VELOCITY_TICKS)
+        return self.sign * round(self._actual()[1] / VELOCITY_TICKS)
 
     def position_trajectory(self) -> int:
         """Where the profile wants it, ticks."""
-        return self._round(self._to_reading(self._planned()[0]))
+        return round(self._to_reading(self._planned()[0]))
 
     def velocity_trajectory(self) -> int:
         """How fast the profile wants it, units of 0.229 rev/min."""
-        return self._sign * round(self._planned()[1] / VELOCITY_TICKS)
+        return self.sign * round(self._planned()[1] / VELOCITY_TICKS)
 
     def moving_status(self) -> int:
         """Bit 0 in position, 1 profile going on, 3 following error, 4-5 kind of profile."""
@@ -112,23 +167,32 @@ class Shaft:
         memory, now = self._memory, self._clock.now()
         position, velocity = self._planned()
         if self._mode == OperatingMode.VELOCITY:
-            wanted = self._sign * memory.get("goal_velocity") * VELOCITY_TICKS
-            self.motion = turn(now, position, velocity, wanted, PHYSICAL_ACCELERATION)
-            return
-        self.motion = profiled_move(
-            now,
-            position,
-            velocity,
-            self._sign * (memory.get("goal_position") - self._homing - self._turns),
-            profile_velocity=memory.get("profile_velocity"),
-            profile_acceleration=memory.get("profile_acceleration"),
-            time_based=bool(memory.get("drive_mode") & TIME_BASED),
-            physical_top=self._top,
-        )
+            self.motion = drive.turning(now, position, velocity, memory, self.sign)
+        elif self._mode in drive.TORQUE_MODES:
+            torque = self.sign * drive.effort(memory, self.volts)
+            self.motion = drive.pushed(now, *self._actual(), torque, self.load, memory, self.volts)
+        else:
+            goal = self.sign * (memory.get("goal_position") - self._homing - self._turns)
+            if self._too_weak(goal - position):
+                self.stop()
+                self._unreached = goal
+                return
+            self._unreached = None
+            self.motion = drive.moving(now, position, velocity, goal, memory, self._top)
+
+    def _too_weak(self, way: float) -> bool:
+        """Goal PWM or Goal Current is too small for the load and the friction that way."""
+        values = self._values
+        limited = abs(values["goal_pwm"]) < PWM_FULL or self._mode == OperatingMode.CURRENT_BASED_POSITION
+        if not limited or not way or self.body is not None:
+            return False
+        needed = abs(self.load.holding(self.encoder) + math.copysign(self.load.friction, way))
+        return drive.torque_limit(self._memory, self.volts) < needed
 
     def stop(self) -> None:
         """Stands still from now on, where it is."""
         self.motion = rest(self._clock.now(), self.encoder)
+        self._unreached = None
 
     def brake_at(self, t: float) -> None:
         """Slowed down from time ``t`` (s, past) on."""
@@ -136,6 +200,9 @@ class Shaft:
 
     def turn_by(self, ticks: float) -> None:
         """Is turned from outside, at once."""
+        if self.body is not None:
+            self.body.turn_by(ticks)
+            ticks = 0.0
         self.motion = rest(self._clock.now(), self.encoder + ticks)
         if self.stuck_at is not None:
             self.stuck_at += ticks
@@ -143,40 +210,53 @@ class Shaft:
     # ------------------------------------------------------------------ counting
 
     def fold(self) -> None:
-        """The one-turn mode counts within one turn."""
-        if self._mode == OperatingMode.POSITION:
-            self._turns -= TICKS_PER_TURN * math.floor(self.reading / TICKS_PER_TURN)
+        """Counts within one turn from here on: the encoder knows the angle, not how many turns there were.
 
-    def forget_turns(self) -> None:
-        """The encoder knows the angle within a turn, not how many turns there were."""
-        self._turns -= TICKS_PER_TURN * math.floor((self.reading - self._homing) / TICKS_PER_TURN)
-        self.fold()
+        The manual: when the mode becomes Position, when torque goes on in that mode, at power on and by
+        Clear.  The homing offset comes on top.
+        """
+        self._turns = -TICKS_PER_TURN * math.floor(round(self.sign * self.encoder) / TICKS_PER_TURN)
+
+    def lose_turns(self, turns: int) -> None:
+        """The count is wrong by so many turns from here on, as after a power cycle."""
+        self._turns += TICKS_PER_TURN * turns
 
     @property
     def _mode(self) -> int:
-        return self._memory.get("operating_mode")
+        return self._values["operating_mode"]
 
     @property
-    def _sign(self) -> int:
-        return -1 if self._memory.get("drive_mode") & REVERSE else 1
+    def sign(self) -> int:
+        """-1 where Drive Mode reverses."""
+        return -1 if self._values.get("drive_mode", 0) & REVERSE else 1
 
     @property
     def _homing(self) -> int:
-        offset = self._memory.get("homing_offset")
+        offset = self._values["homing_offset"]
+        if not offset:
+            return 0
         ignored = self._mode == OperatingMode.POSITION and abs(offset) > _HOMING_ONE_TURN
         return 0 if ignored else offset
 
     def _planned(self) -> tuple[float, float]:
-        """Encoder ticks and ticks/s that the profile wants now."""
+        """Encoder ticks and ticks/s that the profile wants now; without torque it wants nothing."""
+        if self.body is not None and not self.powered:
+            return self.body.position, self.body.velocity
         return self.motion.at(self._clock.now())
 
     def _actual(self) -> tuple[float, float]:
         """Encoder ticks and ticks/s as they are now."""
-        return self._planned() if self.stuck_at is None else (self.stuck_at, 0.0)
+        if self.stuck_at is not None:
+            return self.stuck_at, 0.0
+        if self.body is not None:
+            return self.body.position, self.body.velocity
+        if self.master is not None and self._memory.get("drive_mode") & SLAVE:
+            master, way, zero = self.master
+            position, velocity = master._actual()
+            return zero + way * position, way * velocity
+        position, velocity = self._planned()
+        low, high = self.stops
+        return (position, velocity) if low <= position <= high else (min(max(position, low), high), 0.0)
 
     def _to_reading(self, encoder: float) -> float:
-        return self._sign * encoder + self._homing + self._turns
-
-    def _round(self, reading: float) -> int:
-        ticks = round(reading)
-        return ticks % TICKS_PER_TURN if self._mode == OperatingMode.POSITION else ticks
+        return self.sign * encoder + self._homing + self._turns

@@ -24,13 +24,20 @@ UNBOUNDED = "-"
 
 @dataclass(frozen=True)
 class RobotsOptions:
-    """Lists the robots that come along, or shows one in detail.
+    """Lists the robots that come along, shows one in detail, or draws them.
 
     Any MJCF or URDF file works as well: robot-ik robots path/to/arm.xml
     """
 
     robot: Positional[Annotated[str, arg(metavar="[NAME|PATH]", help_behavior_hint="")]] = ""
     """Robot to show with its joints, limits and frames; without it, all are listed."""
+    gallery: Annotated[
+        tuple[str, ...] | None,
+        arg(metavar="[FOLDER]", help_behavior_hint="(default folder: runs/<time>-gallery)"),
+    ] = None
+    """Draw all robots, or the one given, at home and at work: a PNG each and a sheet of all."""
+    seed: int = 0
+    """Of the drawn poses at work."""
     json: bool = False
     """Print one JSON object instead of tables."""
 
@@ -49,7 +56,11 @@ class SolversOptions:
 
 
 def run_robots(options: RobotsOptions) -> int:
-    """Prints the catalogue, or one robot."""
+    """Prints the catalogue, or one robot, or draws them."""
+    if options.gallery is not None:
+        from robot_ik.cli.gallery import run_gallery
+
+        return run_gallery(options.robot, options.gallery, options.seed, json=options.json)
     if options.robot:
         from robot_ik.robot import load_robot
 
@@ -187,8 +198,7 @@ def run_solvers(options: SolversOptions) -> int:
         return console.DONE
     shown = console.table("name", "method", "goals", "options")
     for row in rows:
-        goals = ", ".join(goal.removesuffix(" goal") for goal in row["goals"])
-        shown.add_row(row["name"], Text(row["title"]), goals, str(len(row["options"])))
+        shown.add_row(row["name"], Text(row["title"]), goals_text(row), str(len(row["options"])))
     console.out().print(shown)
     console.say(f"auto chooses {SOLVERS['auto'].name}; the options of one: robot-ik solvers NAME", "dim")
     return console.DONE
@@ -196,6 +206,8 @@ def run_solvers(options: SolversOptions) -> int:
 
 def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     """Name, title, source, kinds of goals and options (default, range, unit, help) of a method."""
+    from robot_ik.goals import GOALS
+
     options = [
         {
             "name": field.name,
@@ -213,14 +225,26 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "title": kind.title,
         "source": kind.source,
         "goals": [goal.name for goal in kind.goals],
+        "every_goal": kind.parts and set(kind.goals) >= set(GOALS),
+        "parts": kind.parts,
+        "honours": sorted(kind.honours),
         "options": options,
     }
+
+
+def goals_text(facts: dict[str, Any]) -> str:
+    """Which goals a method serves, in few words."""
+    if facts["every_goal"]:
+        return "every kind"
+    return ", ".join(goal.removesuffix(" goal") for goal in facts["goals"])
 
 
 def _print_solver(facts: dict[str, Any]) -> None:
     screen = console.out()
     head = console.table(facts["name"], facts["title"])
-    head.add_row("goals", ", ".join(facts["goals"]))
+    head.add_row("goals", goals_text(facts))
+    head.add_row("parts of a pose", "yes" if facts["parts"] else "no")
+    head.add_row("honours", ", ".join(facts["honours"]) or "nothing more")
     head.add_row("source", Text(facts["source"]))
     screen.print(head)
     screen.print()

@@ -50,6 +50,14 @@ COMMANDS: dict[str, Command] = {
     "solvers": Command(
         "robot_ik.cli.listing", "SolversOptions", "the methods and their options", "run_solvers"
     ),
+    "experiments": Command(
+        "robot_ik.cli.experiments",
+        "ExperimentsOptions",
+        "repeat the experiments of the theses: a00 or s12",
+    ),
+    "bench": Command(
+        "robot_ik.cli.bench", "BenchOptions", "methods on seeded problems: success, time, plots"
+    ),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",

@@ -18,6 +18,7 @@ from robot_ik.errors import ConfigError, HardwareError, RobotIkError, UnknownRob
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Faults
     from robot_ik.hardware.virtual.pty import PtyPort
     from robot_ik.ports import Array
@@ -53,8 +54,12 @@ class SimBusOptions:
     """Probability that an answer has a flipped bit."""
     drop: Annotated[float, arg(metavar="P")] = 0.0
     """Probability that an answer is lost."""
-    seed: int = 0
-    """Of these dice: the same seed and traffic give the same faults."""
+    faults: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """File of faults (TOML): what goes wrong with which servo, when and for how long."""
+    seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the file's, or 0)")] = None
+    """Of the dice of all this: the same seed and traffic give the same faults."""
+    physics: bool = False
+    """Move the MuJoCo model of the arm: gravity shows up as current, and without torque it falls."""
 
 
 def run(options: SimBusOptions) -> int:
@@ -67,11 +72,17 @@ def run(options: SimBusOptions) -> int:
             hint="use --bus sim: the same servos in process",
         ) from reason
     from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.fault_file import FaultScript, load_faults
     from robot_ik.ports import RealClock
 
     _check_numbers(options)
     config = load_arm(options.arm)
-    bus = VirtualBus.from_config(config, RealClock(), _home(config), _faults(options, config))
+    script = load_faults(options.faults, config) if options.faults is not None else FaultScript(0, ())
+    seed = script.seed if options.seed is None else options.seed
+    bus = VirtualBus.from_config(config, RealClock(), _home(config), _faults(options, config, seed))
+    if options.physics:
+        _add_world(config, bus)
+    bus.inject(*script.faults)
     with (
         _ended_by_signal() as ended,
         PtyPort(
@@ -122,7 +133,19 @@ def _home(config: ArmConfig) -> Array | None:
     return robot.home if robot.joints == config.names else None
 
 
-def _faults(options: SimBusOptions, config: ArmConfig) -> Faults:
+def _add_world(config: ArmConfig, bus: VirtualBus) -> None:
+    """From here on the robot's own MuJoCo model moves the shafts.
+
+    Raises:
+        RobotIkError: It has no model at hand, or not these joints.
+    """
+    from robot_ik.hardware.virtual.world import World
+    from robot_ik.robot import load_robot
+
+    World(load_robot(config.robot).model, config, bus)
+
+
+def _faults(options: SimBusOptions, config: ArmConfig, seed: int) -> Faults:
     from robot_ik.hardware.virtual.faults import Faults
 
     offsets = {}
@@ -141,7 +164,7 @@ def _faults(options: SimBusOptions, config: ArmConfig) -> Faults:
         silent=options.silent,
         corrupt=options.corrupt,
         drop=options.drop,
-        seed=options.seed,
+        seed=seed,
     )
 
 

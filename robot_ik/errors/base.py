@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Known names most like ``name``, best first (compared without regard to case)."""
+    name = str(name)  # None or a number is an unknown name too
     by_lower = {item.lower(): item for item in known}
     found = difflib.get_close_matches(name.lower(), list(by_lower), n=count, cutoff=0.5)
     return [by_lower[item] for item in found]

@@ -113,9 +113,11 @@ class Layout:
 def _opener(kind: BundleType) -> Callable[[Any], Any]:
     @intrinsic
     def open_bundle(_typing: Any, table: Any) -> Any:
-        """The bundle of a table of addresses."""
+        """The bundle of a table of addresses, or of the address of one (``table.ctypes.data``)."""
 
         def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            if isinstance(signature.args[0], types.Integer):
+                return builder.inttoptr(arguments[0], _WORD.as_pointer())
             return make_array(signature.args[0])(context, builder, value=arguments[0]).data
 
         return kind(table), build

@@ -19,8 +19,8 @@ its work and it holds nobody back.  Joints inside their range are never pinned.
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.loop import room
 from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.room import room
 from robot_ik.kernels.work import DAMPING, PRESSED
 
 # A joint with less room than this, rad or m, stands at its bound.
@@ -59,9 +59,9 @@ def prepare(tree, goal, work, clamp, alternative):
     with the frame's body: t in place of s in v × (s − p) (Buss 2004, section 2; Šimunić 2012, eq. 3.9).
     """
     if alternative > 0.0:
-        goal_jacobian(tree, goal, work.world, goal.target, work.residual, work.jacobian)
+        goal_jacobian(tree, goal, work, goal.target)
     else:
-        goal_jacobian(tree, goal, work.world, work.frames, work.residual, work.jacobian)
+        goal_jacobian(tree, goal, work, work.frames)
     clamp_residual(goal, work.residual, work.wanted, clamp)
     room(tree, goal, work)
 

@@ -104,6 +104,17 @@ def outlined(function: F) -> F:
     return _compile(function, _nrt=False)
 
 
+def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """The compiled code of an entry point, which takes arguments of the types of these and asks no more.
+
+    numba's own call looks at the type of each argument first, which costs a tenth of a microsecond.
+    """
+    types = tuple(numba.typeof(argument) for argument in arguments)
+    function.compile(types)
+    found: Callable[..., Any] = function.overloads[types].entry_point
+    return found
+
+
 def compiled(function: Any) -> bool:
     """Whether an entry point has been compiled on this machine, from these sources."""
     return any(cache_folder().rglob(f"*.{function.__name__}-*.nbi"))

@@ -9,6 +9,7 @@ import math
 
 from numba import types
 
+from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
@@ -194,6 +195,12 @@ def clip(tree, nodes, q):
 def tree_integrate(tree, nodes, q, dq):
     """``integrate`` for the table of a tree."""
     integrate(open_tree(tree), nodes, q, dq)
+
+
+@kernel
+def tree_follow(tree, q):
+    """``follow`` for the table of a tree."""
+    follow(open_tree(tree), q)
 
 
 @kernel

@@ -15,66 +15,96 @@ _ROUNDING = 1e-15
 
 
 @pure
-def cholesky_solve(matrix, rhs, index, size, factor, x):
-    """Solves M[I, I] x[I] = rhs[I], M symmetric positive definite, I the first ``size`` entries of ``index``.
+def eliminate(matrix, x, n):
+    """Solves M x = b by L D Lᵀ in place, M positive definite: b comes in ``x``, M's lower triangle is lost.
 
-    Only the lower triangle of ``matrix`` is read.  ``factor`` is work space.  Returns False when M[I, I]
-    is not positive definite to working precision (``x`` is then garbage).
+    Returns False when M is not positive definite to working precision (``x`` is then garbage).
     """
-    for a in range(size):
-        i = index[a]
-        for b in range(a + 1):
-            j = index[b]
-            s = matrix[i, j] if i >= j else matrix[j, i]
-            for c in range(b):
-                s -= factor[a, c] * factor[b, c]
-            if a == b:
-                if not s > 0.0:
-                    return False
-                factor[a, a] = 1.0 / math.sqrt(s)
-            else:
-                factor[a, b] = s * factor[b, b]
-    for a in range(size):
-        s = rhs[index[a]]
-        for c in range(a):
-            s -= factor[a, c] * x[index[c]]
-        x[index[a]] = s * factor[a, a]
-    for a in range(size - 1, -1, -1):
-        s = x[index[a]]
-        for c in range(a + 1, size):
-            s -= factor[c, a] * x[index[c]]
-        x[index[a]] = s * factor[a, a]
+    for k in range(n):
+        pivot = matrix[k, k]
+        if not pivot > 0.0:
+            return False
+        inverse = 1.0 / pivot
+        for i in range(k + 1, n):
+            share = matrix[i, k] * inverse
+            for j in range(k + 1, i + 1):
+                matrix[i, j] -= share * matrix[j, k]
+            x[i] -= share * x[k]
+        matrix[k, k] = inverse
+    for k in range(n - 1, -1, -1):
+        s = x[k]
+        for i in range(k + 1, n):
+            s -= matrix[i, k] * x[i]
+        x[k] = s * matrix[k, k]
     return True
 
 
 @pure
-def normal_equations(jacobian, residual, normal, gradient):
-    """normal = JᵀJ (lower triangle), gradient = Jᵀr."""
-    rows, n = jacobian.shape
-    for i in range(n):
-        s = 0.0
-        for r in range(rows):
-            s += jacobian[r, i] * residual[r]
-        gradient[i] = s
-        for j in range(i + 1):
-            s = 0.0
-            for r in range(rows):
-                s += jacobian[r, i] * jacobian[r, j]
-            normal[i, j] = s
-
-
-@pure
-def downhill(matrix, gradient, low, high, side, i):
-    """g[i] less what the joints at their bounds take of it through M."""
-    s = gradient[i]
-    for j in range(gradient.shape[0]):
-        if side[j] != 0:
-            s -= (matrix[i, j] if i >= j else matrix[j, i]) * (low[j] if side[j] < 0 else high[j])
-    return s
+def solve_definite(matrix, x):
+    """``eliminate`` for any size; for six and seven the compiler writes the loops out: half the time."""
+    n = x.shape[0]
+    if n == 6:
+        return eliminate(matrix, x, types.int64(6))
+    if n == 7:
+        return eliminate(matrix, x, types.int64(7))
+    return eliminate(matrix, x, n)
 
 
 @outlined
-def box_step(matrix, gradient, low, high, step, rhs, free, side, factor):
+def normal_equations(jacobian, residual, normal, gradient):
+    """normal = JᵀJ (lower triangle), gradient = Jᵀr."""
+    rows, n = jacobian.shape
+    if rows == 6:  # one pose: no loop over the rows
+        r0, r1, r2, r3, r4, r5 = residual[0], residual[1], residual[2], residual[3], residual[4], residual[5]
+        for i in range(n):
+            a0, a1, a2 = jacobian[0, i], jacobian[1, i], jacobian[2, i]
+            a3, a4, a5 = jacobian[3, i], jacobian[4, i], jacobian[5, i]
+            gradient[i] = a0 * r0 + a1 * r1 + a2 * r2 + a3 * r3 + a4 * r4 + a5 * r5
+            for j in range(i + 1):
+                normal[i, j] = (
+                    a0 * jacobian[0, j] + a1 * jacobian[1, j] + a2 * jacobian[2, j]
+                    + a3 * jacobian[3, j] + a4 * jacobian[4, j] + a5 * jacobian[5, j]
+                )  # fmt: skip
+        return
+    for i in range(n):
+        gradient[i] = 0.0
+        for j in range(i + 1):
+            normal[i, j] = 0.0
+    for r in range(rows):
+        for i in range(n):
+            a = jacobian[r, i]
+            if a != 0.0:  # in a tree most joints do not move most goals
+                gradient[i] += a * residual[r]
+                for j in range(i + 1):
+                    normal[i, j] += a * jacobian[r, j]
+
+
+@pure
+def pin(matrix, gradient, low, high, side, factor, step):
+    """The system of the free joints, in ``factor`` and ``step``: one at its bound has a row of its own."""
+    n = gradient.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+        step[i] = gradient[i]
+    for p in range(n):
+        if side[p] == 0:
+            continue
+        bound = low[p] if side[p] < 0 else high[p]
+        for j in range(p):
+            step[j] -= matrix[p, j] * bound
+            factor[p, j] = 0.0
+        for i in range(p + 1, n):
+            step[i] -= matrix[i, p] * bound
+            factor[i, p] = 0.0
+        factor[p, p] = 1.0
+    for p in range(n):
+        if side[p] != 0:
+            step[p] = low[p] if side[p] < 0 else high[p]
+
+
+@outlined
+def box_step(matrix, gradient, low, high, step, free, side, factor):
     """The step d that minimises ½ dᵀ M d − gᵀ d inside low <= d <= high, exactly.
 
     Block principal pivoting: guess which joints stop at a bound, solve for the others, then exchange all
@@ -87,7 +117,6 @@ def box_step(matrix, gradient, low, high, step, rhs, free, side, factor):
         low: (n,) lower bounds of the step, low <= 0.
         high: (n,) upper bounds, high >= 0.
         step: (n,) result.
-        rhs: (n,) work space.
         free: (n,) work space, int.
         side: (n,) work space, int: -1 at the lower bound, 1 at the upper, 0 free.
         factor: (n, n) work space.
@@ -106,17 +135,9 @@ def box_step(matrix, gradient, low, high, step, rhs, free, side, factor):
             side[i] = 1
     fewest, patience = n + 1, 3
     for _ in range(10 + 4 * n):
-        size = types.int64(0)
-        for i in range(n):
-            if side[i] == 0:
-                rhs[i] = downhill(matrix, gradient, low, high, side, i)
-                free[size] = i
-                size += 1
-        if not cholesky_solve(matrix, rhs, free, size, factor, step):
+        pin(matrix, gradient, low, high, side, factor, step)
+        if not solve_definite(factor, step):
             return -1
-        for i in range(n):
-            if side[i] != 0:
-                step[i] = low[i] if side[i] < 0 else high[i]
         wrong, last = 0, -1
         for i in range(n):
             free[i] = side[i]
@@ -125,8 +146,10 @@ def box_step(matrix, gradient, low, high, step, rhs, free, side, factor):
                     free[i] = -1 if step[i] < low[i] else 1
             elif high[i] > low[i]:
                 slope = gradient[i]
-                for j in range(n):
-                    slope -= (matrix[i, j] if i >= j else matrix[j, i]) * step[j]
+                for j in range(i + 1):
+                    slope -= matrix[i, j] * step[j]
+                for j in range(i + 1, n):
+                    slope -= matrix[j, i] * step[j]
                 if slope * side[i] < -1e-14 * steepest:
                     free[i] = 0
             if free[i] != side[i]:

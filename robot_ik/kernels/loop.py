@@ -8,32 +8,40 @@ A solver's kernel is five lines and its own step:
         ...                                  # its step: fills work.step (nu,)
         advance(tree, goal, work)
 
-Written once here: check before step, tolerance, budget, joint limits, restarts, stall, best so far,
-trace.  What changes during a solve lives in the arrays of ``work``.
+Written once here: check before step, measurement, tolerance, budget, joint limits, restarts, stall,
+best so far, trace.  What changes during a solve lives in the arrays of ``work``.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
-from numba import types
-
+from robot_ik.kernels.couplings import follow
+from robot_ik.kernels.draws import draw
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward, turn_quat
+from robot_ik.kernels.kinematics import clip, forward
 from robot_ik.kernels.residuals import evaluate
-from robot_ik.kernels.tree import BALL, FREE
+from robot_ik.kernels.room import apply_step
 from robot_ik.kernels.work import (
     ACCEPTED,
+    AWAITED,
     BEST_COST,
+    BEYOND,
     BLOCKED,
     CONVERGED,
     COST,
     DAMPING,
+    DRAW,
+    DRAWN,
+    DRAWS,
     FIRST_STEPS,
     FRESH,
     ITERATION_LIMIT,
     ITERATIONS,
+    LOWEST,
     MAX_ITERATIONS,
     MAX_RESTARTS,
+    NO_LIMIT,
+    NOTHING,
     NUMERICAL,
     PATIENCE,
     POLISHING,
@@ -41,13 +49,14 @@ from robot_ik.kernels.work import (
     PROGRESS,
     RESTARTS,
     RUNNING,
-    SEED,
     SLICE_END,
     STALLED,
     STALLS,
     STATUS,
+    STEP,
     STEP_NORM,
     TRACE_ROWS,
+    TRY,
     TRY_COST,
     TRY_LIMIT,
     TRY_STEPS,
@@ -62,25 +71,11 @@ _POLISH_STEPS = 100
 _POLISH_PROGRESS = 1e-9
 
 
-@pure
-def uniform(state):
-    """Next number in [0, 1): xorshift64* (Vigna 2016), so that a seed gives the same bits everywhere."""
-    x = types.uint64(state[SEED])
-    x ^= x >> types.uint64(12)
-    x ^= x << types.uint64(25)
-    x ^= x >> types.uint64(27)
-    state[SEED] = types.int64(x)
-    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (
-        1.0 / 9007199254740992.0
-    )
-
-
 @outlined
 def measure(tree, goal, work):
     """Forward pass and evaluation at work.q; returns whether all goals are within tolerance."""
-    world = work.world
-    forward(tree, work.nodes, work.q, world, work.scratch)
-    cost, within = evaluate(goal, world, work.frames, work.residual, work.miss)
+    forward(tree, work.nodes, work.q, work.world, work.scratch)
+    cost, within = evaluate(tree, goal, work)
     work.value[COST] = cost
     return within
 
@@ -109,47 +104,45 @@ def begin_try(work):
     value[ACCEPTED] = math.inf
 
 
+@pure
+def out_of_reach(target, reach):
+    """Whether some goal is proven unreachable: its place is outside the ball that its frame stays in."""
+    beyond = False
+    for g in range(reach.shape[0]):
+        x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
+        beyond = beyond or x * x + y * y + z * z > reach[g, 3] * reach[g, 3]
+    return beyond
+
+
+@pure
+def finite(q):
+    """Whether all numbers are."""
+    size = 0.0
+    for i in range(q.shape[0]):
+        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
+    return size < math.inf
+
+
 @outlined
 def begin(tree, goal, work):
-    """First call of a solve: put the start inside the limits and measure it.  Later calls go on."""
-    if work.state[STATUS] != FRESH:
+    """First call of a solve: put the start inside the limits.  Later calls go on."""
+    state = work.state
+    if state[STATUS] != FRESH:
         return
+    if not finite(work.start):
+        state[STATUS] = NUMERICAL
+        return
+    if state[BEYOND] == 1 or out_of_reach(goal.target, work.reach):  # no other start will help
+        state[BEYOND], state[MAX_RESTARTS], state[FIRST_STEPS] = 1, 0, NO_LIMIT
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
-    within = measure(tree, goal, work)
-    work.state[STATUS] = CONVERGED if within else RUNNING
-    keep_best(work)
-    begin_try(work)
+    follow(tree, work.q)
+    state[STATUS], state[AWAITED] = RUNNING, TRY
 
 
 @outlined
-def draw(tree, nodes, start, state, q):
-    """A random start for the joints that matter, inside their limits, into q; floats roam round ``start``."""
-    kind, qadr, vadr, low, high = tree.kind, tree.qadr, tree.vadr, tree.low, tree.high
-    for index in range(nodes.shape[0]):
-        k = nodes[index]
-        a, v = qadr[k], vadr[k]
-        joint = kind[k]
-        if joint < BALL:
-            q[a] = low[v] + (high[v] - low[v]) * uniform(state)
-            continue
-        if joint == FREE:
-            for i in range(3):
-                spread = low[v + i] + (high[v + i] - low[v + i]) * uniform(state)
-                q[a + i] = start[a + i] + spread
-            a, v = a + 3, v + 3
-        q[a], q[a + 1], q[a + 2], q[a + 3] = 1.0, 0.0, 0.0, 0.0
-        # A direction on the sphere and an angle in the cone.
-        z = 2.0 * uniform(state) - 1.0
-        around = 2.0 * math.pi * uniform(state)
-        angle = min(high[v], math.pi) * uniform(state)
-        r = angle * math.sqrt(max(0.0, 1.0 - z * z))
-        turn_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
-
-
-@outlined
-def next_try(tree, goal, work):
-    """Ends a descent: a random restart, then one last polish of the best; False when there is no more."""
+def next_try(tree, work):
+    """Ends a descent: random starts come next, then a polish of the best; False when there is no more."""
     state, value = work.state, work.value
     if state[POLISHING] == 1:
         # Out of tries: limits hold the best point, or nothing does but its own slope.
@@ -157,86 +150,23 @@ def next_try(tree, goal, work):
         return False
     if state[RESTARTS] < state[MAX_RESTARTS]:
         state[RESTARTS] += 1
-        draw(tree, work.nodes, work.start, state, work.q)
+        state[DRAWN] = 0
+        value[LOWEST] = math.inf
+        draw_next(tree, work)
     else:
         state[POLISHING] = 1
         copy(work.best, work.q)
-    if measure(tree, goal, work):
-        keep_best(work)
-        state[STATUS] = CONVERGED
-        return False
-    if value[COST] < value[BEST_COST] * (1.0 - _CLEARLY_BETTER):
-        keep_best(work)
-    begin_try(work)
+        state[AWAITED] = TRY
     return True
 
 
 @pure
-def proceed(tree, goal, work):
-    """Whether to take another step; handles budget, stalled tries and restarts."""
-    state = work.state
-    if state[STATUS] != RUNNING or state[ITERATIONS] >= state[SLICE_END]:
-        return False
-    if state[ITERATIONS] >= state[MAX_ITERATIONS]:
-        state[STATUS] = ITERATION_LIMIT
-        return False
-    if state[POLISHING] == 1:
-        limit = _POLISH_STEPS
-    elif state[RESTARTS] == 0:
-        limit = state[FIRST_STEPS]
-    else:
-        limit = state[TRY_LIMIT]
-    if state[TRY_STEPS] >= limit or state[STALLS] >= state[PATIENCE]:
-        return next_try(tree, goal, work)
-    return True
-
-
-@outlined
-def apply_step(tree, dofs, nodes, step, dq, q):
-    """q = q ⊕ step for the degrees of freedom ``dofs``, then inside the limits; ``dq`` is work space."""
-    kind, qadr, vadr, dof_node, lower, upper = (
-        tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
-    )  # fmt: skip
-    floating = False
-    for u in range(dofs.shape[0]):
-        v = dofs[u]
-        k = dof_node[v]
-        if kind[k] < BALL:
-            a = qadr[k]
-            q[a] = min(max(q[a] + step[u], lower[v]), upper[v])
-        else:
-            floating = True
-            dq[v] = step[u]
-    if not floating:
-        return
-    for index in range(nodes.shape[0]):
-        k = nodes[index]
-        if kind[k] < BALL:
-            continue
-        a, v = qadr[k], vadr[k]
-        if kind[k] == FREE:
-            for i in range(3):
-                q[a + i] += dq[v + i]
-            a, v = a + 3, v + 3
-        turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
-    clip(tree, nodes, q)
-
-
-@pure
-def room(tree, goal, work):
-    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high."""
-    kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
-    dofs, q, low, high = goal.dofs, work.q, work.low, work.high
-    for u in range(dofs.shape[0]):
-        v = dofs[u]
-        k = dof_node[v]
-        if kind[k] < BALL:
-            low[u] = min(lower[v] - q[qadr[k]], 0.0)
-            high[u] = max(upper[v] - q[qadr[k]], 0.0)
-        else:
-            # A ball's cone is kept by projection after the step; here a step stays below half a turn.
-            low[u] = -3.0
-            high[u] = 3.0
+def draw_next(tree, work):
+    """One more random start into work.q."""
+    draw(tree, work.nodes, work.start, work.state, work.q)
+    follow(tree, work.q)
+    work.state[DRAWN] += 1
+    work.state[AWAITED] = DRAW
 
 
 @outlined
@@ -260,34 +190,86 @@ def record(state, value, miss, trace):
 
 
 @outlined
-def advance(tree, goal, work):
-    """Takes work.step: integrate, limits, measure, best so far, stall, trace."""
-    state, value, step = work.state, work.value, work.step
-    norm = 0.0
-    for u in range(step.shape[0]):
-        norm += step[u] * step[u]
-    value[STEP_NORM] = math.sqrt(norm)
-    apply_step(tree, goal.dofs, work.nodes, step, work.dq, work.q)
-    within = measure(tree, goal, work)
-    state[ITERATIONS] += 1
-    state[TRY_STEPS] += 1
-    if work.trace.shape[0] > 0:
-        record(state, value, work.miss, work.trace)
-    cost = value[COST]
-    if not cost < math.inf:  # NaN too
-        state[STATUS] = NUMERICAL
-        return
+def judge(tree, work, within):
+    """What a measurement of work.q means: converged, best so far, progress, or which random start to take."""
+    state, value = work.state, work.value
+    awaited, cost = state[AWAITED], value[COST]
+    state[AWAITED] = NOTHING
+    if awaited == STEP:
+        state[ITERATIONS] += 1
+        state[TRY_STEPS] += 1
+        if work.trace.shape[0] > 0:
+            record(state, value, work.miss, work.trace)
+        if not cost < math.inf:  # NaN too
+            state[STATUS] = NUMERICAL
+            return
     if within:
         state[STATUS] = CONVERGED
         keep_best(work)
         return
+    if awaited == DRAW:
+        if cost < value[LOWEST]:
+            value[LOWEST] = cost
+            copy(work.q, work.candidate)
+        if state[DRAWN] < state[DRAWS]:
+            draw_next(tree, work)
+            return
+        if value[LOWEST] < cost:
+            copy(work.candidate, work.q)
+            state[AWAITED] = TRY
+            return
     same_try = state[RESTARTS] == 0 or state[POLISHING] == 1
-    bar = value[BEST_COST] if same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
-    if cost < bar:
+    first = awaited != STEP and same_try and state[POLISHING] == 0
+    bar = value[BEST_COST] if awaited == STEP and same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
+    if first or cost < bar:
         keep_best(work)
+    if awaited != STEP:
+        begin_try(work)
+        return
     progress = _POLISH_PROGRESS if state[POLISHING] == 1 else value[PROGRESS]
     if cost < value[TRY_COST] * (1.0 - progress):
         value[TRY_COST] = cost
         state[STALLS] = 0
     else:
         state[STALLS] += 1
+
+
+@outlined
+def proceed(tree, goal, work):
+    """Whether to take another step; measures where the last one led, handles budget, stalled tries, restarts.
+
+    This is the one place where a solver measures: what it calls is large, and would be compiled once more
+    for each other.
+    """
+    state = work.state
+    while state[STATUS] == RUNNING:
+        if state[AWAITED] != NOTHING:
+            judge(tree, work, measure(tree, goal, work))
+            continue
+        if state[ITERATIONS] >= state[SLICE_END]:
+            return False
+        if state[ITERATIONS] >= state[MAX_ITERATIONS]:
+            state[STATUS] = ITERATION_LIMIT
+            return False
+        if state[POLISHING] == 1:
+            limit = _POLISH_STEPS
+        elif state[RESTARTS] == 0:
+            limit = state[FIRST_STEPS]
+        else:
+            limit = state[TRY_LIMIT]
+        if state[TRY_STEPS] < limit and state[STALLS] < state[PATIENCE]:
+            return True
+        if not next_try(tree, work):
+            return False
+    return False
+
+
+@outlined
+def advance(tree, goal, work):
+    """Takes work.step, inside the limits; ``proceed`` then measures where that has led."""
+    norm = 0.0
+    for u in range(work.step.shape[0]):
+        norm += work.step[u] * work.step[u]
+    work.value[STEP_NORM] = math.sqrt(norm)
+    apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
+    work.state[AWAITED] = STEP

@@ -7,12 +7,14 @@ T-SMC 7(12), 1977): d = J⁺ e + (I − J⁺J) φ, φ the slope of what is wante
 
 import math
 
+from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.jacobian_step import AT_BOUND, volume
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.jit import outlined
 from robot_ik.kernels.kinematics import integrate
 from robot_ik.kernels.linalg import svd
 from robot_ik.kernels.loop import copy, measure
 from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.rotation_rows import rotation_back
 from robot_ik.kernels.tree import BALL, FREE
 
 # What the null space is used for; ``AIMS[code]`` is the name of the option.
@@ -23,20 +25,6 @@ NONE, REST, LIMITS, MANIPULABILITY = range(4)
 _PROBE = 1e-4
 # Half a range of this size, rad or m, is none.
 _UNLIMITED = 1e9
-
-
-@pure
-def rotation_back(q, a, rest, b):
-    """Rotation vector, body axes, that turns the quaternion q[a:a+4] into rest[b:b+4], the short way."""
-    w = q[a] * rest[b] + q[a + 1] * rest[b + 1] + q[a + 2] * rest[b + 2] + q[a + 3] * rest[b + 3]
-    x = q[a] * rest[b + 1] - q[a + 1] * rest[b] - q[a + 2] * rest[b + 3] + q[a + 3] * rest[b + 2]
-    y = q[a] * rest[b + 2] + q[a + 1] * rest[b + 3] - q[a + 2] * rest[b] - q[a + 3] * rest[b + 1]
-    z = q[a] * rest[b + 3] - q[a + 1] * rest[b + 2] + q[a + 2] * rest[b + 1] - q[a + 3] * rest[b]
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
-    sine = math.sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
-    return scale * x, scale * y, scale * z
 
 
 @outlined
@@ -52,7 +40,7 @@ def towards(tree, dofs, q, rest, dq, aim):
             for i in range(3):
                 dq[v + i] = rest[a + i] - q[a + i]
             a, v = a + 3, v + 3
-        dq[v], dq[v + 1], dq[v + 2] = rotation_back(q, a, rest, a)
+        dq[v], dq[v + 1], dq[v + 2] = rotation_back(q, a, rest[a], rest[a + 1], rest[a + 2], rest[a + 3])
     for u in range(dofs.shape[0]):
         aim[u] = dq[dofs[u]]
 
@@ -90,9 +78,9 @@ def off_limits(tree, dofs, q, dq, aim):
 @outlined
 def manipulability(tree, goal, work):
     """Yoshikawa's measure at the pose in work.world, of the weighted Jacobian of all goals."""
-    for r in range(work.rhs.shape[0]):
-        work.rhs[r] = 0.0  # no residual: the geometric Jacobian, which knows of no target
-    goal_jacobian(tree, goal, work.world, work.frames, work.rhs, work.jacobian)
+    for r in range(work.residual.shape[0]):
+        work.residual[r] = 0.0  # the geometric Jacobian, which knows of no target
+    goal_jacobian(tree, goal, work, work.frames)
     svd(work.jacobian, work.left, work.sigma, work.right)
     return volume(work.sigma)
 
@@ -109,11 +97,12 @@ def dexterous(tree, goal, work):
         for side in (-_PROBE, _PROBE):
             dq[dofs[u]] = side
             integrate(tree, work.nodes, work.q, dq)
+            follow(tree, work.q)
             measure(tree, goal, work)
             slope += manipulability(tree, goal, work) / (2.0 * side)
             copy(work.accepted, work.q)
         dq[dofs[u]] = 0.0
-        work.aim[u] = slope
+        work.aim[u] = goal.ease[u] * slope
     measure(tree, goal, work)
 
 
@@ -125,10 +114,15 @@ def set_aim(tree, goal, work, code, gain):
     constant one would keep the goal from ever being met to many decimals.
     """
     aim, q = work.aim, work.q
+    ease = goal.ease
     if code == REST:
         towards(tree, goal.dofs, q, work.rest, work.dq, aim)
+        for u in range(aim.shape[0]):
+            aim[u] /= ease[u]
     elif code == LIMITS:
         off_limits(tree, goal.dofs, q, work.dq, aim)
+        for u in range(aim.shape[0]):
+            aim[u] *= ease[u]
     elif code == MANIPULABILITY:
         dexterous(tree, goal, work)
     else:

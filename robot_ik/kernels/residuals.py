@@ -3,87 +3,71 @@
 A goal owns some rows of the residual r = (what is wanted) − (what is), weighted; its Jacobian rows are
 those of the frame's motion, so that J dq ≈ r is the step wanted.  The *miss* is unweighted, in metres
 and radians, and decides convergence.
+
+Columns belong to ``goal.dofs``.  A joint that is *tied* to another has no column: what it does is added
+to that of its leader.  A stiff joint's column is shortened by ``goal.ease``, and ``apply_step`` shortens
+the step by the same: minimising the damped step then spares the joint (weighted least squares,
+Whitney, J. Dynamic Systems, Measurement and Control 94(4), 1972).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
 from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.couplings import slope_of
+from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity
+from robot_ik.kernels.partial_rows import partial_column, partial_rows
+from robot_ik.kernels.rotation_rows import bent, curvature, inverse_right_jacobian, rotation_error
 from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.work import open_work
 
-POSITION, ORIENTATION, POSE = 0, 1, 2
-ROWS_OF = {POSITION: 3, ORIENTATION: 3, POSE: 6}
+# Whole positions, orientations and poses of a frame have a path of their own; ``partial_rows`` has the rest.
+POSITION, ORIENTATION, POSE, PARTIAL = 0, 1, 2, 3
 
 
 GOALS = Layout(
     "Goals",
-    kind="ints",  # (g,) POSITION, ORIENTATION, POSE
+    kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL
+    how="int_table",  # (g, HOW_SIZE) which rows a PARTIAL goal makes, see ``partial_rows``
     row="ints",  # (g,) first row of its residual
+    level="ints",  # (g,) its place in the order of priorities, 0 first
     node="ints",  # (g,) node that carries its frame, -1 = world
     local="table",  # (g, 12) frame seen from the node
     target="table",  # (g, 12) wanted pose, world
+    mask="table",  # (g, 3) which coordinates count, in the axes of the target
     weight="table",  # (g, 2) on metres (already over the length scale) and on radians
     tolerance="table",  # (g, 2) metres, radians
     dofs="ints",  # (nu,) degrees of freedom that move any goal
     moves="int_table",  # (g, nu) does this one move that goal
+    ease="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
+    tied="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is tied
+    tied_moves="int_table",  # (g, c) does the tied one move that goal
+    masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
+    moments="table",  # … and their work space
+    posture="table",  # (g, nq) where a posture wants the joints
+    joint_weight="table",  # (g, nv) and how much each counts
 )
 open_goals = GOALS.open
 
 
 @outlined
-def rotation_error(target, current, g, out, at):
-    """Rotation vector, world axes, that turns current[g] into target[g] (pose rows), into out[at:at+3].
-
-    Returns its angle in [0, pi].  Exact at both ends: near pi the axis comes from the symmetric part.
-    """
-    # M = R_target · R_currentᵀ, of which only what is needed is formed.
-    m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
-    m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
-    m02 = target[g, 3] * current[g, 9] + target[g, 4] * current[g, 10] + target[g, 5] * current[g, 11]
-    m10 = target[g, 6] * current[g, 3] + target[g, 7] * current[g, 4] + target[g, 8] * current[g, 5]
-    m11 = target[g, 6] * current[g, 6] + target[g, 7] * current[g, 7] + target[g, 8] * current[g, 8]
-    m12 = target[g, 6] * current[g, 9] + target[g, 7] * current[g, 10] + target[g, 8] * current[g, 11]
-    m20 = target[g, 9] * current[g, 3] + target[g, 10] * current[g, 4] + target[g, 11] * current[g, 5]
-    m21 = target[g, 9] * current[g, 6] + target[g, 10] * current[g, 7] + target[g, 11] * current[g, 8]
-    m22 = target[g, 9] * current[g, 9] + target[g, 10] * current[g, 10] + target[g, 11] * current[g, 11]
-    x, y, z = 0.5 * (m21 - m12), 0.5 * (m02 - m20), 0.5 * (m10 - m01)
-    sine = math.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (m00 + m11 + m22 - 1.0)
-    angle = math.atan2(sine, cosine)
-    if cosine > -0.9:
-        scale = 1.0 + sine * sine / 6.0 if sine < 1e-6 else angle / sine
-        out[at], out[at + 1], out[at + 2] = scale * x, scale * y, scale * z
-        return angle
-    # u uᵀ (1 − cos) = symmetric part of M − cos·1: take its largest column as the axis.
-    s00, s11, s22 = m00 - cosine, m11 - cosine, m22 - cosine
-    s01, s02, s12 = 0.5 * (m01 + m10), 0.5 * (m02 + m20), 0.5 * (m12 + m21)
-    if s00 >= s11 and s00 >= s22:
-        u, v, w = s00, s01, s02
-    elif s11 >= s22:
-        u, v, w = s01, s11, s12
-    else:
-        u, v, w = s02, s12, s22
-    norm = math.sqrt(u * u + v * v + w * w)
-    if u * x + v * y + w * z < 0.0:
-        norm = -norm
-    scale = angle / norm
-    out[at], out[at + 1], out[at + 2] = scale * u, scale * v, scale * w
-    return angle
-
-
-@outlined
-def evaluate(goal, world, frames, residual, miss):
+def evaluate(tree, goal, work):
     """Frames, residual and miss of all goals from the node poses; returns (½ |r|², all within tolerance)."""
     cost = 0.0
     within = True
     kinds, rows, nodes, local = goal.kind, goal.row, goal.node, goal.local
     target, weight, tolerance = goal.target, goal.weight, goal.tolerance
+    world, frames, residual, miss = work.world, work.frames, work.residual, work.miss
     for g in range(kinds.shape[0]):
+        kind = kinds[g]
+        if kind == PARTIAL:
+            square, met = partial_rows(tree, goal, work, g)
+            cost += square
+            within = within and met
+            continue
         frame_pose(world, nodes[g], local, g, frames)
         row = rows[g]
-        kind = kinds[g]
         if kind != ORIENTATION:
             x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
             w = weight[g, 0]
@@ -105,60 +89,105 @@ def evaluate(goal, world, frames, residual, miss):
     return 0.5 * cost, within
 
 
-@pure
-def inverse_right_jacobian(x, y, z, a, b, c):
-    """J_r⁻¹(φ) ω for φ = (x, y, z), ω = (a, b, c): ω + ½ φ×ω + k φ×(φ×ω).
-
-    How φ = log(R_target R_currentᵀ) shrinks while the current frame turns with ω; J_r is the right
-    Jacobian of SO(3) (Solà et al., A micro Lie theory for state estimation, 2018, eq. 144).
-    """
-    square = x * x + y * y + z * z
-    if square < 1e-6:
-        k = 1.0 / 12.0 + square / 720.0
-    else:
-        angle = math.sqrt(square)
-        k = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / square
-    p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
-    return (
-        a + 0.5 * p + k * (y * r - z * q),
-        b + 0.5 * q + k * (z * p - x * r),
-        c + 0.5 * r + k * (x * q - y * p),
-    )
+@outlined
+def column(tree, goal, work, points, u, v, moved, at):
+    """Column ``u`` of the weighted Jacobian for degree of freedom ``v``; moved[g, at] says what it moves."""
+    kinds, rows, weight, world = goal.kind, goal.row, goal.weight, work.world
+    residual, jacobian = work.residual, work.jacobian
+    k = tree.dof_node[v]
+    ax, ay, az, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
+    for g in range(kinds.shape[0]):
+        row = rows[g]
+        what = kinds[g]
+        moves = float(moved[g, at])
+        if what == PARTIAL:
+            partial_column(tree, goal, work, g, u, v, moves)
+            continue
+        if what != ORIENTATION:
+            w = weight[g, 0] * moves
+            x, y, z = point_velocity(world, k, ax, ay, az, turn, points[g, 0], points[g, 1], points[g, 2])
+            jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
+            row += 3
+        if what != POSITION:
+            w = weight[g, 1]
+            s = 1.0 / w if w != 0.0 else 0.0
+            x, y, z = inverse_right_jacobian(
+                s * residual[row], s * residual[row + 1], s * residual[row + 2], ax, ay, az
+            )
+            w *= moves if turn else 0.0
+            jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
 
 
 @outlined
-def goal_jacobian(tree, goal, world, frames, residual, jacobian):
-    """Weighted Jacobian (m, nu) with J dq ≈ r: minus the derivative of the residual, exact."""
-    joint, vadr, dof_node = tree.kind, tree.vadr, tree.dof_node
-    kinds, rows, weight, dofs, moved = goal.kind, goal.row, goal.weight, goal.dofs, goal.moves
+def whole_columns(tree, goal, work, points, g):
+    """All columns of a whole position, orientation or pose: what ``column`` does, without asking again."""
+    kind, vadr, dof_node, dofs, moved = tree.kind, tree.vadr, tree.dof_node, goal.dofs, goal.moves
+    world, residual, jacobian = work.world, work.residual, work.jacobian
+    row, what = goal.row[g], goal.kind[g]
+    turned = row if what == ORIENTATION else row + 3
+    px, py, pz = points[g, 0], points[g, 1], points[g, 2]
+    metre, radian = goal.weight[g, 0], goal.weight[g, 1]
+    rx, ry, rz, bend = 0.0, 0.0, 0.0, 0.0
+    if what != POSITION:
+        s = 1.0 / radian if radian != 0.0 else 0.0
+        rx, ry, rz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
+        bend = curvature(rx, ry, rz)
     for u in range(dofs.shape[0]):
         v = dofs[u]
         k = dof_node[v]
-        ax, ay, az, turn = dof_axis(joint, world, k, v - vadr[k])
-        for g in range(kinds.shape[0]):
-            row = rows[g]
-            what = kinds[g]
-            moves = float(moved[g, u])
-            if what != ORIENTATION:
-                w = weight[g, 0] * moves
-                x, y, z = point_velocity(world, k, ax, ay, az, turn, frames[g, 0], frames[g, 1], frames[g, 2])
-                jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
-                row += 3
-            if what != POSITION:
-                w = weight[g, 1]
-                s = 1.0 / w if w != 0.0 else 0.0
-                x, y, z = inverse_right_jacobian(
-                    s * residual[row], s * residual[row + 1], s * residual[row + 2], ax, ay, az
-                )
-                w *= moves if turn else 0.0
-                jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
+        ax, ay, az, turn = dof_axis(kind, world, k, v - vadr[k])
+        moves = float(moved[g, u])
+        if what != ORIENTATION:
+            w = metre * moves
+            x, y, z = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
+            jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
+        if what != POSITION:
+            w = radian * moves if turn else 0.0
+            x, y, z = bent(rx, ry, rz, bend, ax, ay, az)
+            jacobian[turned, u], jacobian[turned + 1, u], jacobian[turned + 2, u] = w * x, w * y, w * z
+
+
+@outlined
+def add_tied(tree, goal, work, points):
+    """Adds what the tied joints do to the columns of their leaders."""
+    jacobian, kept = work.jacobian, work.column
+    for c in range(goal.tied.shape[0]):
+        coupling, u, v = goal.tied[c, 0], goal.tied[c, 1], goal.tied[c, 2]
+        slope = slope_of(tree, coupling, work.q)
+        for r in range(jacobian.shape[0]):
+            kept[r] = jacobian[r, u]
+        column(tree, goal, work, points, u, v, goal.tied_moves, c)
+        for r in range(jacobian.shape[0]):
+            jacobian[r, u] = kept[r] + slope * jacobian[r, u]
+
+
+@outlined
+def goal_jacobian(tree, goal, work, points):
+    """Weighted Jacobian (m, nu) with J dq ≈ r: minus the derivative of the residual, exact.
+
+    ``points`` (g, 12) are the poses whose origins the position rows move: work.frames, or goal.target
+    for the alternative Jacobian.
+    """
+    dofs, ease, jacobian = goal.dofs, goal.ease, work.jacobian
+    for g in range(goal.kind.shape[0]):
+        if goal.kind[g] != PARTIAL:
+            whole_columns(tree, goal, work, points, g)
+            continue
+        for u in range(dofs.shape[0]):
+            partial_column(tree, goal, work, g, u, dofs[u], float(goal.moves[g, u]))
+    if goal.tied.shape[0] > 0:
+        add_tied(tree, goal, work, points)
+    for u in range(dofs.shape[0]):
+        if ease[u] != 1.0:
+            for r in range(jacobian.shape[0]):
+                jacobian[r, u] *= ease[u]
 
 
 @kernel
-def residual_and_jacobian(tree, goals, nodes, q, world, frames, scratch, residual, miss, jacobian):
-    """For tests: fills residual (m,), miss (g, 2) and jacobian (m, nu) at q; returns the cost."""
-    tree, goal = open_tree(tree), open_goals(goals)
-    forward(tree, nodes, q, world, scratch)
-    cost, _ = evaluate(goal, world, frames, residual, miss)
-    goal_jacobian(tree, goal, world, frames, residual, jacobian)
+def residual_and_jacobian(tree, goals, work):
+    """For tests: residual (m,), miss (g, 2), jacobian (m, nu) at the work space's q; returns the cost."""
+    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    forward(tree, work.nodes, work.q, work.world, work.scratch)
+    cost, _ = evaluate(tree, goal, work)
+    goal_jacobian(tree, goal, work, work.frames)
     return cost

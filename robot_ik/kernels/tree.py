@@ -42,6 +42,8 @@ TREE = Layout(
     high="floats",  # (nv,)
     dof_node="ints",  # (nv,) node of each degree of freedom
     every="ints",  # (n,) 0, 1, …: the list of all nodes
+    tied="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``couplings``
+    law="table",  # (c, 7) q₀ of the two, a₀ … a₄
 )
 open_tree = TREE.open
 
@@ -53,6 +55,7 @@ class Tree:
     Attributes:
         joint_ids: (n,) MuJoCo joint of each node, in the order of the nodes.
         nq, nv: Length of q and of dq.
+        tied, law: Joints that follow another, see ``couplings.py``.
         handle: Their packed table; holds addresses, so it is only good while this tree lives.
     """
 
@@ -68,6 +71,8 @@ class Tree:
     high: Array
     nq: int
     nv: int
+    tied: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    law: Array = field(default_factory=lambda: np.zeros((0, 7)))
     dof_node: Ints = field(init=False)
     every: Ints = field(init=False)
     handle: Ints = field(init=False, repr=False)
@@ -79,6 +84,8 @@ class Tree:
         arrays["constant"] = np.array(self.constant, dtype=float).reshape(-1, 12)
         for name in ("lower", "upper", "low", "high"):
             arrays[name] = np.array(getattr(self, name), dtype=float)
+        arrays["tied"] = np.array(self.tied, dtype=np.int64).reshape(-1, 2)
+        arrays["law"] = np.array(self.law, dtype=float).reshape(-1, 7)
         widths = [V_WIDTH[int(kind)] for kind in arrays["kind"]]
         arrays["dof_node"] = np.repeat(np.arange(len(widths)), widths).astype(np.int64)
         arrays["every"] = np.arange(len(widths), dtype=np.int64)

@@ -9,12 +9,18 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 
 # Entries of work.state (int64).
 (
-    STATUS, ITERATIONS, RESTARTS, TRY_STEPS, STALLS, PRESSED, POLISHING, TRACE_ROWS,
-    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, SLICE_END, SEED, STATE_SIZE,
-) = range(16)  # fmt: skip
+    STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
+    MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
+    STAGE, STATE_SIZE,
+) = range(21)  # fmt: skip
+# What Python asks for after a solve: the first five.
+OUTCOME = slice(STATUS, BEYOND + 1)
 
 # Entries of work.value (float64).
-COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, VALUE_SIZE = range(8)
+COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, LOWEST, VALUE_SIZE = range(9)
+
+# What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
+NOTHING, STEP, DRAW, TRY = range(4)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
@@ -30,6 +36,8 @@ WORK = Layout(
     q="floats",  # (nq,) where the solver is
     best="floats",  # (nq,) best so far
     accepted="floats",  # (nq,) free for a solver that may reject a step
+    candidate="floats",  # (nq,) the best of several random starts
+    reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
     nodes="ints",  # joints that move any goal, parents first
     world="table",  # (n, 12) node poses
     scratch="table",  # (2, 12)
@@ -37,6 +45,7 @@ WORK = Layout(
     residual="floats",  # (m,)
     miss="table",  # (g, 2) metres, radians
     jacobian="table",  # (m, nu)
+    column="floats",  # (m,) work space of the Jacobian
     normal="table",  # (nu, nu)
     damped="table",  # (nu, nu)
     factor="table",  # (k, k), k = max(m, nu)
@@ -54,6 +63,16 @@ WORK = Layout(
     right="table",  # (p, nu) singular vectors v
     aim="floats",  # (nu,) where the null space should go
     rest="floats",  # (nq,) the robot's home, an aim
+    level_cost="floats",  # (levels,) cost of the goals of each priority; empty where all are equal
+    level_bar="floats",  # (levels,) what it was when the next level began, -1 = met
+    level_best="floats",  # (levels,) the same of the best so far
+    basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
+    own="table",  # (m, nu) rows of a level less their part in the basis
+    gram="table",  # (m, m)
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open
+
+# All that a run needs, as one number: the address of its table.
+RUN = Layout("Run", tree="int_table", goals="int_table", work="int_table", options="floats")
+open_run = RUN.open

@@ -11,7 +11,7 @@ from dataclasses import fields
 from typing import Any
 
 from robot_ik.errors import ConfigError, UnknownSolverError, close_matches
-from robot_ik.goals import Goal
+from robot_ik.problem import Problem
 from robot_ik.solvers.base import Solver
 
 # name -> module and class; a method is imported when it is first used.
@@ -81,6 +81,6 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
     return kind(**options)
 
 
-def able_solvers(goal: type[Goal]) -> tuple[str, ...]:
-    """Names of the methods that serve a kind of goal."""
-    return tuple(name for name in SOLVERS if issubclass(goal, SOLVERS[name].goals))
+def able_solvers(problem: Problem) -> tuple[str, ...]:
+    """Names of the methods that can try a problem."""
+    return tuple(name for name in SOLVERS if SOLVERS[name]().applies(problem))

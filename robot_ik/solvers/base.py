@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.goals import GOALS, Goal
-from robot_ik.kernels import jit, work
-from robot_ik.problem import Budget, Problem
-from robot_ik.solution import STATUS_OF, Solution, Status
+from robot_ik.kernels import work
+from robot_ik.problem import Problem
+from robot_ik.solution import STATUS_OF, Solution
+from robot_ik.solvers.ready import Ready
 
 Array = NDArray[np.float64]
 
@@ -69,12 +70,16 @@ class Solver(ABC):
         name: Its key in ``SOLVERS``.
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
+        parts: Whether it also serves goals that ask for single coordinates or axes only.
+        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``.
     """
 
     name: ClassVar[str] = ""
     title: ClassVar[str] = ""
     source: ClassVar[str] = ""
     goals: ClassVar[tuple[type[Goal], ...]] = GOALS
+    parts: ClassVar[bool] = False
+    honours: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -92,19 +97,28 @@ class Solver(ABC):
 
     def supports(self, goal: Goal) -> bool:
         """Whether it serves this kind of goal."""
-        return isinstance(goal, self.goals)
+        return isinstance(goal, self.goals) and (self.parts or goal.rows.whole)
 
     def applies(self, problem: Problem) -> bool:
         """Whether it can try this problem at all."""
-        return all(self.supports(goal) for goal in problem.goals)
+        return not self.beyond(problem)
+
+    def beyond(self, problem: Problem) -> str:
+        """What of the problem it cannot serve, in words; empty when nothing is."""
+        for goal in problem.goals:
+            if not self.supports(goal):
+                part = isinstance(goal, self.goals)
+                return f"a {goal.name}" + (" that asks for single axes only" if part else "")
+        for feature in sorted(problem.features - self.honours):
+            return _FEATURES[feature]
+        return ""
 
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
-        for goal in problem.goals:
-            if not self.supports(goal):
-                from robot_ik.solvers import able_solvers
+        if beyond := self.beyond(problem):
+            from robot_ik.solvers import able_solvers
 
-                raise UnsupportedGoalError(self.name, f"a {goal.name}", able_solvers(type(goal)))
+            raise UnsupportedGoalError(self.name, beyond, able_solvers(problem))
 
     @abstractmethod
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
@@ -123,18 +137,12 @@ class Solver(ABC):
             answers.miss[row] = solution.miss.position, solution.miss.angle
 
 
-@dataclass(frozen=True, eq=False)
-class _Ready:
-    """What a solver needs for every solve of one problem, made once: the hot loop only copies it.
-
-    ``asked`` are the solver, budget and seed that it was made for.
-    """
-
-    asked: tuple[Solver, Budget, int]
-    kernel: Callable[..., None]
-    arguments: tuple[Any, ...]
-    state: NDArray[np.int64]
-    value: Array
+# What a problem may ask for beside its goals, in words.
+_FEATURES = {
+    "couplings": "joints that follow others",
+    "priorities": "goals of different priorities",
+    "stiffness": "joints of different stiffness",
+}
 
 
 @dataclass(frozen=True)
@@ -146,10 +154,15 @@ class IterativeSolver(Solver):
     try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
 
     @abstractmethod
     def kernel(self) -> Callable[..., None]:
         """The compiled loop: takes tree, goals, work, options."""
+
+    def kernel_for(self, problem: Problem) -> Callable[..., None]:
+        """The compiled loop that this problem needs, where there are several."""
+        return self.kernel()
 
     @abstractmethod
     def parameters(self) -> tuple[float, ...]:
@@ -159,53 +172,47 @@ class IterativeSolver(Solver):
     def _options(self) -> Array:
         return np.array(self.parameters(), dtype=float)
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        robot, arrays = problem.robot, problem.arrays
-        q = robot.home if start is None else robot.check_q(start, "start")
-        ready = self._ready(problem)
-        began = time.perf_counter()
-        state = arrays["state"]
-        np.copyto(state, ready.state)
-        np.copyto(arrays["value"], ready.value)
-        np.copyto(arrays["start"], q)
-        unreachable = problem.out_of_reach()
-        if unreachable:  # the proof says that no start will help
-            state[work.MAX_RESTARTS], state[work.FIRST_STEPS] = 0, work.NO_LIMIT
-        seconds = problem.budget.seconds
-        if seconds is None:
-            ready.kernel(*ready.arguments)
-        else:
-            self._in_slices(ready.kernel, ready.arguments, state, began + seconds)
-        took = time.perf_counter() - began
-        status = STATUS_OF[int(state[work.STATUS])]
-        if unreachable and status is not Status.CONVERGED:
-            status = Status.UNREACHABLE
-        rows = int(state[work.TRACE_ROWS])
-        return Solution(
-            q=arrays["best"].copy(),
-            status=status,
-            iterations=int(state[work.ITERATIONS]),
-            restarts=int(state[work.RESTARTS]),
-            seconds=took,
-            solver=self.name,
-            robot=robot,
-            goals=tuple(problem.goals),
-            targets=problem.target.copy(),
-            trace_rows=arrays["trace"][:rows].copy() if rows else None,
-        )
+    def arguments(self, problem: Problem) -> tuple[Any, ...]:
+        """What the kernel takes for a problem."""
+        return problem.robot.tree.handle, problem.handle, problem.work, self._options
 
-    def _ready(self, problem: Problem) -> _Ready:
-        ready: _Ready | None = problem.prepared.get("steps")
-        asked = (self, problem.budget, problem.seed)
-        if ready is not None and all(a is b for a, b in zip(ready.asked, asked, strict=True)):
-            return ready
+    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+        # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
+        ready: Ready | None = problem.prepared.get("steps")
+        if (
+            ready is None
+            or ready.solver is not self
+            or ready.budget is not problem.budget
+            or ready.seed != problem.seed
+        ):
+            ready = self._get_ready(problem)
+        if type(start) is np.ndarray and start.shape == ready.shape:
+            ready.start[...] = start  # the kernel asks whether it is finite
+        else:
+            ready.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
+        began = time.perf_counter()
+        ready.state[...], ready.value[...] = ready.fresh
+        if ready.walls and problem.out_of_reach():
+            ready.state[work.BEYOND] = 1
+        if ready.budget.seconds is None:
+            ready.run(*ready.arguments)
+        else:
+            self._in_slices(ready.run, ready.arguments, ready.state, began + ready.budget.seconds)
+        status, iterations, restarts, rows, beyond = ready.outcome.tolist()
+        if status == work.NUMERICAL:
+            problem.robot.check_q(ready.start, "start")
+        elif beyond and status != work.CONVERGED:
+            status = work.UNREACHABLE
+        return Solution(
+            ready.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
+            self.name, problem.robot, tuple(problem.goals), ready.target.copy(),
+            problem.arrays["trace"][:rows].copy() if rows else None,
+        )  # fmt: skip
+
+    def _get_ready(self, problem: Problem) -> Ready:
         self.require_support(problem)
-        kernel = self.kernel()
-        jit.announce(kernel, f"solver {self.name!r}")
         self._set_state(problem)
-        arguments = (problem.robot.tree.handle, problem.handle, problem.work, self._options)
-        state, value = problem.arrays["state"].copy(), problem.arrays["value"].copy()
-        ready = _Ready(asked, kernel, arguments, state, value)
+        ready = Ready(self, problem)
         problem.prepared["steps"] = ready
         return ready
 
@@ -220,6 +227,7 @@ class IterativeSolver(Solver):
         state[work.FIRST_STEPS] = self.first_steps if restarts else work.NO_LIMIT
         state[work.TRY_LIMIT] = self.try_steps
         state[work.PATIENCE] = self.patience
+        state[work.DRAWS] = self.draws
         state[work.SLICE_END] = work.NO_LIMIT
         value[:] = 0.0
         value[work.PROGRESS] = self.progress
@@ -246,6 +254,9 @@ class IterativeSolver(Solver):
 @dataclass(frozen=True)
 class JacobianSolver(IterativeSolver):
     """A method whose step is made from the Jacobian and the residual: options that all of them share."""
+
+    parts: ClassVar[bool] = True
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
     try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
+from robot_ik.errors import UnsupportedJointError
 from robot_ik.goals import Goal, PositionGoal
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.problem import Problem
@@ -28,7 +28,7 @@ class BoneSolver(IterativeSolver):
     several: ClassVar[bool] = False
 
     def applies(self, problem: Problem) -> bool:
-        return super().applies(problem) and not self._beyond(problem) and not self._stiff(problem)
+        return super().applies(problem) and not self._stiff(problem)
 
     def require_support(self, problem: Problem) -> None:
         """As every method, and also refuses what cannot be made into bones.
@@ -38,11 +38,6 @@ class BoneSolver(IterativeSolver):
             UnsupportedJointError: A joint that this method cannot move.
         """
         super().require_support(problem)
-        if beyond := self._beyond(problem):
-            from robot_ik.solvers import SOLVERS
-
-            able = [name for name, method in SOLVERS.items() if method().applies(problem)]
-            raise UnsupportedGoalError(self.name, beyond, able)
         if stiff := self._stiff(problem):
             raise UnsupportedJointError(
                 f"solver {self.name!r} cannot use the {stiff}; "
@@ -51,8 +46,9 @@ class BoneSolver(IterativeSolver):
                 hint="freeze it with load_robot(…, joints=[…]), or use another solver",
             )
 
-    def _beyond(self, problem: Problem) -> str:
-        """What about the goals is beyond this method, beside their kind; empty when nothing is."""
+    def beyond(self, problem: Problem) -> str:
+        if kind := super().beyond(problem):
+            return kind
         if len(problem.goals) > 1 and not self.several:
             return "several goals at once"
         for goal in problem.goals:

@@ -16,10 +16,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
-from robot_ik.kernels.loop import advance, apply_step, begin, measure, proceed, room
+from robot_ik.kernels.loop import advance, begin, measure, proceed
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
+from robot_ik.kernels.room import apply_step, room
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import IterativeSolver, option
@@ -38,6 +40,8 @@ class CyclicCoordinateDescent(IterativeSolver):
     name: ClassVar[str] = "ccd"
     title: ClassVar[str] = "cyclic coordinate descent, exact optimum of one joint at a time"
     source: ClassVar[str] = "Wang & Chen, IEEE T-RA 1991"
+
+    goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal, OrientationGoal, PoseGoal)
 
     def kernel(self) -> Callable[..., None]:
         return ccd
@@ -127,7 +131,7 @@ def sweep(tree, goal, work):
             step[u] = best_turn(a, b, low[u], high[u])
         else:
             step[u] = best_shift(x, y, z, goal, frames, u, low[u], high[u])
-        apply_step(tree, dofs, work.nodes, step, work.dq, work.q)
+        apply_step(tree, goal, work.nodes, step, work.dq, work.q)
         step[u] = 0.0
         measure(tree, goal, work)
 

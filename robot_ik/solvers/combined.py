@@ -6,8 +6,6 @@ where there is one, then Levenberg-Marquardt.
 
 from __future__ import annotations
 
-import math
-import time
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -35,6 +33,10 @@ class Combined(Solver):
     title: ClassVar[str] = "methods in turn, until one reaches the goal"
     source: ClassVar[str] = "Aho 2000, generalised"
 
+    parts: ClassVar[bool] = True
+    # Those of its methods that can.
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "stiffness"})
+
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
         names = self.methods.replace(",", " ").split()
@@ -49,28 +51,44 @@ class Combined(Solver):
         return any(member.applies(problem) for member in self._members)
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        whole, began, used, proven = problem.budget, time.perf_counter(), 0, False
-        best: Solution | None = None
-        best_cost = math.inf
+        turns = self._turns(problem)
+        solution = turns[0].solve(problem, start)
+        if solution.status is Status.CONVERGED or len(turns) == 1:
+            return solution
+        return self._go_on(problem, start, solution)
+
+    def _turns(self, problem: Problem) -> tuple[Solver, ...]:
+        """The methods that can try a problem, asked once."""
+        asked = problem.prepared.get("turns")
+        if asked is None or asked[0] is not self:
+            turns = tuple(member for member in self._members if member.applies(problem))
+            if not turns:
+                goal = problem.goals[0]
+                beyond = [member.beyond(problem) for member in self._members]
+                what = next(filter(None, beyond), f"a {goal.name}")
+                raise UnsupportedGoalError(self.name, what, able_solvers(problem))
+            asked = problem.prepared["turns"] = self, turns
+        found: tuple[Solver, ...] = asked[1]
+        return found
+
+    def _go_on(self, problem: Problem, start: ArrayLike | None, best: Solution) -> Solution:
+        """The other methods, after the first has failed with ``best``."""
+        whole, used, spent = problem.budget, best.iterations, best.seconds
+        proven = best.status is Status.UNREACHABLE
+        best_cost = float(problem.arrays["value"][BEST_COST])
         try:
-            for member in self._members:
-                if not member.applies(problem):
-                    continue
-                if best is not None:
-                    problem.budget = _rest(whole, used, time.perf_counter() - began, proven)
+            for member in self._turns(problem)[1:]:
+                problem.budget = _rest(problem, whole, used, spent, proven)
                 solution = member.solve(problem, start)
-                used += solution.iterations
+                used, spent = used + solution.iterations, spent + solution.seconds
                 proven = proven or solution.status is Status.UNREACHABLE
                 cost = float(problem.arrays["value"][BEST_COST])
-                if solution.converged or best is None or cost < best_cost:
+                if solution.converged or cost < best_cost:
                     best, best_cost = solution, cost
                 if solution.converged:
                     break
         finally:
             problem.budget = whole
-        if best is None:
-            goal = problem.goals[0]
-            raise UnsupportedGoalError(self.name, f"a {goal.name}", able_solvers(type(goal)))
         if proven and not best.converged:
             best.status = Status.UNREACHABLE
         best.iterations = used
@@ -86,7 +104,7 @@ class Combined(Solver):
                 continue
             for rows, known in ((left[~proven[left]], False), (left[proven[left]], True)):
                 part = Answers.empty(len(rows), answers.q.shape[1])
-                problem.budget = _rest(whole, 0, 0.0, known)
+                problem.budget = _rest(problem, whole, 0, 0.0, known)
                 try:
                     member.solve_many(problem, targets[rows], starts[rows], part)
                 finally:
@@ -106,13 +124,23 @@ class Combined(Solver):
         answers.status[proven & (answers.status != Status.CONVERGED)] = Status.UNREACHABLE
 
 
-def _rest(whole: Budget, used: int, seconds: float, proven: bool) -> Budget:
-    """What is left of a budget.  Once it is proven that no joint angles do, restarts are of no use."""
-    return Budget(
+def _rest(problem: Problem, whole: Budget, used: int, seconds: float, proven: bool) -> Budget:
+    """What is left of a budget.  Once it is proven that no joint angles do, restarts are of no use.
+
+    Kept from one solve to the next, so that a method that is ready for it stays ready.
+    """
+    asked = whole, used, proven
+    kept = problem.prepared.get("rest")
+    if whole.seconds is None and kept is not None and kept[0] == asked:
+        known: Budget = kept[1]
+        return known
+    rest = Budget(
         iterations=max(0, whole.iterations - used),
         seconds=None if whole.seconds is None else max(0.0, whole.seconds - seconds),
         restarts=0 if proven else whole.restarts,
     )
+    problem.prepared["rest"] = asked, rest
+    return rest
 
 
 def _cost(problem: Problem, miss: Array) -> Array:

@@ -62,9 +62,7 @@ def box_damped(work, damping):
     normal_equations(work.jacobian, work.wanted, normal, work.gradient)
     for i in range(step.shape[0]):
         normal[i, i] += damping * damping
-    pressed = box_step(
-        normal, work.gradient, work.low, work.high, step, work.rhs, work.free, work.side, work.factor
-    )
+    pressed = box_step(normal, work.gradient, work.low, work.high, step, work.free, work.side, work.factor)
     if pressed < 0:  # λ² is lost in the rounding of a singular JᵀJ: stand still rather than anywhere
         for i in range(step.shape[0]):
             step[i] = 0.0

@@ -23,9 +23,10 @@ from robot_ik.kernels.jacobian_step import (
 )
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import svd
-from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.null_space import AIMS, add_null_motion, keep_aim_inside, set_aim
 from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.room import apply_step
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import JacobianSolver, option
@@ -92,7 +93,7 @@ def halve(tree, goal, work, share, halvings, landing):
         old += 0.5 * residual[r] * residual[r]
     copy(work.q, work.accepted)
     for tries in range(halvings + 1):
-        apply_step(tree, goal.dofs, work.nodes, step, work.dq, work.q)
+        apply_step(tree, goal, work.nodes, step, work.dq, work.q)
         measure(tree, goal, work)
         copy(work.accepted, work.q)
         off, new = 0.0, 0.0

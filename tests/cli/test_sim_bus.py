@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -84,6 +85,31 @@ def test_faults_reach_the_wire(serve: Serve, tmp_path: Path) -> None:
         assert ping(tmp_path / "arm", 2)[1] == sdk.COMM_SUCCESS
 
 
+def test_a_file_of_faults_happens_in_its_time(serve: Serve, tmp_path: Path) -> None:
+    faults = tmp_path / "faults.toml"
+    text = 'schema = 1\n[[faults]]\nkind = "silent"\njoint = "joint1"\nat_packet = 2\nfor_packets = 1\n'
+    faults.write_text(text + '[[faults]]\nkind = "overload"\nid = 2\n')
+    with serve("--faults", str(faults)):
+        link = tmp_path / "arm"
+        success, timeout = sdk.COMM_SUCCESS, sdk.COMM_RX_TIMEOUT
+        assert [ping(link, 1)[1] for _ in range(3)] == [success, timeout, success]
+        port = sdk.PortHandler(str(link))
+        assert port.openPort()
+        assert sdk.PacketHandler(2.0).read1ByteTxRx(port, 2, 70) == (32, success, 0x80)
+        port.closePort()
+
+
+def test_with_physics_an_arm_that_is_too_heavy_feels_it(serve: Serve, tmp_path: Path) -> None:
+    with serve("--physics"):
+        handler, port = sdk.PacketHandler(2.0), sdk.PortHandler(str(tmp_path / "arm"))
+        assert port.openPort()
+        assert handler.write1ByteTxRx(port, 2, 64, 1) == (sdk.COMM_SUCCESS, 0)
+        end = time.monotonic() + 20.0
+        while not handler.read2ByteTxRx(port, 2, 126)[0]:  # a real PUMA on servos of 4 N m
+            assert time.monotonic() < end
+        port.closePort()
+
+
 def test_baud_rate_matters_only_when_asked(serve: Serve, tmp_path: Path) -> None:
     with serve():
         assert ping(tmp_path / "arm", 1, baud=57_600)[1] == sdk.COMM_SUCCESS
@@ -105,6 +131,7 @@ def test_baud_rate_matters_only_when_asked(serve: Serve, tmp_path: Path) -> None
         (["--drop", "nan"], "--drop"),
         (["--latency-ms", "-1"], "--latency-ms"),
         (["--wire-baud", "-9600"], "--wire-baud"),
+        (["--faults", "nowhere/faults.toml"], "nowhere/faults.toml"),
     ],
 )
 def test_wrong_input(arguments: list[str], named: str, robot_ik: Any, tmp_path: Path) -> None:

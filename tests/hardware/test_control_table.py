@@ -32,7 +32,7 @@ MANUAL = """
 52 4 min_position_limit 0        | 60 1 startup_configuration 0  | 63 1 shutdown -
 64 1 torque_enable 0             | 65 1 led 0                    | 68 1 status_return_level 2
 69 1r registered_instruction 0   | 70 1r hardware_error_status 0 | 76 2 velocity_i_gain -
-78 2 velocity_p_gain -           | 80 2 position_d_gain -        | 82 2 position_i_gain 0
+78 2 velocity_p_gain -           | 80 2 position_d_gain -        | 82 2 position_i_gain -
 84 2 position_p_gain -           | 88 2 feedforward_2nd_gain 0   | 90 2 feedforward_1st_gain 0
 98 1s bus_watchdog 0             | 100 2s goal_pwm -             | 104 4s goal_velocity -
 108 4 profile_acceleration 0     | 112 4 profile_velocity 0      | 116 4s goal_position -
@@ -43,11 +43,19 @@ MANUAL = """
 """
 
 # Per model: number, temperature, max/min voltage, current limit, velocity limit, shutdown, velocity
-# I/P, position D/P.
+# I/P, position D/I/P, highest baud code, last indirect data.
 MODELS = {
-    "XL430-W250": (1060, 72, 140, 60, None, 265, 52, 1000, 100, 4000, 640),
-    "XM430-W350": (1020, 80, 160, 95, 1193, 350, 52, 1920, 100, 0, 800),
-    "XL330-M288": (1200, 70, 70, 35, 1750, 445, 53, 1600, 180, 0, 400),
+    "XL430-W250": (1060, 72, 140, 60, None, 265, 52, 1000, 100, 4000, 0, 640, 7, 661),
+    "XM430-W210": (1030, 80, 160, 95, 1193, 330, 52, 1920, 100, 0, 0, 800, 7, 661),
+    "XM430-W350": (1020, 80, 160, 95, 1193, 350, 52, 1920, 100, 0, 0, 800, 7, 661),
+    "XM540-W150": (1130, 80, 160, 95, 2047, 230, 52, 1920, 100, 0, 0, 800, 7, 661),
+    "XM540-W270": (1120, 80, 160, 95, 2047, 128, 52, 1920, 100, 0, 0, 800, 7, 661),
+    "XL330-M077": (1190, 70, 70, 35, 1750, 1620, 53, 400, 40, 0, 400, 400, 6, 227),
+    "XL330-M288": (1200, 70, 70, 35, 1750, 445, 53, 1600, 180, 0, 0, 400, 6, 227),
+    "XC330-M181": (1230, 70, 70, 35, 2352, 545, 52, 1400, 100, 500, 0, 1200, 6, 227),
+    "XC330-M288": (1240, 70, 70, 35, 2352, 350, 52, 1600, 50, 500, 0, 1100, 6, 227),
+    "XC330-T181": (1210, 70, 140, 55, 910, 510, 52, 1200, 40, 0, 0, 900, 6, 227),
+    "XC330-T288": (1220, 70, 140, 55, 910, 320, 52, 1200, 40, 0, 0, 900, 6, 227),
 }
 
 
@@ -78,6 +86,7 @@ def test_shared_registers_are_the_manual_s(model: str) -> None:
             assert register.initial == initial, name
     own = {"current_limit", "goal_current", "present_current", "present_load", "acceleration_limit"}
     own.add("pwm_slope")
+    own.update(f"external_port_{what}_{k}" for what in ("mode", "data") for k in (1, 2, 3))
     listed = {name for name, *_ in _manual()}
     assert {r.name for r in table if not r.name.startswith("indirect")} - own == listed
 
@@ -86,15 +95,16 @@ def test_shared_registers_are_the_manual_s(model: str) -> None:
 def test_what_differs_by_model_is_the_manual_s(model: str) -> None:
     table = CONTROL_TABLES[model]
     names = "model_number temperature_limit max_voltage_limit min_voltage_limit current_limit velocity_limit"
-    names += " shutdown velocity_i_gain velocity_p_gain position_d_gain position_p_gain"
+    names += " shutdown velocity_i_gain velocity_p_gain position_d_gain position_i_gain position_p_gain"
     found = tuple(table[n].initial if n in table else None for n in names.split())
-    assert found == MODELS[model]
+    assert (*found, max(table.baud_codes), table.size - 1) == MODELS[model]
+    assert table["baud_rate"].maximum == MODELS[model][-2]
     assert table.number == MODELS[model][0]
     assert model_by_number(table.number) is table
 
 
 def test_registers_only_some_models_have() -> None:
-    xl430, xm430, xl330 = (CONTROL_TABLES[m] for m in MODELS)
+    xl430, xm430, xl330 = (CONTROL_TABLES[m] for m in ("XL430-W250", "XM430-W350", "XL330-M288"))
     assert "goal_current" not in xl430 and "current_limit" not in xl430
     assert xl430["present_load"].address == xm430["present_current"].address == 126
     assert xm430["acceleration_limit"].address == 40 and "acceleration_limit" not in xl330
@@ -104,6 +114,50 @@ def test_registers_only_some_models_have() -> None:
         assert table[f"indirect_address_{last}"].initial == data
         assert f"indirect_data_{last + 1}" not in table
     assert xm430["indirect_address_29"].address == 578
+
+
+def test_every_model_of_the_manual_is_there_once() -> None:
+    assert set(CONTROL_TABLES) == set(MODELS)
+    numbers = [table.number for table in CONTROL_TABLES.values()]
+    assert len(set(numbers)) == len(numbers)
+    assert [n for n in CONTROL_TABLES if "external_port_mode_1" in CONTROL_TABLES[n]] == [
+        "XM540-W150",
+        "XM540-W270",
+    ]
+
+
+@pytest.mark.parametrize("model", CONTROL_TABLES)
+def test_limits_of_a_model_agree(model: str) -> None:
+    table = CONTROL_TABLES[model]
+    for name in ("velocity", "pwm", "current"):
+        if f"{name}_limit" in table:
+            limit, goal = table[f"{name}_limit"], table[f"goal_{name}"]
+            assert (goal.minimum, goal.maximum, goal.unit) == (-limit.maximum, limit.maximum, limit.unit)
+    motor = table.motor
+    units = {"1 mA": 1.0, "2.69 mA": 2.69, None: 1.0}[
+        table["current_limit"].unit if "current_limit" in table else None
+    ]
+    if "current_limit" in table:  # the manual lets at least the stall current through
+        assert table["current_limit"].maximum * units >= 1000 * motor.stall_current
+    # Velocity Limit lies above the no load speed, but not far.
+    assert 0.7 < table["velocity_limit"].initial * 0.229 / motor.no_load_rpm < 2.0
+    assert 0.2 < motor.stall_torque / motor.stall_current < 3.0 or model == "XL330-M077"
+
+
+def test_firmware_decides_what_is_there() -> None:
+    new, old, older = (control_table("XM430-W350", firmware) for firmware in (45, 44, 37))
+    assert new.drive_bits == 0b1101 and old.drive_bits == 0b0101 and "drive_mode" not in older
+    assert "startup_configuration" in new and "startup_configuration" not in old
+    assert "backup_ready" in new and "bus_watchdog" in old and "bus_watchdog" not in older
+    assert new.abilities == {"fast_read", "backup", "guarded_reset"} and old.abilities == {"guarded_reset"}
+    assert control_table("XM540-W270").drive_bits == 0b1111  # the 540 class can be a slave
+    assert old["firmware_version"].initial == 44
+    small = control_table("XL330-M288"), control_table("XL330-M288", 51), control_table("XL330-M288", 45)
+    assert [t["indirect_data_1"].address for t in small] == [208, 224, 224]
+    assert [t["indirect_address_1"].maximum for t in small] == [227, 243, 243]
+    assert "backup" in small[1].abilities and "backup" not in small[2].abilities
+    with pytest.raises(ConfigError, match="firmware"):
+        control_table("XM430-W350", 0)
 
 
 @pytest.mark.parametrize("model", CONTROL_TABLES)

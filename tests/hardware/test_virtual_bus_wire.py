@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import RATES, Faults
 from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, build, build_status
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
@@ -77,6 +78,20 @@ def test_threads_do_not_mix_their_packets(bus: VirtualBus) -> None:
     for thread in threads:
         thread.join()
     assert wrong == []
+
+
+@given(st.lists(st.binary(max_size=60) | NEARLY, max_size=10), st.integers(0, 1000))
+def test_noise_moves_no_servo_and_a_spoiled_wire_brings_nothing_down(noise: list[bytes], seed: int) -> None:
+    clock = VirtualClock()
+    servos = [VirtualServo("XM430-W350", id, clock, position_ticks=100 * id) for id in (1, 2, 3)]
+    bus = VirtualBus(servos, clock, Faults(seed=seed, **dict.fromkeys(RATES, 0.2)))
+    for data in noise:
+        clock.sleep_until(clock.now() + 0.06)
+        bus.handle(data)
+        bus.handle(build(254, I.PING))
+        bus.handle(build(254, I.SYNC_READ, struct.pack("<HH", 132, 4) + b"\x03\x01\x02"))
+        bus.handle(build(254, I.FAST_SYNC_READ, struct.pack("<HH", 132, 4) + b"\x03\x01\x02"))
+    assert [(s.torque, s.reading) for s in servos] == [(False, 100.0), (False, 200.0), (False, 300.0)]
 
 
 @given(

@@ -161,14 +161,17 @@ def test_torque_by_goal(make_bench: Callable[..., Any]) -> None:
     assert bench.read("torque_enable") == 0
 
 
-def test_an_indirect_address_out_of_the_table_points_nowhere(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench()
-    bench.set(indirect_address_1=65535, indirect_data_1=77)
-    assert bench.read("indirect_data_1") == 77
+@pytest.mark.parametrize("model,last", [("XM430-W350", 661), ("XL330-M288", 227)])
+def test_an_indirect_address_points_into_ram(model: str, last: int, make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(model)
+    for address in (0, 63, last + 1, 65535):
+        assert bench.write("indirect_address_1", address) == ErrorCode.DATA_RANGE
+    bench.set(indirect_address_1=150)  # a gap between registers
+    assert bench.write("indirect_data_1", 77) == ErrorCode.ACCESS and bench.read("indirect_data_1") == 0
 
 
 @pytest.mark.parametrize("model,mode,error", [
-    ("XM430-W350", 0, ErrorCode.DATA_RANGE),  # exists, but there is no motor to put a current through
+    ("XM430-W350", 0, ErrorCode.NONE),
     ("XM430-W350", 2, ErrorCode.DATA_RANGE),
     ("XM430-W350", 5, ErrorCode.NONE),
     ("XL430-W250", 5, ErrorCode.DATA_RANGE),  # the model has no current sensor

@@ -1,17 +1,19 @@
-"""The box-constrained step against an independent bounded least-squares solver."""
+"""The box-constrained step against an independent bounded least-squares solver; the rest against NumPy."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 from scipy.optimize import lsq_linear
 
-from robot_ik.kernels.linalg import box_step
+from robot_ik.kernels.linalg import box_step, normal_equations, solve_definite
 
 
 def solve(matrix, gradient, low, high):
     n = len(gradient)
-    step, rhs, free = np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64)
-    pressed = box_step(np.tril(matrix), gradient, low, high, step, rhs, free, free.copy(), np.zeros((n, n)))
+    step, free = np.zeros(n), np.zeros(n, dtype=np.int64)
+    pressed = box_step(np.tril(matrix), gradient, low, high, step, free, free.copy(), np.zeros((n, n)))
     return pressed, step
 
 
@@ -93,3 +95,39 @@ def test_a_matrix_that_is_not_positive_definite_is_refused():
 
 def test_no_freedom_at_all_is_no_step():
     assert solve(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))[0] == 0
+
+
+@njit
+def solve_many(matrix, rhs):
+    return solve_definite(matrix, rhs)
+
+
+@njit
+def normal_of(jacobian, residual, normal, gradient):
+    normal_equations(jacobian, residual, normal, gradient)
+
+
+@pytest.mark.parametrize("n", range(1, 11))
+def test_definite_systems_are_solved(n):
+    rng = np.random.default_rng(n)
+    for noise in (1.0, 1e-5):  # the second is nearly singular
+        factor = rng.normal(size=(n, max(1, n - 1)))
+        matrix = factor @ factor.T + noise * np.eye(n)
+        wanted = rng.normal(size=n)
+        x = matrix @ wanted
+        assert solve_many(np.tril(matrix), x)  # only the lower triangle is read
+        np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-14 * np.linalg.cond(matrix) * n)
+        matrix[n - 1, n - 1] -= 1e3
+        assert not solve_many(np.tril(matrix), wanted.copy())
+
+
+@pytest.mark.parametrize("rows", [1, 3, 6, 12])
+@pytest.mark.parametrize("n", [1, 6, 9])
+def test_normal_equations_are_those_of_numpy(rows, n):
+    rng = np.random.default_rng(rows + n)
+    jacobian, residual = rng.normal(size=(rows, n)), rng.normal(size=rows)
+    jacobian[:, 0] = 0.0  # a joint that moves nothing
+    normal, gradient = np.full((n, n), 7.0), np.full(n, 7.0)
+    normal_of(jacobian, residual, normal, gradient)
+    np.testing.assert_allclose(np.tril(normal), np.tril(jacobian.T @ jacobian), atol=1e-13)
+    np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-13)

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from robot_ik.kernels.loop import draw
+from robot_ik.kernels.draws import draw
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import SEED, STATE_SIZE
 

@@ -39,6 +39,7 @@ from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recog
 from robot_ik.solvers.analytic.limb_entry import closed_limb, closed_limb_many
 from robot_ik.solvers.analytic.proof_entry import PROOFS
 from robot_ik.solvers.base import Answers, Solver
+from robot_ik.solvers.ready import take_start
 
 Array = NDArray[np.float64]
 
@@ -52,13 +53,15 @@ class Prepared:
         arrays: By their names in ``FORM``.
         tables: What the kernels take first: tree, goals, work space, form.
         family: The form's number.
-        kernel, batch, prove: What solves one problem, and many, and proves that none will do.
+        run: What solves one problem, without numba's look at its arguments.
+        kernel, batch, prove: The same, what solves many, and what proves that none will do.
     """
 
     form: Form
     arrays: dict[str, Any]
     tables: tuple[Any, Any, Any, Any]
     family: int
+    run: Callable[..., None]
     kernel: Callable[..., None]
     batch: Callable[..., None]
     prove: Callable[..., None]
@@ -98,12 +101,12 @@ class Analytic(Solver):
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         prepared = self._require(problem)
-        robot, arrays = problem.robot, problem.arrays
-        np.copyto(arrays["start"], robot.home if start is None else robot.check_q(start, "start"))
+        arrays = problem.arrays
+        take_start(problem, start)
         began = time.perf_counter()
         budget = problem.budget
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
-        prepared.kernel(*prepared.tables, prepared.family, mode)
+        prepared.run(*prepared.tables, prepared.family, mode)
         state = arrays["state"]
         if mode == SOLVE and state[STATUS] != CONVERGED:
             # As a batch of one: its status stands first in the state.
@@ -111,21 +114,15 @@ class Analytic(Solver):
             prepared.prove(prepared.tables[1], prepared.tables[3], problem.target, state)
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
-        status = STATUS_OF[int(state[STATUS])]
+        number, iterations = state[: ITERATIONS + 1].tolist()
+        status = STATUS_OF[number]
         if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach():
             status = Status.UNREACHABLE
         return Solution(
-            q=arrays["best"].copy(),
-            status=status,
-            iterations=int(state[ITERATIONS]),
-            restarts=0,
-            seconds=time.perf_counter() - began,
-            solver=self.name,
-            robot=robot,
-            goals=tuple(problem.goals),
-            targets=problem.target.copy(),
-            trace_rows=_trace(arrays) if problem.trace and state[ITERATIONS] else None,
-        )
+            arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
+            problem.robot, tuple(problem.goals), problem.target.copy(),
+            _trace(arrays) if problem.trace and iterations else None,
+        )  # fmt: skip
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         prepared = self._require(problem)
@@ -165,6 +162,8 @@ def _trace(arrays: dict[str, Any]) -> Array:
 
 
 def _prepare(problem: Problem) -> Prepared | None:
+    if problem.features or not problem.goals[0].rows.whole:
+        return None
     if len(problem.goals) != 1 or not isinstance(problem.goals[0], (PoseGoal, PositionGoal)):
         return None
     if not all(weight > 0.0 for weight in problem.goals[0].weights[: 1 + problem.goals[0].has_angle]):
@@ -179,7 +178,8 @@ def _prepare(problem: Problem) -> Prepared | None:
     kernel, batch = (closed_limb, closed_limb_many) if limb else (closed_form, closed_form_many)
     jit.announce(kernel, "closed forms")
     tables = (tree.handle, problem.handle, problem.work, FORM.pack(arrays))
-    return Prepared(form, arrays, tables, int(form.family), kernel, batch, PROOFS[form.family])
+    run = jit.entry(kernel, *tables, int(form.family), SOLVE)
+    return Prepared(form, arrays, tables, int(form.family), run, kernel, batch, PROOFS[form.family])
 
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:

@@ -1,0 +1,299 @@
+"""Makes the tables and pictures of docs/performance.md from what docs/measure_performance.py measured.
+
+    python docs/make_performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the page
+    python docs/make_performance.py            # docs/performance.json -> the page
+
+A table stands between `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parent
+PAGE, DATA, IMAGES = DOCS / "performance.md", DOCS / "performance.json", DOCS / "images"
+PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
+CONTESTANTS = ("robot_ik", "robot_ik_lm", "rtb_lm", "eaik", "placo", "placo_restarts")
+BENCHES = ("methods", "kernels", "batch")
+PICTURES = {
+    "methods/success-puma560.png": "performance-success.png",
+    "methods/convergence-puma560.png": "performance-convergence.png",
+    "kernels/growth.png": "performance-growth.png",
+}
+
+# ------------------------------------------------------------------------------------------ collect
+
+
+def collect(results: Path) -> dict[str, Any]:
+    """What the page needs of a folder of results; also puts the pictures into docs/images."""
+    from robot_ik.bench.results import Cell, read_results
+
+    runs = {name: read_results(results / name / "bench.json") for name in BENCHES}
+
+    def summary(cell: Cell) -> dict[str, Any]:
+        times = {str(k): round(cell.microsecond(k), 2) for k in ("median", "mean")} if cell.count else {}
+        about = {key: getattr(cell, key) for key in ("solver", "robot", "set", "goal", "count")}
+        return about | {"rate": round(cell.rate, 4), **times}
+
+    for source, name in PICTURES.items():
+        shutil.copy(results / source, IMAGES / name)
+    return {
+        "machine": runs["methods"].machine.model_dump(),
+        "peers": collect_peers(results),
+        "four_goals": collect_four_goals((results / "four_goals.txt").read_text(encoding="utf-8")),
+        "methods": [summary(cell) for cell in runs["methods"].cells],
+        "floors": [one.model_dump() for one in runs["kernels"].floors],
+        "growth": [one.model_dump() for one in runs["kernels"].growth],
+        "batches": [one.model_dump() for one in runs["batch"].batches],
+    }
+
+
+def collect_peers(results: Path) -> dict[str, Any]:
+    """Contestant -> robot -> kind of problem: success over all rounds; times of the fastest round."""
+    found: dict[str, Any] = {}
+    for name in CONTESTANTS:
+        rounds = [json.loads(file.read_text()) for file in sorted(results.glob(f"round*/{name}.json"))]
+        found[name] = {"versions": rounds[0]["versions"], "calibration_us": [r["calib_us"] for r in rounds]}
+        for robot in ROBOTS:
+            kinds = [r["robots"][robot] for r in rounds if robot in r["robots"]]
+            for mode in ("cold", "warm", "singular", "unreachable"):
+                cells = [kind[mode] for kind in kinds if mode in kind]
+                if cells:
+                    found[name].setdefault(robot, {})[mode] = one_cell(cells)
+    return found
+
+
+def one_cell(cells: list[dict[str, Any]]) -> dict[str, Any]:
+    """Rounds of one cell put together: other work on a machine only ever adds time.
+
+    The median is of wall-clock time.  Mean and p99 are of processor time: among others on two cores they
+    would else measure the scheduler, whose slices are a hundred times longer than a solve.
+    """
+    total = sum(cell["n"] for cell in cells)
+    merged: dict[str, Any] = {
+        key: round(min(cell[source] for cell in cells), 2)
+        for key, source in (("median_us", "median_us"), ("mean_us", "cpu_mean_us"), ("p99_us", "cpu_p99_us"))
+    }
+    for key in ("success", "exact"):
+        merged[key] = round(sum(cell[key] * cell["n"] for cell in cells) / total, 5)
+    if "by_kind" in cells[0]:
+        merged["by_kind"] = cells[0]["by_kind"]
+    merged["jumps"] = max(cell.get("jumps_over_0.2", 0) for cell in cells)
+    return merged | {"n": total, "rounds": len(cells)}
+
+
+def collect_four_goals(text: str) -> dict[str, Any]:
+    """Contestant -> cold or warm: success over all rounds; times of the fastest round."""
+    line = re.compile(
+        r"^(\w+) +(cold|warm) +n=(\d+) ok= *([\d.]+)% iterations med=(\d+) "
+        r"wall med= *(\d+) mean= *(\d+) p99= *(\d+)",
+        re.MULTILINE,
+    )
+    found: dict[str, Any] = {}
+    for m in line.finditer(text):
+        row = {"n": int(m[3]), "success": float(m[4]), "iterations": int(m[5])}
+        row |= {"median_us": int(m[6]), "mean_us": int(m[7]), "p99_us": int(m[8])}
+        old = found.setdefault(m[1], {}).setdefault(m[2], row)
+        for key in ("median_us", "mean_us", "p99_us", "success"):
+            old[key] = min(old[key], row[key])
+    return found
+
+
+Data = dict[str, Any]
+
+
+def table(head: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table; all columns but the first are numbers."""
+    first = [str(cell) for cell in head]
+    lines = [first, ["---", *["---:"] * (len(first) - 1)], *([str(cell) for cell in row] for row in rows)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+
+def us(value: float) -> str:
+    """Microseconds with the figures that mean something."""
+    return f"{value:.2f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+
+
+def machine(data: Data) -> str:
+    """One line: where, when, with what."""
+    m, peers = data["machine"], data["peers"]
+    versions = {k: v for one in peers.values() for k, v in one["versions"].items()} | m["versions"]
+    named = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
+    speeds = [x for one in peers.values() for x in one["calibration_us"]]
+    return (
+        f"{m['processor']}, {m['cores']} cores, {m['system']}, Python {m['python']}; {named}; {m['when']}.\n"
+        f"A loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs between the contestants: "
+        "so much did the machine's speed vary.\n"
+    )
+
+
+def peers_cold(data: Data) -> str:
+    """Cold poses, all contestants."""
+    return peers_table(data, "cold", ("median_us", "mean_us", "p99_us"))
+
+
+def peers_warm(data: Data) -> str:
+    """Tracking, all contestants."""
+    return peers_table(data, "warm", ("median_us", "mean_us", "p99_us"))
+
+
+def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
+    """Contestants × robots for one kind of problem."""
+
+    def cell(one: Data, robot: str) -> str:
+        row = one.get(robot, {}).get(mode)
+        if row is None:
+            return "-"
+        jumps = f", {row['jumps']} jumps" if row["jumps"] else ""
+        return f"{100 * row['exact']:.1f} / " + " / ".join(us(row[key]) for key in keys) + jumps
+
+    rows = [(f"`{name}`", *(cell(one, robot) for robot in ROBOTS)) for name, one in data["peers"].items()]
+    return table(("contestant", *ROBOTS.values()), rows)
+
+
+def peers_edge(data: Data) -> str:
+    """Exactly singular targets, and targets out of reach, on the PUMA."""
+
+    def row(name: str, one: Data) -> tuple[str, ...]:
+        singular, far = one["puma560"]["singular"], one["puma560"]["unreachable"]
+        kinds = [f"{100 * share:.0f}" for share in singular["by_kind"].values()]
+        return (f"`{name}`", *kinds, us(singular["median_us"]), us(far["median_us"]))
+
+    head = ("contestant", "wrist, %", "elbow, %", "median µs", "out of reach: median µs until it gives up")
+    return table(head, [row(name, one) for name, one in data["peers"].items()])
+
+
+def ratios(data: Data) -> str:
+    """Ours against the best of the others in the same run."""
+    peers, four = data["peers"], data["four_goals"]
+
+    def line(case: str, other: str, theirs: float, mine: float) -> tuple[str, ...]:
+        return case, f"`{other}` {us(theirs)}", us(mine), f"{mine / theirs:.2f}"
+
+    rows = []
+    for robot in ("puma560", "ur5e"):
+        mine, theirs = peers["robot_ik"][robot]["cold"], peers["eaik"][robot]["cold"]
+        rows.append(
+            line(f"cold {ROBOTS[robot]}, any method: mean", "eaik", theirs["mean_us"], mine["mean_us"])
+        )
+    for robot, title in ROBOTS.items():
+        mine, theirs = peers["robot_ik_lm"][robot]["cold"], peers["rtb_lm"][robot]["cold"]
+        for key, word in (("mean_us", "mean"), ("p99_us", "p99")):
+            rows.append(line(f"cold {title}, numeric: {word}", "rtb_lm", theirs[key], mine[key]))
+    for robot, title in ROBOTS.items():
+        best = min(("rtb_lm", "placo"), key=lambda name: peers[name][robot]["warm"]["median_us"])
+        mine, theirs = peers["robot_ik"][robot]["warm"], peers[best][robot]["warm"]
+        rows.append(line(f"warm {title}: median", best, theirs["median_us"], mine["median_us"]))
+    for mode in ("cold", "warm"):
+        mine, theirs = four["robot_ik"][mode], four["placo"][mode]
+        rows.append(
+            line(f"four goals, humanoid, {mode}: median", "placo", theirs["median_us"], mine["median_us"])
+        )
+    return table(("case, µs", "best of the others", "robot_ik", "ratio"), rows)
+
+
+def goals4(data: Data) -> str:
+    """Four position goals on the humanoid."""
+    rows = []
+    for name, modes in data["four_goals"].items():
+        cells = []
+        for mode in ("cold", "warm"):
+            m = modes[mode]
+            cells += [
+                f"{m['success']:.1f}",
+                f"{m['median_us']} / {m['mean_us']} / {m['p99_us']}",
+                m["iterations"],
+            ]
+        rows.append((f"`{name}`", *cells))
+    shape = ("%", "median / mean / p99 µs", "steps")
+    head = ("contestant", *(f"{mode}: {word}" for mode in ("cold", "warm") for word in shape))
+    return table(head, rows)
+
+
+def batch(data: Data) -> str:
+    """Solves per second."""
+    rows = [
+        (f"`{b['solver']}`", b["poses"], b["threads"], f"{b['per_second']:.0f}", f"{100 * b['success']:.2f}")
+        for b in data["batches"]
+    ]
+    return table(("method", "poses", "cores", "solves/s", "solved %"), rows)
+
+
+def floors(data: Data) -> str:
+    """Kinematics alone."""
+    rows = [
+        (ROBOTS[f["robot"]], f["joints"], us(f["forward_us"]), us(f["jacobian_us"])) for f in data["floors"]
+    ]
+    return table(("robot", "joints", "forward, µs", "forward + Jacobian, µs"), rows)
+
+
+def growth(data: Data, across: str) -> str:
+    """Methods × sizes."""
+    points = [point for point in data["growth"] if point["across"] == across]
+    sizes = sorted({point["size"] for point in points})
+    rows = []
+    for solver in dict.fromkeys(point["solver"] for point in points):
+        mine = {p["size"]: p["step_us"] for p in points if p["solver"] == solver}
+        rows.append((f"`{solver}`", *(us(mine[n]) if n in mine else "-" for n in sizes)))
+    return table((f"µs a step, {across}:", *sizes), rows)
+
+
+def growth_joints(data: Data) -> str:
+    """A step, by joints."""
+    return growth(data, "joints")
+
+
+def growth_goals(data: Data) -> str:
+    """A step, by goals."""
+    return growth(data, "goals")
+
+
+def methods(data: Data) -> str:
+    """Every method on the PUMA."""
+    sets = ("cold", "warm", "singular", "limits")
+    cells = {(c["solver"], c["set"]): c for c in data["methods"] if c["robot"] == "puma560"}
+    rows = []
+    for solver in dict.fromkeys(c["solver"] for c in data["methods"]):
+        mine = [cells.get((solver, name)) for name in sets]
+        shown = [
+            f"{100 * c['rate']:.1f} / {us(c['median'])} / {us(c['mean'])}" if c and c["count"] else "-"
+            for c in mine
+        ]
+        goal = mine[0]["goal"] if mine[0] else ""
+        rows.append((f"`{solver}`" + (" (position)" if goal == "position" else ""), *shown))
+    return table(("method", *sets), rows)
+
+
+TABLES: dict[str, Callable[[Data], str]] = {
+    make.__name__: make
+    for make in (
+        machine, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, growth_joints,
+        growth_goals, methods,
+    )
+}  # fmt: skip
+
+
+def filled(text: str, data: Data) -> str:
+    """The page with every table as the data have it."""
+    return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data) + m[4], text)
+
+
+def write_page() -> None:
+    """docs/performance.json -> docs/performance.md."""
+    data = json.loads(DATA.read_text(encoding="utf-8"))
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), data), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in collect(Path(sys.argv[1])).items()]
+        DATA.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_page()

@@ -1,0 +1,47 @@
+"""A standing figure reaches for a ball low before it: feet, balance, hand, gaze and comfort, in that order.
+
+    python examples/04_whole_body.py                    a ball before its feet
+    python examples/04_whole_body.py 1.3 -0.3 1.2        a ball too far away
+
+A later goal costs an earlier one nothing.  Prints the miss of every goal by its priority, measured by MuJoCo:
+the feet stay and the balance holds even where the hand cannot come, and the posture only fills what is left.
+"""
+
+import sys
+
+import numpy as np
+
+import robot_ik as rik
+
+BALL = (0.60, -0.30, 0.35)
+
+
+def wishes(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
+    """Goals by what they mean."""
+    home = figure.home
+    left, right = (figure.forward(home, side) for side in ("left_foot", "right_foot"))
+    over_the_feet = figure.center_of_mass(home)
+    return {
+        "left foot stays": rik.PoseGoal.at("left_foot", left),
+        "right foot stays": rik.PoseGoal.at("right_foot", right),
+        "balance over the feet": rik.CenterOfMassGoal(None, over_the_feet, axes="xy", priority=1),
+        "right hand at the ball": rik.PositionGoal("right_hand", ball, priority=2),
+        "eyes on the ball": rik.AimGoal("gaze", ball, axis="x", priority=3),
+        "joints as at ease": rik.PostureGoal(q=home, joints={"root": 0.0}, priority=4),
+    }
+
+
+def main(*ball: float) -> None:
+    figure = rik.load_robot("humanoid")
+    wanted = wishes(figure, ball or BALL)
+    found = rik.solve(figure, list(wanted.values()))
+    print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
+    print("priority  goal                      off by                 met")
+    for (name, goal), miss in zip(wanted.items(), found.misses, strict=True):
+        met = miss.position <= 1e-4 and miss.angle <= 1e-3
+        off = f"{1e3 * miss.position:9.3f} mm {np.degrees(miss.angle):8.3f} deg"
+        print(f"{goal.priority:8}  {name:24}{off}  {'yes' if met else 'no'}")
+
+
+if __name__ == "__main__":
+    main(*map(float, sys.argv[1:]))

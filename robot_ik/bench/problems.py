@@ -1,0 +1,249 @@
+"""Seeded problem sets: poses of a robot's frame, each made from joint angles that meet it.
+
+The same robot, count and seed give the same numbers.  ``cold`` and ``warm`` are made as the well-known
+comparisons of libraries make them: uniform joint samples from home, and a smooth path in small steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.judge import Judge
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+#: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
+WARM_METRES, WARM_RADIANS = 0.005, math.radians(0.5)
+#: A joint of the set ``limits`` is within this share of its range from an end of it.
+NEAR_LIMIT = 0.01
+#: A Jacobian counts as singular when its smallest singular value is below this share of the largest.
+SINGULAR = 1e-9
+#: How far outside the ball that holds all reachable points the targets of ``unreachable`` lie, in radii.
+BEYOND = (1.05, 3.0)
+
+_AMPLITUDE = {HINGE: 0.5, SLIDE: 0.5, BALL: 0.3, FREE: 0.1}  # of a warm path: rad or m
+_NEWTON_STEPS = 40
+_TRIES = 20  # samples that may fail for each one kept …
+_GIVE_UP = 6  # … and in a row at the beginning: such a robot is hardly ever singular
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemSet:
+    """Targets for one frame, with the joint angles they were made from.
+
+    Attributes:
+        name: Its key in ``SETS``.
+        frame: What shall get there.
+        targets: (n, 4, 4) poses in the world.
+        witnesses: (n, nq) joint angles inside the limits that meet them; (0, nq) if nothing can.
+        first: (nq,) where the first solve starts.
+        tracking: Whether each solve starts at the answer before it; otherwise all start at ``first``.
+        reason: Why there are no problems, if there are none.
+    """
+
+    name: str
+    frame: str
+    targets: Array
+    witnesses: Array
+    first: Array
+    tracking: bool = False
+    reason: str = ""
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+
+def make_set(name: str, robot: Robot, count: int, seed: int = 0, frame: str | None = None) -> ProblemSet:
+    """``count`` problems of one kind.
+
+    Args:
+        name: A key of ``SETS``.
+        robot: From ``load_robot``.
+        count: How many.
+        seed: The same seed gives the same numbers.
+        frame: Default: the tool.
+
+    Returns:
+        The set; empty, with a reason, where the robot cannot have such problems.
+    """
+    # A stream of its own for each kind: asking for one set more changes no other.
+    rng = np.random.default_rng([seed, *name.encode()])
+    return SETS[name](robot, count, rng, robot.tool if frame is None else frame)
+
+
+def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reason: str = "") -> ProblemSet:
+    judge = Judge(robot, frame)
+    targets = np.array([judge.pose(q) for q in witnesses]).reshape(-1, 4, 4)
+    return ProblemSet(
+        name,
+        frame,
+        targets,
+        np.array(witnesses).reshape(-1, robot.nq),
+        robot.home,
+        reason="" if witnesses else reason,
+    )
+
+
+def cold(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses of uniform joint samples; every solve starts at home."""
+    return _reachable("cold", robot, frame, [robot.sample(rng) for _ in range(count)])
+
+
+def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """As ``cold``, but half of the limited joints, or one, stand within 1 % of their range from its end."""
+    tree = robot.tree
+    limited = [k for k in range(tree.size) if tree.kind[k] != FREE and np.isfinite(robot.upper[tree.vadr[k]])]
+    if not limited:
+        return _reachable("limits", robot, frame, [], "no joint has limits")
+    found = []
+    for _ in range(count):
+        q = robot.sample(rng)
+        chosen = [k for k in limited if rng.random() < 0.5] or [limited[int(rng.integers(len(limited)))]]
+        for k in chosen:
+            a, v, share = int(tree.qadr[k]), int(tree.vadr[k]), NEAR_LIMIT * rng.random()
+            low, high = float(robot.lower[v]), float(robot.upper[v])
+            if tree.kind[k] == BALL:
+                half = 0.5 * high * (1.0 - share)
+                axis = q[a + 1 : a + 4] / np.linalg.norm(q[a + 1 : a + 4])
+                q[a], q[a + 1 : a + 4] = math.cos(half), math.sin(half) * axis
+            else:
+                inward = share * (high - low)
+                q[a] = low + inward if rng.random() < 0.5 else high - inward
+        found.append(q)
+    return _reachable("limits", robot, frame, found)
+
+
+def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses outside the ball that the frame cannot leave: nothing can reach them."""
+    ball = robot.reach(frame)
+    judge = Judge(robot, frame)
+    targets = []
+    for _ in range(count if ball is not None else 0):
+        assert ball is not None
+        centre, radius = ball
+        pose = judge.pose(robot.sample(rng))
+        way = pose[:3, 3] - centre
+        pose[:3, 3] = centre + way / np.linalg.norm(way) * radius * rng.uniform(*BEYOND)
+        targets.append(pose)
+    reason = "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
+    empty = np.empty((0, robot.nq))
+    return ProblemSet(
+        "unreachable", frame, np.array(targets).reshape(-1, 4, 4), empty, robot.home, reason=reason
+    )
+
+
+# ------------------------------------------------------------------------------------- singular
+
+
+def singular(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses whose joint angles make the Jacobian of the frame lose a rank; every solve starts at home."""
+    chain = robot.tree.ancestors(robot.attachment(frame)[0])
+    if robot.tree.kind[chain[0]] == FREE:
+        return _reachable("singular", robot, frame, [], "a floating base is never singular")
+    rank = max(
+        int(np.linalg.matrix_rank(robot.jacobian(robot.sample(rng), frame), tol=1e-6)) for _ in range(5)
+    )
+    found: list[Array] = []
+    for tried in range(_TRIES * count):
+        if len(found) == count or (tried == _GIVE_UP and not found):
+            break
+        q = _to_singular(robot, robot.sample(rng), frame, rank)
+        if q is not None:
+            found.append(q)
+    return _reachable(
+        "singular", robot, frame, found, "no singular joint angles were found inside the limits"
+    )
+
+
+def _to_singular(robot: Robot, q: Array, frame: str, rank: int) -> Array | None:
+    """The singular joint angles near ``q``, by Newton's method on the smallest singular value, or None."""
+    for _ in range(_NEWTON_STEPS):
+        left, sigma, right = np.linalg.svd(robot.jacobian(q, frame), full_matrices=False)
+        if sigma[rank - 1] < SINGULAR * sigma[0]:
+            return q if not robot.outside(q) else None
+        slope = _slope(robot, q, frame, left[:, rank - 1], right[rank - 1])
+        length = float(slope @ slope)
+        if length < 1e-12:
+            return None
+        step = -sigma[rank - 1] / length * slope
+        # A long step leaves the neighbourhood in which the slope means anything.
+        step *= min(1.0, 0.5 / float(np.linalg.norm(step)))
+        q = robot.clip(robot.integrate(q, step))
+    return None
+
+
+def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
+    """(nv,) change of the singular value u·J·v per unit of each dof, by central differences."""
+    h, slope = 1e-5, np.zeros(robot.nv)
+    for i in range(robot.nv):
+        dq = np.zeros(robot.nv)
+        dq[i] = h
+        ahead = robot.jacobian(robot.integrate(q, dq), frame)
+        back = robot.jacobian(robot.integrate(q, -dq), frame)
+        slope[i] = u @ (ahead - back) @ v / (2.0 * h)
+    return slope
+
+
+# ----------------------------------------------------------------------------------------- warm
+
+
+def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses along a smooth joint path about home, each at most 5 mm and 0.5° from the one before it."""
+    path, judge = _path(robot, rng), Judge(robot, frame)
+    t, dt = 0.0, 0.02
+    pose, first = judge.pose(path(0.0)), path(0.0)
+    targets: list[Array] = []
+    witnesses: list[Array] = []
+    while len(targets) < count:
+        for _ in range(60):  # until the step is just as long as it may be
+            there = judge.pose(path(t + dt))
+            ratio = _step(pose, there)
+            if 0.98 < ratio <= 1.0:
+                break
+            dt *= min(1.5, 0.99 / ratio) if ratio > 0.0 else 1.5
+        t, pose = t + dt, there
+        targets.append(there)
+        witnesses.append(path(t))
+    return ProblemSet(
+        "warm", frame, np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True
+    )
+
+
+def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
+    tree = robot.tree
+    amplitude = np.array([_AMPLITUDE[int(tree.kind[k])] for k in tree.dof_node])
+    middle = robot.home.copy()
+    for k in range(tree.size):
+        a, v = int(tree.qadr[k]), int(tree.vadr[k])
+        room = robot.upper[v] - robot.lower[v]
+        if tree.kind[k] in (HINGE, SLIDE) and np.isfinite(room):
+            amplitude[v] = min(amplitude[v], 0.45 * room)
+            margin = amplitude[v] + 1e-3 * room
+            middle[a] = np.clip(middle[a], robot.lower[v] + margin, robot.upper[v] - margin)
+    index = np.arange(robot.nv)
+    pace, phase = 1.0 + 0.37 * np.sqrt(index + 1.0), 0.9 * index + rng.uniform(0.0, 2.0 * math.pi)
+    return lambda t: robot.clip(robot.integrate(middle, amplitude * np.sin(pace * t + phase)))
+
+
+def _step(a: Array, b: Array) -> float:
+    """Length of the step between two poses (4, 4), as a share of the longest that is allowed."""
+    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
+    turn = 2.0 * math.asin(min(1.0, chord))
+    return max(float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / WARM_METRES, turn / WARM_RADIANS)
+
+
+#: Every kind of problem set, by name.
+SETS: dict[str, Callable[[Robot, int, np.random.Generator, str], ProblemSet]] = {
+    "cold": cold,
+    "warm": warm,
+    "singular": singular,
+    "limits": limits,
+    "unreachable": unreachable,
+}

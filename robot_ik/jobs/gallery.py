@@ -1,0 +1,244 @@
+"""The gallery: every robot at home and at work, one picture each, and all on one sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.overlay import DARK, ORANGE, WHITE
+from robot_ik.camera.text import text_size, write
+from robot_ik.catalogue import GalleryScene
+from robot_ik.errors import ModelError, OutputError
+from robot_ik.files import write_atomically
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.jobs.studio import TONE, Photo, fitted_camera, lens, photograph, surface
+from robot_ik.robot import Robot
+from robot_ik.solution import Solution
+from robot_ik.solve import solve
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+#: Height of a picture, pixels; it may be this much wider than high before it is cropped to the robot.
+HEIGHT = 560
+_WIDEST = 1.6
+# A picture is cropped to the robot and this part of its height on both sides, but keeps the least width.
+_AIR, _SLIMMEST = 0.10, 0.42
+# Robots without a scene of their own: so many random poses are tried until one is above the floor.
+_TRIES = 100
+# The sheet: its width, the gap between cards, and how much wider than high a full row of pictures is.
+_SHEET_WIDTH, _GAP, _ROW = 1280, 8, 6.6
+_GREY = (120, 114, 110)
+
+
+@dataclass(frozen=True)
+class Portrait:
+    """One robot's two pictures.
+
+    Attributes:
+        robot: Who.
+        captions: Of the pictures: at home and at work.
+        photos: The same two, uncropped.
+        image: Both side by side with their captions, BGR.
+        solution: How the second pose was found.
+        pair: Both cropped pictures, for the sheet.
+    """
+
+    robot: Robot
+    captions: tuple[str, str]
+    photos: tuple[Photo, Photo]
+    image: Image
+    solution: Solution
+    pair: tuple[Image, Image]
+
+
+def pose_at_work(robot: Robot, scene: GalleryScene | None, floor: float, seed: int) -> Solution:
+    """Solves for what the robot does in its second picture.
+
+    Args:
+        robot: Who.
+        scene: What it does; None: it reaches for a random place above the floor.
+        floor: Height of the floor, world.
+        seed: Of the random place and of restarts.
+    """
+    if scene is None or not scene.goals:
+        return solve(robot, _random_goal(robot, floor, np.random.default_rng(seed)), seed=seed)
+    goals: list[Goal] = [PoseGoal.at(frame, robot.forward(robot.home, frame)) for frame in scene.keep]
+    for frame, numbers in scene.goals.items():
+        place = numbers[:3]
+        goals.append(PoseGoal(frame, place, numbers[3:]) if len(numbers) == 7 else PositionGoal(frame, place))
+    return solve(robot, goals, seed=seed)
+
+
+def _random_goal(robot: Robot, floor: float, rng: np.random.Generator) -> Goal:
+    q = robot.sample(rng)
+    for _ in range(_TRIES):
+        if float(surface(robot.model, robot.qpos(q))[:, 2].min()) >= floor - 1e-3:
+            break
+        q = robot.sample(rng)
+    return PositionGoal(None, robot.forward(q).position)
+
+
+def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portrait:
+    """Draws one robot at home and at work, seen from the same place.
+
+    Args:
+        robot: Whom.
+        seed: Of the pose at work.
+        height: Of a picture, pixels; ``HEIGHT`` when not given.
+
+    Raises:
+        ModelError: The model has nothing that can be seen.
+    """
+    scene, height = robot.file.gallery, height or HEIGHT
+    at_home = surface(robot.model, robot.qpos(robot.home))
+    if not len(at_home):
+        raise ModelError(f"{robot.path} has no visible geom to draw", path=robot.path)
+    floor = float(at_home[:, 2].min())
+    solution = pose_at_work(robot, scene, floor, seed)
+    at_work = surface(robot.model, robot.qpos(solution.q))
+    optics = lens(round(_WIDEST * height), height)
+    view = scene.view_deg if scene is not None else GalleryScene().view_deg
+    camera = fitted_camera(np.concatenate([at_home, at_work]), view, optics)
+    photos = [photograph(robot.model, robot.qpos(q), camera, optics, floor) for q in (robot.home, solution.q)]
+    work = Photo(_with_goals(photos[1], solution), photos[1].coverage, photos[1].intrinsics, photos[1].camera)
+    home = robot.file.home if isinstance(robot.file.home, str) else "home"
+    captions = (home, scene.about if scene is not None else GalleryScene().about)
+    pair = (_cropped(photos[0]), _cropped(work))
+    image = _card(robot, captions, pair)
+    return Portrait(robot, captions, (photos[0], work), image, solution, pair)
+
+
+def _with_goals(photo: Photo, solution: Solution) -> Image:
+    """The picture with a dot on every place that something was to reach."""
+    image = photo.image.copy()
+    radius = max(2.5, photo.image.shape[0] / 110)
+    moved = [goal for goal in solution.goals if isinstance(goal, PositionGoal | PoseGoal)]
+    kept = solution.robot.file.gallery.keep if solution.robot.file.gallery else ()
+    places = [goal.target.position for goal in moved if goal.frame not in kept]
+    for place in places:
+        seen = photo.camera.inverse().apply(place)
+        at = photo.intrinsics.project(seen[None])[0]
+        if not (seen[2] > 0 and (np.abs(at) < 2 * image.shape[1]).all()):
+            continue  # an unreachable goal may be behind the lens
+        centre = tuple(int(v) for v in np.rint(at * 256))
+        for r, colour in ((radius + 1.5, WHITE), (radius, ORANGE)):
+            cv2.circle(image, centre, round(r * 256), colour, -1, cv2.LINE_AA, 8)
+    return image
+
+
+def _cropped(photo: Photo) -> Image:
+    height, width = photo.coverage.shape
+    columns = np.flatnonzero(photo.coverage.max(axis=0) > 0)
+    low, high = (int(columns[0]), int(columns[-1]) + 1) if len(columns) else (0, width)
+    half = max((high - low) / 2 + _AIR * height, _SLIMMEST * height / 2)
+    middle = (low + high) / 2
+    return photo.image[:, max(0, round(middle - half)) : min(width, round(middle + half))]
+
+
+def _card(robot: Robot, captions: tuple[str, str], pair: tuple[Image, Image]) -> Image:
+    """One robot's picture: name and title above, captions below."""
+    height = pair[0].shape[0]
+    letter = max(9, height // 28)
+    top, below = round(2.4 * letter), round(2.0 * letter)
+    width = sum(image.shape[1] for image in pair) + 2
+    card = np.full((top + height + below, width, 3), _paper(), dtype=np.uint8)
+    write(card, robot.name, (letter, round(1.5 * letter)), round(1.2 * letter), DARK, bold=True)
+    x = 0
+    for image, caption in zip(pair, captions, strict=True):
+        card[top : top + height, x : x + image.shape[1]] = image
+        room = image.shape[1] - 2 * letter
+        size = min(letter, max(8, letter * room // max(1, text_size(caption, letter)[0])))
+        write(card, caption, (x + letter, top + height + round(1.1 * letter)), size, _GREY)
+        x += image.shape[1] + 2
+    return card
+
+
+def _paper() -> tuple[int, int, int]:
+    b, g, r = (round(255 * tone) for tone in TONE)
+    return b, g, r
+
+
+def contact_sheet(portraits: Sequence[Portrait]) -> Image:
+    """All robots on one sheet, in rows that are filled from edge to edge."""
+    total = sum(map(_aspect, portraits))
+    count = max(1, round(total / _ROW))
+    rows: list[list[Portrait]] = [[] for _ in range(count)]
+    begin = 0.0
+    for portrait in portraits:  # its middle says in which row it stands
+        rows[min(count - 1, int((begin + _aspect(portrait) / 2) / total * count))].append(portrait)
+        begin += _aspect(portrait)
+    strips = []
+    for row in filter(None, rows):
+        space = _SHEET_WIDTH - _GAP * (len(row) + 1)
+        # a few robots are not blown up
+        strips.append(_strip(row, round(space / max(sum(map(_aspect, row)), _ROW / 2))))
+    height = sum(strip.shape[0] + _GAP for strip in strips) + _GAP
+    sheet = np.full((height, _SHEET_WIDTH, 3), 255, dtype=np.uint8)
+    y = _GAP
+    for strip in strips:
+        x = max(0, (_SHEET_WIDTH - strip.shape[1]) // 2)
+        sheet[y : y + strip.shape[0], x : x + strip.shape[1]] = strip[:, : _SHEET_WIDTH - x]
+        y += strip.shape[0] + _GAP
+    return sheet
+
+
+def _aspect(portrait: Portrait) -> float:
+    return sum(image.shape[1] / image.shape[0] for image in portrait.pair)
+
+
+def _strip(row: Sequence[Portrait], height: int) -> Image:
+    """Robots beside each other at one height, each with its name."""
+    cards = []
+    for portrait in row:
+        small = [
+            cv2.resize(
+                image, (round(height * image.shape[1] / image.shape[0]), height), interpolation=cv2.INTER_AREA
+            )
+            for image in portrait.pair
+        ]
+        card = np.concatenate(small, axis=1)
+        head = np.full((30, card.shape[1], 3), _paper(), dtype=np.uint8)
+        write(head, portrait.robot.name, (12, 22), 17, DARK, bold=True)
+        cards += [np.concatenate([head, card]), np.full((height + 30, _GAP, 3), 255, dtype=np.uint8)]
+    return np.concatenate(cards[:-1], axis=1)
+
+
+def draw_gallery(
+    robots: Sequence[Robot], folder: Path, seed: int = 0, tell: Callable[[str, int], None] | None = None
+) -> tuple[list[Portrait], list[Path]]:
+    """Draws every robot into ``folder``/NAME.png, and all on one sheet, gallery.png.
+
+    Args:
+        robots: Whom.
+        folder: Where the files go.
+        seed: Of the poses at work.
+        tell: Called with a robot's name and its number before it is drawn.
+
+    Returns:
+        The portraits and the files, the sheet last.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    portraits, written = [], []
+    for k, robot in enumerate(robots):
+        if tell is not None:
+            tell(robot.name, k)
+        portraits.append(draw_robot(robot, seed))
+        written.append(_save(folder / f"{robot.name}.png", portraits[-1].image))
+    written.append(_save(folder / "gallery.png", contact_sheet(portraits)))
+    return portraits, written
+
+
+def _save(path: Path, image: Image) -> Path:
+    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not ok:
+        raise OutputError(f"cannot make a PNG of {path.name}")
+    write_atomically(path, data.tobytes())
+    return path

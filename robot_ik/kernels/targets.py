@@ -1,0 +1,58 @@
+"""Moving a target in compiled code: the hot loop does it before every solve."""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.kernels.bundle import Layout
+from robot_ik.kernels.jit import entry, kernel
+
+MOVE = Layout(
+    "Move",
+    matrix="table",  # (4, 4) homogeneous, the wanted pose
+    target="table",  # (g, 12) rows of all goals
+)
+open_move = MOVE.open
+
+
+@kernel
+def take_matrix(move, index):
+    """target[index] = matrix; False, and nothing is done, when a number is not finite."""
+    move = open_move(move)
+    matrix, target = move.matrix, move.target
+    size = 0.0
+    for i in range(4):
+        for j in range(4):
+            x = matrix[i, j]
+            size = max(size, abs(x)) if x == x else math.inf
+    if not size < math.inf:
+        return False
+    for i in range(3):
+        target[index, i] = matrix[i, 3]
+        for j in range(3):
+            target[index, 3 + 3 * i + j] = matrix[i, j]
+    return True
+
+
+class Mover:
+    """Takes matrices as targets: fill ``matrix``, then ``take(move, index)``; False when it is not finite.
+
+    Attributes:
+        matrix: (4, 4) where to put one.
+        dtype: What a matrix must be of to need no conversion that may fail.
+        take, move: The compiled code, and what it takes before the goal's index.
+    """
+
+    __slots__ = ("_table", "dtype", "matrix", "move", "take")
+
+    def __init__(self, target: NDArray[np.float64]) -> None:
+        self.matrix = np.zeros((4, 4))
+        self.dtype = self.matrix.dtype
+        self._table = MOVE.pack({"matrix": self.matrix, "target": target})
+        self.move: int = self._table.ctypes.data
+        self.take: Any = entry(take_matrix, self.move, 0)

@@ -1,0 +1,25 @@
+"""One small run of the benchmark, shared by the tests that look at its results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robot_ik.bench.results import Results, read_results
+from robot_ik.cli.main import main
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`bench` with two methods, of which one serves no poses, on two robots."""
+    out = tmp_path_factory.mktemp("bench") / "new"
+    words = f"bench --solvers analytic lm triangulation --robots puma560 panda --count 12 --out {out}"
+    assert main([*words.split(), "--sets", "cold", "warm", "unreachable"]) == 0
+    return out
+
+
+@pytest.fixture(scope="session")
+def results(folder: Path) -> Results:
+    """What it found."""
+    return read_results(folder / "bench.json")

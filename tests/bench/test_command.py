@@ -1,0 +1,106 @@
+"""``robot-ik bench`` on the command line: its table, its errors, and what Ctrl-C leaves."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_ik.bench import floors
+from robot_ik.bench.results import read_results
+from robot_ik.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--solvers lmm", "did you mean 'lm'"),
+        ("--robots puma56", "did you mean 'puma560'"),
+        ("--sets warmer", "warm"),
+        ("--count 0", "--count is one or more"),
+        ("--position-tolerance 0", "positive"),
+    ],
+)
+def test_wrong_input_is_one_sentence(
+    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "none"
+    assert main(["bench", *words.split(), "--out", str(out)]) == 2
+    told = capsys.readouterr()
+    assert said in " ".join((told.out + told.err).split()) and "Traceback" not in told.err
+    assert not out.exists()
+
+
+def test_the_table_has_a_row_for_each_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = f"bench --solvers analytic lm --robots panda --sets cold --count 10 --no-plots --out {tmp_path}"
+    assert main(words.split()) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].strip() == "panda, cold"
+    assert {"solver", "solved", "median", "p99", "steps", "restarts"} <= set(lines[1].split())
+    (lm,) = [line.split() for line in lines if line.startswith("lm ")]
+    assert lm[1] == "pose" and float(lm[2]) == 100.0
+    (analytic,) = [line for line in lines if line.startswith("analytic ")]
+    assert "no closed form" in analytic
+    assert [file.name for file in tmp_path.iterdir()] == ["bench.json"]
+
+
+def test_kernels_and_batches(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(floors, "JOINTS", (4, 8))
+    monkeypatch.setattr(floors, "FIGURE_FRAMES", floors.FIGURE_FRAMES[:2])
+    words = (
+        "bench --solvers lm analytic --robots panda puma560 --sets kernels batch --count 2 --no-plots --out"
+    )
+    assert main([*words.split(), str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    results = read_results(tmp_path / "bench.json")
+    assert not results.cells and [one.joints for one in results.floors] == [7, 6]
+    points = {(point.solver, point.across, point.size): point for point in results.growth}
+    lm = {("lm", across, size) for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))}
+    assert set(points) == lm  # a closed form takes no steps
+    assert all(point.step_us > 0.0 for point in points.values())
+    assert points["lm", "goals", 2].converged == 1.0
+    solved = {(one.solver, one.robot, one.threads): one for one in results.batches}
+    assert {key[:2] for key in solved} == {("lm", "panda"), ("lm", "puma560"), ("analytic", "puma560")}
+    assert all(one.poses == 1000 and one.success == 1.0 and one.per_second > 0 for one in solved.values())
+    assert "no batch" in told.err and "panda" in told.err
+    assert "solves/s" in told.out and "µs a step, by number of goals" in " ".join(told.out.split())
+
+
+def test_problems_that_do_not_exist_take_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
+    assert main([*words.split(), str(tmp_path)]) == 0
+    (line, *_) = capsys.readouterr().out.splitlines()
+    assert line.startswith("humanoid, unreachable: nothing is out of its reach")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for a child there")
+@pytest.mark.timeout(180)
+def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
+    words = "bench --solvers lm ccd --robots puma560 --sets cold --count 2000 --seconds 999 --no-plots --out"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "robot_ik", *words.split(), str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stderr is not None
+    for line in child.stderr:
+        if "kernels are ready" in line:
+            break
+    time.sleep(1.0)
+    child.send_signal(signal.SIGINT)
+    out, err = child.communicate(timeout=60)
+    assert child.returncode == 130, err
+    assert "interrupted" in err and "partial results" in err and "Traceback" not in err
+    results = read_results(tmp_path / "bench.json")
+    assert not results.complete
+    assert results.cells[0].count > 0 and sum(cell.count for cell in results.cells) < 4000
+    for cell in results.cells:
+        assert len(cell.success) == len(cell.status) == cell.count
+    assert "puma560, cold" in out and "lm" in out

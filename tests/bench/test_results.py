@@ -1,0 +1,116 @@
+"""What a run leaves behind: figures that belong together, a file that reads back, pictures that show."""
+
+from __future__ import annotations
+
+import builtins
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.bench.plots import draw
+from robot_ik.bench.results import Cell, Results, read_results, results_text
+from robot_ik.errors import ConfigError, MissingExtraError
+
+
+def cell(results: Results, solver: str, robot: str, name: str) -> Cell:
+    (found,) = [c for c in results.cells if (c.solver, c.robot, c.set) == (solver, robot, name)]
+    return found
+
+
+def test_the_file_reads_back_as_it_was(results: Results, tmp_path: Path) -> None:
+    assert results.complete and len(results.cells) == 3 * 2 * 3
+    (tmp_path / "again.json").write_text(results_text(results), encoding="utf-8")
+    assert read_results(tmp_path / "again.json") == results
+
+
+@pytest.mark.parametrize("break_it", ['"seed": 0', '"complete": true', '"schema_version": 1'])
+def test_another_file_is_refused_in_one_sentence(folder: Path, tmp_path: Path, break_it: str) -> None:
+    text = (folder / "bench.json").read_text(encoding="utf-8")
+    assert break_it in text
+    key = break_it.partition(":")[0]
+    (tmp_path / "bench.json").write_text(text.replace(break_it, key + ": 7.5"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=key.strip('"')):
+        read_results(tmp_path / "bench.json")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_results(tmp_path / "none.json")
+
+
+def test_figures_belong_together(results: Results) -> None:
+    for one in results.cells:
+        lists = (one.success, one.position_miss, one.angle_miss, one.iterations, one.restarts, one.status)
+        assert {len(x) for x in lists} == {one.count}
+        assert bool(one.skipped) != bool(one.count)
+        assert all(t > 0 for t in one.microseconds)
+        if one.count:
+            assert min(one.microseconds) <= one.microsecond("median") <= one.microsecond(99.0)
+    for solver in ("analytic", "lm"):
+        puma = cell(results, solver, "puma560", "cold")
+        assert puma.rate == 1.0 and puma.goal == "pose" and max(puma.position_miss) <= 1e-4
+    bones = cell(results, "triangulation", "puma560", "cold")
+    assert bones.goal == "position" and not any(bones.angle_miss)
+    assert "panda" in cell(results, "analytic", "panda", "cold").skipped
+    far = cell(results, "lm", "puma560", "unreachable")
+    assert far.rate == 0.0 and set(far.status) == {"UNREACHABLE"} and min(far.position_miss) > 1e-3
+    warm = cell(results, "lm", "puma560", "warm")
+    assert warm.rate == 1.0 and warm.jumps == 0 and 0 < warm.largest_step < 0.2
+
+
+def test_curves_close_in(results: Results) -> None:
+    curves = {(c.solver, c.robot): c for c in results.curves}
+    assert ("analytic", "puma560") not in curves  # a formula has no steps
+    lm = curves["lm", "puma560"].miss
+    assert lm[0] > 1e-2 and lm[-1] <= 1e-4
+
+
+def test_plots_show_something(folder: Path) -> None:
+    names = {file.name for file in folder.glob("*.png")}
+    assert names == {
+        f"{kind}-{robot}.png" for kind in ("success", "convergence") for robot in ("puma560", "panda")
+    }
+    for name in names:
+        picture = cv2.imread(str(folder / name))
+        assert min(picture.shape[:2]) > 300
+        colourful = np.ptp(picture.astype(int), axis=2) > 60  # lines; axes and letters are grey
+        assert colourful.sum() > 500
+
+
+def test_growth_is_drawn(results: Results) -> None:
+    from robot_ik.bench.results import Growth
+
+    points = [
+        Growth(solver="lm", across=across, size=n, step_us=float(n), call_us=1.0, converged=1.0)
+        for across in ("joints", "goals")
+        for n in (1, 2, 4)
+    ]
+    pictures = draw(results.model_copy(update={"growth": points, "cells": [], "curves": []}))
+    assert list(pictures) == ["growth.png"]
+    picture = cv2.imdecode(np.frombuffer(pictures["growth.png"], np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None and (np.ptp(picture.astype(int), axis=2) > 60).sum() > 300
+
+
+def test_without_matplotlib_it_says_what_to_install(
+    results: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.startswith("matplotlib"):
+            raise ModuleNotFoundError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(MissingExtraError, match=r"robot_ik\[plots\]"):
+        draw(results)
+
+
+def test_the_kernels_grow() -> None:
+    from robot_ik.bench import floors
+    from robot_ik.robot import load_robot
+
+    floor = floors.floor(load_robot("puma560"))
+    assert floor.joints == 6 and 0.0 < floor.forward_us < 50.0 and floor.jacobian_us > 0.0
+    chain = floors.hinge_chain(9)
+    assert chain.nv == 9 and chain.forward(chain.home).position == pytest.approx((0, 0, 2.0))

@@ -1,0 +1,119 @@
+"""The runner believes MuJoCo and not the solver, and keeps what it has measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from robot_ik.bench.problems import make_set
+from robot_ik.bench.results import Settings
+from robot_ik.bench.runner import Bench, prepare
+from robot_ik.goals import PoseGoal
+from robot_ik.problem import Problem
+from robot_ik.robot import load_robot
+from robot_ik.solution import Solution, Status
+from robot_ik.solvers.base import Solver
+
+SETTINGS = Settings(
+    command="", count=12, seed=0, position_tolerance=1e-4, angle_tolerance=1e-3, seconds=60.0
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scripted(Solver):
+    """Says that it converged, whatever it answers: the next of some joint angles."""
+
+    answers: tuple[tuple[float, ...], ...] = ()
+    name: ClassVar[str] = "scripted"
+
+    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+        calls.append(np.array(start))
+        q = np.array(self.answers[(len(calls) - 1) % len(self.answers)])
+        goals, targets = tuple(problem.goals), problem.target.copy()
+        return Solution(q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, goals, targets)
+
+
+calls: list[np.ndarray] = []
+
+
+def bench(kind: str, answers: np.ndarray, count: int = 12) -> Bench:
+    arm = load_robot("puma560")
+    made = prepare(Scripted(tuple(map(tuple, answers))), arm, make_set(kind, arm, count), SETTINGS)
+    calls.clear()  # what warmed up does not count
+    return made
+
+
+def test_a_solver_that_lies_is_found_out() -> None:
+    problems = make_set("cold", load_robot("puma560"), 12)
+    right = problems.witnesses.copy()
+    wrong = right.copy()
+    wrong[3, 0] += 1e-2
+    # Whole turns more: the pose is met, the limits are not.
+    beyond = right.copy()
+    beyond[5, 0] += 2 * np.pi
+    for answers, missed in ((right, []), (wrong, [3]), (beyond, [5])):
+        one = bench("cold", answers)
+        one.run(SETTINGS)
+        assert np.flatnonzero(~np.array(one.cell.success)).tolist() == missed
+        assert set(one.cell.status) == {"CONVERGED"}
+        assert one.cell.iterations == [3] * 12 and one.cell.restarts == [1] * 12
+        assert all((start == load_robot("puma560").home).all() for start in calls)
+
+
+def test_tracking_starts_at_the_last_answer_and_counts_jumps() -> None:
+    problems = make_set("warm", load_robot("puma560"), 12)
+    answers = problems.witnesses.copy()
+    answers[4] += 0.5  # a miss: the next start is back on the path
+    wrist = answers[8, 3:]  # the same pose with the wrist flipped
+    wrist[:] = wrist[0] - np.pi * np.sign(wrist[0]), -wrist[1], wrist[2] - np.pi * np.sign(wrist[2])
+    one = bench("warm", answers)
+    one.run(SETTINGS)
+    assert np.flatnonzero(~np.array(one.cell.success)).tolist() == [4]
+    np.testing.assert_array_equal(calls[0], problems.first)
+    np.testing.assert_array_equal(calls[4], answers[3])
+    np.testing.assert_array_equal(calls[5], problems.witnesses[4])
+    np.testing.assert_array_equal(calls[9], answers[8])
+    assert one.cell.jumps == 2  # there and back
+    assert one.cell.largest_step == pytest.approx(np.pi, abs=0.1)
+
+
+def test_time_that_is_up_leaves_at_least_ten() -> None:
+    one = bench("cold", make_set("cold", load_robot("puma560"), 40).witnesses, 40)
+    one.run(SETTINGS.model_copy(update={"seconds": 0.0}))
+    assert one.cell.count == 10 and one.cell.asked == 40 and one.cell.rate == 1.0
+
+
+def test_an_interrupted_run_keeps_whole_rows() -> None:
+    one = bench("cold", make_set("cold", load_robot("puma560"), 12).witnesses)
+
+    def stop(share: float) -> None:
+        if share >= 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        one.run(SETTINGS, stop)
+    cell = one.cell
+    lists = (
+        cell.microseconds,
+        cell.success,
+        cell.status,
+        cell.position_miss,
+        cell.angle_miss,
+        cell.iterations,
+    )
+    assert {len(x) for x in lists} == {6}
+
+
+def test_a_method_without_poses_is_asked_for_positions() -> None:
+    arm = load_robot("puma560")
+    from robot_ik.solvers import make_solver
+
+    bones, steps = make_solver("triangulation"), make_solver("dls")
+    problems = make_set("cold", arm, 3)
+    assert not bones.supports(PoseGoal(None, (0, 0, 0)))
+    assert prepare(bones, arm, problems, SETTINGS).cell.goal == "position"
+    assert prepare(steps, arm, problems, SETTINGS).cell.goal == "pose"

@@ -1,0 +1,117 @@
+"""``robot-ik experiments``: exit codes, tables that fit, files, Ctrl-C."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_ik.jobs.experiments import a00
+from robot_ik.jobs.experiments.courses import Course
+
+
+def test_a00_passes_and_says_what_it_chose(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    asked = ("--tests", 6, 8, 13, "--solvers", "lm", "dls", "triangulation", "--frames", 5)
+    run = robot_ik("experiments", "a00", *asked, "--out", tmp_path / "out")
+    assert run.code == 0, run
+    assert "PASSED" in run.out and "lm, dls met every frame" in run.out
+    assert "0.1° steps" in run.out and "lost after some 20°" in run.out
+    assert max(map(len, run.out.splitlines()[:-1])) <= 80
+    row = next(line.split() for line in run.out.splitlines() if line.startswith("triangulation"))
+    assert row[1:] == ["100", "-", "-"]
+    summary = json.loads((tmp_path / "out" / "a00.json").read_text())
+    assert [test["test"] for test in summary["tests"]] == [6, 8, 13] and summary["passed"]
+    assert (tmp_path / "out" / "a00.csv").read_text().count("\n") == 10
+
+
+def test_a00_that_loses_a_goal_ends_with_1(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = a00.make_solver
+    monkeypatch.setattr(a00, "make_solver", lambda name: made(name, max_step=1e-4, restarts=0))
+    run = robot_ik("experiments", "a00", "--tests", 6, "--solvers", "dls", "--frames", 3, "--out", tmp_path)
+    assert run.code == 1
+    assert "NOT PASSED" in run.out and "dls in test 6: lost at 0°" in run.out
+
+
+def test_s12_prints_his_numbers_and_ours(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    run = robot_ik("experiments", "s12", "--frames", 3, "--out", tmp_path)
+    assert run.code == 0 and "PASSED" in run.out
+    assert "Case 4: random, ±45°, 3 frames" in run.out and "51.9  88  29" in run.out
+    assert "What he does not state" in run.out
+    assert max(map(len, run.out.splitlines()[:-1])) <= 80
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["s12.csv", "s12.json"]
+
+
+def test_ctrl_c_keeps_what_is_done(robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = a00.make_course
+
+    def make_course(number: int, *rest: int | None) -> Any:
+        if number == 5:
+            raise KeyboardInterrupt
+        return made(number, *rest)
+
+    monkeypatch.setattr(a00, "make_course", make_course)
+    asked = ("--tests", 4, 5, "--solvers", "lm", "--frames", 3)
+    run = robot_ik("experiments", "a00", *asked, "--out", tmp_path)
+    assert run.code == 130 and "interrupted" in run.err and "INTERRUPTED" in run.out
+    summary = json.loads((tmp_path / "a00.json").read_text())
+    assert not summary["complete"] and [track["test"] for track in summary["tracks"]] == [4]
+
+
+@pytest.mark.parametrize("where", ["make_course", "witness_miss", "track"])
+def test_ctrl_c_at_any_moment(
+    where: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*arguments: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Course if where == "witness_miss" else a00, where, stop)
+    run = robot_ik("experiments", "a00", "--tests", 9, "--out", tmp_path)
+    assert run.code == 130 and "INTERRUPTED" in run.out and "Traceback" not in run.err
+    assert not json.loads((tmp_path / "a00.json").read_text())["complete"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("a00", "--tests", 14), "1 … 13"),
+        (("a00", "--solvers", "lmm"), "'lm'"),
+        (("a00", "--frames", 0), "1 or more"),
+        (("s12", "--frames", -3), "1 or more"),
+        (("a00", "--seed", -1), "0 or more"),
+        (("s12", "--tests", 3), "with a00 alone"),
+        (("s12", "--solvers", "lm"), "with a00 alone"),
+        (("a00", "--plot"), "with s12 alone"),
+        (("a00", "--frames", 2, "--out", "/dev/null/x"), "cannot write"),
+    ],
+)
+def test_wrong_input(words: tuple[Any, ...], said: str, robot_ik: Any) -> None:
+    run = robot_ik("experiments", *words)
+    run.assert_one_screen_error()
+    assert said in run.err
+
+
+def test_unknown_experiment(robot_ik: Any) -> None:
+    assert robot_ik("experiments", "a01").code == 2
+
+
+def test_a_picture_without_matplotlib_is_refused_before_the_work(
+    robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else found(name, *rest)
+    )
+    run = robot_ik("experiments", "s12", "--plot")
+    run.assert_one_screen_error()
+    assert 'pip install "robot_ik[plots]"' in run.err

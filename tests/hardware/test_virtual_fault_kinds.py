@@ -1,0 +1,203 @@
+"""Faults that happen while a virtual bus runs: each kind, its time, its end, and the dice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusTimeoutError, ServoRefusedError
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.fault_kinds import KINDS, Fault
+from robot_ik.hardware.virtual.faults import RATES
+from robot_ik.hardware.virtual.inprocess import SimBus
+from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, build
+from robot_ik.ports import VirtualClock
+
+TABLE = CONTROL_TABLES["XM430-W350"]
+PRESENT = TABLE["present_position"]
+IDS = (1, 2, 3)
+
+
+@pytest.fixture
+def sim(bus: VirtualBus) -> SimBus:
+    sim = SimBus(bus, retries=0)
+    sim.open()
+    return sim
+
+
+def who(sim: SimBus) -> list[int]:
+    return [id for id, status in sim.sync_read(IDS, PRESENT).items() if status.data is not None]
+
+
+def test_silent_for_one_cycle_and_at_its_time(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
+    bus.inject(Fault("silent", 2, at=1.0, lasts=0.05))
+    seen = []
+    for k in range(10):
+        clock.sleep_until(0.93 + 0.02 * k)
+        seen.append(who(sim))
+    assert seen == [[1, 2, 3]] * 4 + [[1, 3]] * 2 + [[1, 2, 3]] * 4 or seen.count([1, 3]) == 3
+
+
+def test_by_number_of_packets(bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(Fault("silent", 1, at_packet=3, lasts_packets=2))
+    assert [len(who(sim)) for _ in range(6)] == [3, 3, 2, 2, 3, 3]
+
+
+def test_everybody_silent_and_power_lost(bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(Fault("silent", lasts_packets=1))
+    assert who(sim) == [] and who(sim) == [1, 2, 3]
+    sim.write(1, TABLE["led"], 1)
+    bus.inject(Fault("supply", value=0.0, lasts_packets=1))
+    assert who(sim) == [] and who(sim) == [1, 2, 3]
+    assert sim.read(1, TABLE["led"]).data == 0  # it has started anew
+    assert sim.read(1, TABLE["present_input_voltage"]).data == 120
+
+
+def test_a_brown_out_of_one_servo(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
+    sim.write(3, TABLE["torque_enable"], 1)
+    clock.sleep_until(5.0)
+    ticks = sim.read(3, TABLE["realtime_tick"]).data
+    bus.inject(Fault("reboot", 3))
+    assert ticks == 5000 and sim.read(3, TABLE["realtime_tick"]).data == 0
+    assert sim.read(3, TABLE["torque_enable"]).data == 0
+    status = sim.read(3, TABLE["hardware_error_status"])
+    assert (status.data, status.alert) == (0, False)
+
+
+@pytest.mark.parametrize("name", ["overload", "overheating", "input_voltage", "electrical_shock"])
+def test_hardware_errors_stay_until_reboot(name: str, bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(Fault(name, 1, lasts_packets=1))
+    for _ in range(3):
+        status = sim.read(1, TABLE["hardware_error_status"])
+        assert status.data and status.alert
+    sim.reboot(1)
+    assert not sim.read(1, PRESENT).alert
+
+
+def test_what_a_servo_says_of_itself(bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(Fault("model", 1, 1060), Fault("status_level", 2, 0), Fault("return_delay", 3, 100))
+    assert sim.ping(1) == 1060
+    with pytest.raises(BusTimeoutError):
+        sim.read(2, PRESENT)
+    assert sim.ping(2) == 1020
+    ask = build(3, Instruction.READ, b"\x84\x00\x04\x00")
+    assert bus.answer(ask).delay == pytest.approx(200e-6)
+    bus.inject(Fault("latency", value=16.0, lasts_packets=1))
+    assert bus.answer(ask).delay == pytest.approx(16.2e-3)
+    assert bus.answer(ask).delay == pytest.approx(0.2e-3)
+    with pytest.raises(ValueError, match="999"):
+        bus.inject(Fault("model", 1, 999))
+
+
+def test_a_baud_rate_of_its_own(bus: VirtualBus, parse: Callable[[bytes], list[Packet]]) -> None:
+    bus.inject(Fault("baud", 2, 57_600, lasts_packets=2))
+    ping = build(254, Instruction.PING)
+    assert [p.id for p in parse(bus.handle(ping, 1_000_000))] == [1, 3]
+    assert [p.id for p in parse(bus.handle(ping, 57_600))] == [2]
+    assert [p.id for p in parse(bus.handle(ping, 1_000_000))] == [1, 2, 3]
+
+
+def test_two_servos_with_one_id_are_not_understood(bus: VirtualBus, sim: SimBus) -> None:
+    """Equal answers too: they do not begin at the same instant."""
+    bus.servo(1).turn_by_hand(1900.0)
+    bus.inject(Fault("id", 2, 1, lasts_packets=21))
+    understood = 0
+    for _ in range(20):
+        try:
+            sim.read(1, PRESENT)
+            understood += 1
+        except (BusTimeoutError, BusCorruptError):
+            pass
+    assert understood == 0 and sim.counters.corrupt > 10
+    assert 1 not in sim.broadcast_ping()  # garbled there as well
+    assert sim.broadcast_ping() == {1: 1020, 2: 1020, 3: 1020}
+
+
+def test_missing_and_extra(bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(Fault("extra", value=9, lasts_packets=1), Fault("unplugged", 2, lasts_packets=1))
+    assert sorted(sim.broadcast_ping()) == [1, 3, 9]
+    assert sorted(sim.broadcast_ping()) == [1, 2, 3]
+
+
+def test_watchdog_tripped_before(bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(Fault("watchdog_tripped", 1))
+    with pytest.raises(ServoRefusedError, match="watchdog"):
+        sim.write(1, TABLE["goal_position"], 200)
+    sim.write(1, TABLE["bus_watchdog"], 0)
+    sim.write(1, TABLE["goal_position"], 200)
+
+
+def test_shafts(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
+    bus.inject(Fault("turn", 1, 90.0), Fault("lost_turns", 2, 1), Fault("zero_offset", 3, -45.0))
+    found = [status.data for status in sim.sync_read(IDS, PRESENT).values()]
+    assert found == [100 + 1024, 200 + 4096, 300]
+    assert bus.servo(3).true_ticks == 300 - 512
+    bus.inject(Fault("push", 1, 2.0))
+    sim.write(1, TABLE["torque_enable"], 1)
+    amperes = (sim.read(1, TABLE["present_current"]).data or 0) * 2.69e-3
+    assert amperes * 4.1 / 2.3 > 1.7
+    bus.inject(Fault("hot", 1, 90.0))
+    clock.sleep_until(0.1)
+    assert sim.read(1, TABLE["present_temperature"]).data == 90
+    assert sim.read(1, TABLE["hardware_error_status"]).data == 0b100
+
+
+def test_the_port_goes_away_in_process_too(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
+    bus.inject(Fault("port_unplugged", at=1.0, lasts=0.5))
+    assert who(sim) == [1, 2, 3]
+    clock.sleep_until(1.2)
+    with pytest.raises(BusDisconnectedError):
+        sim.read(1, PRESENT)
+    clock.sleep_until(1.6)
+    sim.open()
+    assert who(sim) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("rate", sorted({*RATES, "echo"}))
+def test_no_fault_of_the_wire_ever_gives_a_wrong_value(rate: str, bus: VirtualBus) -> None:
+    sim = SimBus(bus, retries=2)
+    sim.open()
+    bus.inject(Fault(rate, value=0.3 if rate != "echo" else 0.0))
+    got = 0
+    for _ in range(400 if rate == "wrong_id" else 60):
+        for id, status in sim.sync_read(IDS, PRESENT).items():
+            assert status.data in (None, 100 * id)
+            got += status.data is not None
+    assert got > 60
+    bus.inject(*(Fault(name, value=0.0) for name in RATES))
+    sim.sync_read(IDS, PRESENT)
+    assert [s.data for s in sim.sync_read(IDS, PRESENT).values()] == [100, 200, 300]
+
+
+def test_equal_seeds_give_equal_runs(arm_config: ArmConfig) -> None:
+    def run(seed: int) -> list[bytes]:
+        from robot_ik.hardware.virtual.faults import Faults
+
+        bus = VirtualBus.from_config(arm_config, VirtualClock(), faults=Faults(seed=seed))
+        bus.inject(*(Fault(rate, value=0.1) for rate in RATES), Fault("id", 2, 1))
+        return [bus.handle(build(254, Instruction.PING)) for _ in range(30)]
+
+    assert run(1) == run(1) != run(2)
+
+
+def test_every_kind_can_be_begun_and_ended(bus: VirtualBus, clock: VirtualClock) -> None:
+    values = {"model": 1060.0, "baud": 57_600.0, "extra": 9.0}
+    for name, kind in KINDS.items():
+        value = values.get(name, kind.low or 0.0)
+        bus.inject(Fault(name, 1 if kind.servo else None, value, lasts=0.01))
+        clock.sleep_until(clock.now() + 0.02)
+        bus.advance()
+    assert sorted(s.id for s in bus.servos) == [1, 2, 3] and not bus.unplugged
+    assert bus.handle(build(2, Instruction.PING)) != b""
+
+
+def test_what_cannot_be_is_refused(bus: VirtualBus) -> None:
+    with pytest.raises(ValueError, match="silent"):
+        Fault("silnt")
+    with pytest.raises(ValueError, match=r"0\.\.1"):
+        Fault("drop", value=2.0)
+    with pytest.raises(KeyError):
+        bus.inject(Fault("silent", 99))

@@ -1,0 +1,141 @@
+"""A00's tests for ``aho_update.py``: starts and goals.
+
+Each chain begins bent on an arc: in tests 1-5 in the goal's own plane, all joints turned about its normal
+alone; in 6-10 in the XY plane, with links that lie along z where all joints stand at zero.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from aho_update import DIAGONAL, Array, Chain, Frame, Update, X, Y, Z, follow, turn
+
+from robot_ik.jobs.experiments.witnesses import arc_bend
+
+
+@dataclass(eq=False)
+class Course:
+    """A start and the goals that follow, for one of his tests.
+
+    Attributes:
+        link: Axis of the links when all joints stand at zero.
+        start: Local rotations of the joints.
+        goals: A pose a frame; ``at``: degrees (of lines: length units) gone.
+        oriented: Whether orientations are asked for.
+    """
+
+    number: int
+    link: Array
+    start: list[Array]
+    at: Array
+    goals: list[Frame]
+    oriented: bool = False
+
+    def lost_at(self, update: Update) -> float | None:
+        """How far the goal had gone when this version of the update lost it; None: never."""
+        lost, _ = follow(self.chain, self.goals, update, oriented=self.oriented)
+        return None if lost is None else float(self.at[lost])
+
+    @property
+    def chain(self) -> Chain:
+        """The chain at its start."""
+        return Chain(self.link, self.start)
+
+
+def bent(joints: int, link: Array, tip: Array, normal: Array) -> list[Array]:
+    """Local rotations that lay the links on an arc to ``tip``, bent about ``normal``; the first joint turns
+    the link's axis to the tip the shortest way."""
+    along = tip / np.linalg.norm(tip)
+    across = np.cross(link, along)
+    sine = float(np.linalg.norm(across))
+    first = turn(across / sine, math.degrees(math.atan2(sine, link @ along))) if sine > 1e-12 else np.eye(3)
+    bend = math.degrees(arc_bend(joints, float(np.linalg.norm(tip))))
+    worlds = [np.eye(3), *(turn(normal, 0.5 * bend * (joints - 1 - 2 * k)) @ first for k in range(joints))]
+    return [before.T @ after for before, after in pairwise(worlds)]
+
+
+def circle(
+    number: int, joints: int, link: Array, start: Array, axis: Array, *,
+    normal: Array | None = None, step: float = 1.0, spin: float | None = None, still: bool = False,
+    middle: Array | None = None,
+) -> Course:  # fmt: skip
+    """A goal that goes round ``axis`` once; its orientation turns ``spin`` times as fast."""
+    turns = bent(joints, link, start, axis if normal is None else normal)
+    tip = np.linalg.multi_dot([np.eye(3), *turns])
+    at = np.arange(0.0, 360.0 + 0.5 * step, step)
+    centre = np.zeros(3) if middle is None else middle
+    goals = [
+        (start if still else centre + turn(axis, a) @ (start - centre), turn(axis, (spin or 0.0) * a) @ tip)
+        for a in at
+    ]
+    return Course(number, link, turns, at, goals, spin is not None)
+
+
+def lines(number: int, joints: int) -> Course:
+    """Straight lines through ten random points, 0.02 units a frame."""
+    rng = np.random.default_rng(number)
+    corners: list[Array] = []
+    while len(corners) < 10:
+        point = rng.uniform(-joints, joints, 3)
+        if np.linalg.norm(point) < 0.8 * joints:
+            corners.append(point)
+    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.arange(0.0, far[-1], 0.02)
+    path = np.column_stack([np.interp(at, far, np.array(corners)[:, k]) for k in range(3)])
+    normal = np.cross(corners[0], Y)
+    turns = bent(joints, Z, corners[0], normal / np.linalg.norm(normal))
+    return Course(number, Z, turns, at, [(point, np.eye(3)) for point in path])
+
+
+def square() -> Course:
+    """Test 13: poses of two balls that turn about (1,1,0) while the elbow bends from 30° to 90° and back."""
+    at, goals, start = np.arange(0.0, 361.0), [], []
+    for a in at:
+        elbow = turn(X, 60.0 - 30.0 * math.cos(math.radians(a)))
+        turns = [turn(DIAGONAL, a), elbow]
+        start = start or turns
+        goals.append(((turns[0] + turns[0] @ elbow) @ Z, turns[0] @ elbow))
+    return Course(13, Z, start, at, goals, oriented=True)
+
+
+def course(number: int) -> Course:
+    """His test ``number``; the chain begins bent, in the goal's plane or, in 6-10, in the XY plane."""
+    far, near = 2.5, 1.5
+    diagonal = {"joints": 5, "link": Z, "start": far * X, "axis": DIAGONAL, "normal": Z}
+    rows = {
+        1: lambda: circle(1, 3, X, near * X, Z),
+        2: lambda: circle(2, 5, X, far * X, Z),
+        3: lambda: circle(3, 5, X, far * X, Z, spin=0.25),
+        4: lambda: circle(4, 5, X, far * X, Y),
+        5: lambda: circle(5, 5, Z, far * Z, X),
+        6: lambda: circle(6, **diagonal, step=0.1),
+        7: lambda: circle(7, **diagonal, step=0.1, spin=1.0),
+        8: lambda: circle(8, **diagonal, spin=1.0, still=True),
+        9: lambda: circle(9, **diagonal, step=5.0),
+        10: lambda: circle(10, **diagonal, spin=1.0, middle=(far - 1.0) * X),
+        11: lambda: lines(11, 3),
+        12: lambda: lines(12, 5),
+        13: square,
+    }  # fmt: skip
+    return rows[number]()
+
+
+STARTS = {
+    "links z, from x, bent in XY": (Z, X, Z),
+    "links z, from z, bent in XZ": (Z, Z, Y),
+    "links z, from z, bent in YZ": (Z, Z, X),
+    "links x, from x, bent in XY": (X, X, Z),
+    "links x, from x, bent in XZ": (X, X, Y),
+    "links x, from z, bent in XZ": (X, Z, Y),
+    "links x, from z, bent in YZ": (X, Z, X),
+}
+"""Starts of test 6: axis of the links at zero, direction of the goal, normal of the chain's plane."""
+
+
+def start_of_six(name: str, step: float = 0.1) -> Course:
+    """Test 6 from another start."""
+    link, start, normal = STARTS[name]
+    return circle(6, 5, link, 2.5 * start, DIAGONAL, normal=normal, step=step)

@@ -1,0 +1,136 @@
+"""S12's table: targets that can be reached, his parameters as he states them, ours that reach all."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import importlib.util
+import json
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.errors import MissingExtraError
+from robot_ik.goals import PositionGoal
+from robot_ik.jobs.experiments import notes, plot, s12
+from robot_ik.jobs.experiments.results import s12_rows, save_s12
+from robot_ik.problem import Budget, Problem
+
+FEW = 15
+
+
+@pytest.fixture(scope="module")
+def report() -> s12.S12Report:
+    return s12.run_s12(s12.S12Report(frames=FEW))
+
+
+def test_lm_and_auto_reach_everything(report: s12.S12Report) -> None:
+    assert report.passed, report.failures
+    for case in s12.CASES:
+        for name in s12.MUST_PASS:
+            assert report.tracks["best", name, case.number].solved == FEW
+    assert max(report.witness_miss.values()) < 1e-11
+
+
+@pytest.mark.parametrize("case", s12.CASES, ids=lambda case: case.title)
+def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.Case) -> None:
+    arm = s12.make_arm(case.limited)
+    bends = [k for k, name in enumerate(arm.joints) if not name.endswith("twist")]
+    assert np.all(arm.upper[bends] == (np.radians(45.0) if case.limited else np.inf))
+    witnesses = s12.make_witnesses(arm, case, 1001 if case.curve else 40, 0)
+    assert not any(arm.outside(q) for q in witnesses)
+    points = np.array([arm.measure(q).position for q in witnesses[:: 10 if case.curve else 1]])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if case.curve:
+        np.testing.assert_allclose(points[-1], points[0], atol=1e-12)  # closed
+        assert steps.min() > 0.1 and steps.max() < 1.0  # ten frames apart
+        np.testing.assert_allclose(arm.measure(witnesses[100], "segment2").position, [0, 0, 1], atol=1e-12)
+        # Segments 2 … 7, bent by 20° each: the closed form at the crossing of the wave.
+        bends = np.radians(20.0) * np.arange(1, 7)
+        assert points[0, 2] == pytest.approx(1.0 + np.cos(bends).sum())
+        assert np.hypot(*points[0, :2]) == pytest.approx(np.sin(bends).sum())
+    else:
+        assert np.median(steps) > 1.0
+
+
+@pytest.mark.parametrize(("name", "case"), [(n, c) for n in s12.METHODS[1:] for c in (s12.CASES[1],)])
+def test_his_parameters_make_his_step(name: str, case: s12.Case) -> None:
+    """One step of each Jacobian method against his formulas, written with NumPy on MuJoCo's Jacobian."""
+    arm, rng = s12.make_arm(case.limited), np.random.default_rng(8)
+    q, target = arm.sample(rng), arm.measure(arm.sample(rng)).position
+    problem = Problem(arm, PositionGoal("tip", target), tolerance=s12.TOLERANCE,
+                      budget=Budget(iterations=1, restarts=0))  # fmt: skip
+    step = s12.make_method("same", name, problem).solve(problem, q).q - q
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    mujoco.mj_comPos(arm.model, data)
+    jacobian = np.zeros((3, arm.model.nv))
+    # The point of the last segment that is at the target now: t in place of s.
+    mujoco.mj_jac(arm.model, data, jacobian, None, target, arm.model.body("segment7").id)
+    e = target - arm.measure(q).position
+    if name == "transpose":
+        jje = jacobian @ jacobian.T @ e
+        wanted = (e @ jje) / (jje @ jje) * jacobian.T @ e
+    elif name == "pseudoinverse":
+        wanted = np.linalg.pinv(jacobian) @ e
+    else:
+        wanted = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1.1**2 * np.eye(3), e)
+    wanted = 0.01 * wanted
+    assert abs(wanted).max() < np.pi / 16.0  # so that the cap of dls is not at work
+    np.testing.assert_allclose(step, wanted, rtol=1e-6, atol=1e-12)
+
+
+def test_his_parameters_are_a_budget_without_restarts(report: s12.S12Report) -> None:
+    for (variant, name, number), track in report.tracks.items():
+        if variant != "best":
+            assert track.iterations <= s12.ITERATIONS and track.restarts == 0, (variant, name, number)
+    # α as the share of a step leaves 37 % of the way after 100 steps: random targets are out of its reach.
+    assert report.tracks["same", "pseudoinverse", 2].share < 0.2
+    assert report.tracks["degrees", "pseudoinverse", 2].share > 0.8
+    sweeps = report.tracks["same", "ccd", 2]
+    assert s12.steps_of("ccd", sweeps) == 7 * sweeps.iterations
+
+
+def test_his_table_is_quoted_whole(report: s12.S12Report) -> None:
+    rows = [row for row in s12_rows(report) if row["parameters"] == "S12"]
+    assert len(rows) == 16
+    cell = next(row for row in rows if (row["method"], row["case"]) == ("pseudoinverse", 4))
+    assert (cell["milliseconds"], cell["n"], cell["solved"]) == (51.9, 88, 0.29)
+
+
+def test_files_and_picture(report: s12.S12Report, tmp_path: Any) -> None:
+    pytest.importorskip("matplotlib")
+    files = save_s12(report, tmp_path, plot=True)
+    assert [file.name for file in files] == ["s12.json", "s12.csv", "s12.png"]
+    summary = json.loads(files[0].read_text())
+    assert summary["passed"] and summary["not_stated"] == list(notes.S12_NOT_STATED)
+    with files[1].open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 16 + len(report.tracks) == 16 + 4 * (4 + 3 + 6)
+    assert files[2].read_bytes().startswith(b"\x89PNG") and files[2].stat().st_size > 20_000
+
+
+def test_without_matplotlib_the_picture_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="plots"):
+        plot.require_plots()
+
+
+def test_one_miss_fails_the_whole(report: s12.S12Report) -> None:
+    worse = dict(report.tracks)
+    worse["best", "lm", 4] = dataclasses.replace(worse["best", "lm", 4], solved=FEW - 1)
+    assert dataclasses.replace(report, tracks=worse).failures == [("lm", 4)]
+    assert not dataclasses.replace(report, tracks=worse).passed
+    worse = dict(report.tracks)  # a method that is only reported may miss
+    worse["best", "ccd", 4] = dataclasses.replace(worse["best", "ccd", 4], solved=0)
+    assert dataclasses.replace(report, tracks=worse).passed
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(3))
+def test_the_whole_table(seed: int) -> None:
+    found = s12.run_s12(s12.S12Report(seed=seed))
+    assert found.passed, found.failures

@@ -1,0 +1,154 @@
+"""Goals of every kind, and a judge that knows nothing of ``Goal.miss``.
+
+It reads what a goal says in public and asks MuJoCo where things are.
+"""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
+from robot_ik.problem import Tolerance
+
+TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
+KINDS = (
+    "position", "height", "orientation", "axis", "pose", "drill", "aim",
+    "line", "plane", "wall", "mass", "balance", "posture", "some joints",
+)  # fmt: skip
+# The frame and the axis that look, and the body whose mass counts.
+LOOKS = {"humanoid": ("gaze", "x"), "puma560": (None, "z"), "srs_arm": (None, "-y")}
+BODY = {"humanoid": "right_upper_arm", "puma560": None, "srs_arm": None}
+
+
+def goals_met_at(robot, q):
+    """A goal of every kind and of every part, met at q (nq,), by what it is called in the tests."""
+    pose, (eye, axis) = robot.forward(q), LOOKS[robot.name]
+    seen, body = robot.forward(q, eye), BODY[robot.name]
+    sign, look = (-1, axis[1:]) if axis[0] == "-" else (1, axis)
+    ahead = seen.apply(0.6 * sign * np.eye(3)["xyz".index(look)])
+    slant = np.array([0.6, 0.0, 0.8])
+    return {
+        "position": PositionGoal(None, pose.position, weight=2.0),
+        "height": PositionGoal(None, pose.position, axes="z"),
+        "orientation": OrientationGoal(None, pose.wxyz),
+        "axis": OrientationGoal(None, pose.wxyz, free_axis=(0, 3, 4)),
+        "pose": PoseGoal.at(None, pose),
+        "drill": PoseGoal(None, pose.position, pose.wxyz, free_axis="z", angle_weight=0.7),
+        "aim": AimGoal(eye, ahead, axis=axis),
+        "line": LineGoal(None, pose.position + 0.3 * slant, slant),
+        "plane": PlaneGoal(None, pose.position + 0.3 * np.array([0.8, 0.0, -0.6]), slant),
+        "wall": HalfSpaceGoal(None, pose.position - 0.01 * slant, slant),
+        "mass": CenterOfMassGoal(body, robot.center_of_mass(q, body)),
+        "balance": CenterOfMassGoal(body, robot.center_of_mass(q, body), axes="xy"),
+        "posture": PostureGoal(q=q),
+        "some joints": PostureGoal(q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only=True),
+    }
+
+
+def near(robot, seed, way=0.35):
+    """A q (nq,) inside the limits and not far from home."""
+    rng = np.random.default_rng(seed)
+    return robot.clip(robot.integrate(robot.home, rng.uniform(-way, way, robot.nv)))
+
+
+@cache
+def goals_near(robot, seed):
+    """``goals_met_at`` a q that is ``near`` home."""
+    return goals_met_at(robot, near(robot, seed))
+
+
+@cache
+def data_of(robot):
+    """One work space of MuJoCo for each robot."""
+    return mujoco.MjData(robot.model)
+
+
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+
+
+def direction(axis):
+    if isinstance(axis, str):
+        return np.array(AXES[axis[-1]], dtype=float) * (-1 if axis[0] == "-" else 1)
+    return np.array(axis, dtype=float) / np.linalg.norm(axis)
+
+
+def angle_between(a, b):
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)))
+
+
+def measured(robot, q, goal):
+    """Metres and radians off, from MuJoCo's data and the goal's public fields alone."""
+    model, data = robot.model, data_of(robot)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    if isinstance(goal, PostureGoal):
+        return joints_off(robot, data.qpos, goal)
+    if isinstance(goal, CenterOfMassGoal):
+        off = goal.position - data.subtree_com[model.body(goal.frame).id if goal.frame else 0]
+        return float(np.linalg.norm([off["xyz".index(a)] for a in goal.axes])), 0.0
+    site = data.site(goal.frame or robot.tool)
+    here, rotation = site.xpos, site.xmat.reshape(3, 3)
+    if isinstance(goal, PositionGoal):
+        off = goal.position - here
+        return float(np.linalg.norm([off["xyz".index(a)] for a in goal.axes])), 0.0
+    if isinstance(goal, AimGoal):
+        return 0.0, angle_between(rotation @ direction(goal.axis), goal.point - here)
+    if isinstance(goal, OrientationGoal | PoseGoal):
+        wanted = np.zeros(9)
+        mujoco.mju_quat2Mat(wanted, np.asarray(goal.wxyz))
+        wanted = wanted.reshape(3, 3)
+        metres = float(np.linalg.norm(goal.position - here)) if isinstance(goal, PoseGoal) else 0.0
+        if goal.free_axis is not None:
+            return metres, angle_between(
+                rotation @ direction(goal.free_axis), wanted @ direction(goal.free_axis)
+            )
+        turn = rotation.T @ wanted
+        sine = 0.5 * np.linalg.norm(
+            [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+        )
+        return metres, float(np.arctan2(sine, 0.5 * (np.trace(turn) - 1)))
+    normal, off = direction(goal.direction), goal.point - here
+    along = float(normal @ off)
+    across = {
+        LineGoal: np.linalg.norm(off - along * normal),
+        PlaneGoal: abs(along),
+        HalfSpaceGoal: max(along, 0.0),
+    }
+    return float(across[type(goal)]), 0.0
+
+
+def joints_off(robot, qpos, goal):
+    """The largest way of a joint that counts, metres and radians."""
+    model, way = robot.model, np.zeros(robot.model.nv)
+    mujoco.mj_differentiatePos(model, way, 1.0, qpos, robot.qpos(goal.q))
+    metres = radians = 0.0
+    for name in robot.joints:
+        if goal.joints.get(name, 0.0 if goal.only else 1.0) == 0.0:
+            continue
+        joint, first = model.joint(name), int(model.joint(name).dofadr[0])
+        if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE:
+            metres = max(metres, np.abs(way[first : first + 3]).max())
+            radians = max(radians, np.linalg.norm(way[first + 3 : first + 6]))
+        else:
+            radians = max(radians, abs(way[first]))
+    return metres, radians
+
+
+def cost(problem, q):
+    """What is minimised, from MuJoCo's measurement (one goal that is no posture): weighted, in rad²."""
+    goal = problem.goals[0]
+    metres, radians = measured(problem.robot, q, goal)
+    a, b = goal.weights
+    return 0.5 * ((a * metres / problem.length(goal)) ** 2 + (b * radians) ** 2)

@@ -1,0 +1,160 @@
+"""Goals of every kind that cannot be met: an honest status, a local minimum, and rest."""
+
+import dataclasses
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik.geometry import Pose
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solvers import SOLVERS, make_solver
+
+# The judge lies beside this file; it is nobody's package.
+_spec = importlib.util.spec_from_file_location("goal_judge", Path(__file__).with_name("goal_judge.py"))
+judge = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(judge)
+BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near = (
+    judge.BODY,
+    judge.KINDS,
+    judge.LOOKS,
+    judge.TOLERANCE,
+    judge.cost,
+    judge.direction,
+    judge.measured,
+    judge.near,
+)
+
+UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
+
+
+@pytest.fixture(scope="module")
+def tied():
+    """The PUMA and the figure (standing on its pelvis) with little room in every joint."""
+    figure = load_robot("humanoid")
+    figure = load_robot("humanoid", joints=[joint for joint in figure.joints if joint != "root"])
+    narrow = [
+        robot.with_limits(robot.home - 0.3, robot.home + 0.4) for robot in (load_robot("puma560"), figure)
+    ]
+    return {robot.name: robot for robot in narrow}
+
+
+def never(robot, kind):
+    """A goal of that kind that the limits put out of reach."""
+    pose, (eye, axis) = robot.forward(robot.home), LOOKS[robot.name]
+    seen, body = robot.forward(robot.home, eye), BODY[robot.name]
+    turned = (pose @ Pose((0, 0, 0), (np.cos(1.1), 0.6 * np.sin(1.1), 0.8 * np.sin(1.1), 0))).wxyz
+    far = pose.position + np.array([1.1, -0.9, 0.8])
+    slant = np.array([0.6, 0.0, 0.8])
+    behind = seen.position - 0.7 * (seen.rotation @ direction(axis)) + np.array([0.1, 0.3, 0.4])
+    return {
+        "position": PositionGoal(None, far),
+        "height": PositionGoal(None, np.add(far, (0, 0, 1.5)), axes="z"),
+        "orientation": OrientationGoal(None, turned),
+        "axis": OrientationGoal(None, turned, free_axis="z"),
+        "pose": PoseGoal(None, far, turned),
+        "drill": PoseGoal(None, far, turned, free_axis="z"),
+        "aim": AimGoal(eye, behind, axis=axis),
+        "line": LineGoal(None, far, (0.8, 0.3, 0)),
+        "plane": PlaneGoal(None, pose.position + 2.0 * slant, slant),
+        "wall": HalfSpaceGoal(None, pose.position + 2.0 * slant, slant),
+        "mass": CenterOfMassGoal(body, far),
+        "balance": CenterOfMassGoal(body, far, axes="xy"),
+        "posture": PostureGoal(q=robot.home + np.resize([1.0, -0.7], robot.nq)),
+    }[kind]
+
+
+unreachable = pytest.mark.parametrize("kind", UNREACHABLE)
+
+
+def slope(problem, q):
+    """The steepest descent of √(2 cost) that the limits leave open, by central differences of MuJoCo."""
+    robot, step = problem.robot, 1e-6
+    size = np.sqrt(2 * cost(problem, q))
+    gradient = np.zeros(robot.nv)
+    for v in problem.dofs:
+        dq = np.zeros(robot.nv)
+        dq[v] = step
+        ahead, behind = cost(problem, robot.integrate(q, dq)), cost(problem, robot.integrate(q, -dq))
+        gradient[v] = (ahead - behind) / (2 * step) / size
+    open_ = ~((q <= robot.lower + 1e-9) & (gradient > 0) | (q >= robot.upper - 1e-9) & (gradient < 0))
+    return float(np.abs(gradient * open_).max())
+
+
+@unreachable
+@pytest.mark.parametrize("name", ["auto", "lm", "combined"])
+def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
+    # The default budget polishes the best of all tries; one that runs out between two tries does not.
+    budget = Budget() if name == "lm" else Budget(restarts=0)
+    for robot in tied.values():
+        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget)
+        solution = make_solver(name).solve(problem, near(robot, 2, 0.1))
+        assert not solution.converged
+        if kind == "posture":  # each joint by itself: as far as it may
+            np.testing.assert_allclose(solution.q, robot.clip(problem.goals[0].q), atol=1e-6)
+        else:
+            assert slope(problem, solution.q) < 1e-3
+
+
+@unreachable
+@pytest.mark.parametrize("name", list(SOLVERS))
+def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
+    for robot in tied.values():
+        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200))
+        if not make_solver(name).applies(problem):
+            continue
+        start = near(robot, 2, 0.1)
+        solution = make_solver(name).solve(problem, start)
+        metres, radians = measured(robot, solution.q, problem.goals[0])
+        assert not solution.converged and not robot.outside(solution.q)
+        assert solution.status is not Status.NUMERICAL
+        assert (solution.miss.position, solution.miss.angle) == pytest.approx((metres, radians), abs=1e-7)
+        if kind != "posture":
+            assert cost(problem, solution.q) <= cost(problem, start) * (1 + 1e-9)
+
+
+@unreachable
+@pytest.mark.parametrize("name", ["auto", "lm", "dls", "sdls"])
+def test_law_6_tracking_comes_to_rest(tied, name, kind):
+    for robot in tied.values():
+        budget = Budget(restarts=0)
+        problem, solver = (
+            Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget),
+            make_solver(name),
+        )
+        q, largest = robot.home, 0.0
+        for tick in range(60):
+            solution = solver.solve(problem, q)
+            if tick >= 30:
+                largest = max(largest, float(np.abs(solution.q - q).max()))
+            q = solution.q
+        assert largest <= 1e-3
+
+
+def test_length_says_how_many_metres_are_worth_a_radian():
+    """A00's scale c: a longer length asks less of the metres, and the answer is best by that very measure."""
+    robot, misses = load_robot("puma560"), []
+    q, far = robot.home, PoseGoal(None, (-1.1, -0.4, 0.7), (0.5, 0.5, 0.5, -0.5))
+    for degrees in (600.0, 60.0, 6.0):  # that count as much as one metre
+        goal = dataclasses.replace(far, length=360 / (2 * np.pi * degrees))
+        problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0))
+        solution = make_solver("lm").solve(problem, q)
+        assert problem.length(goal) == goal.length and slope(problem, solution.q) < 1e-3
+        q = solution.q
+        misses.append(solution.miss)
+    assert misses[0].position < misses[1].position - 1e-3 < misses[2].position - 2e-3
+    assert misses[0].angle > misses[1].angle + 1e-3 > misses[2].angle + 2e-3

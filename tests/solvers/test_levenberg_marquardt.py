@@ -1,0 +1,121 @@
+"""What is Levenberg-Marquardt's own: stride, going round, the best of several draws; and the hot loop."""
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import InvalidGoalError, ModelError
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solvers import make_solver
+
+# A lift, and on it a wrist with nearly two turns of room; home is at one end of them.
+ROUND = """<mujoco model="round"><compiler angle="radian"/><worldbody>
+<body name="lift"><joint name="lift" type="slide" axis="0 0 1" range="0 1"/><geom size="0.02"/>
+ <body name="hand"><joint name="wrist" axis="0 0 1" range="{low} {high}"/><geom size="0.02"/>
+  <site name="tool" pos="0.3 0 0"/></body></body>
+</worldbody><keyframe><key name="home" qpos="0 3.1"/></keyframe></mujoco>"""
+
+
+def arm(tmp_path, low, high):
+    path = tmp_path / "round.xml"
+    path.write_text(ROUND.format(low=low, high=high))
+    return load_robot(path)
+
+
+@pytest.mark.parametrize(("low", "there", "goes_round"), [(-3.4, -2.9, True), (-2.0, -1.9, False)])
+def test_a_joint_goes_round_in_later_tries_where_it_has_a_turn(tmp_path, low, there, goes_round):
+    robot = arm(tmp_path, low, 3.2)
+    goal = PoseGoal.at("tool", robot.forward([0.4, there], "tool"))
+    # From home the short way to the goal is past the limit.
+    stuck = make_solver("lm").solve(Problem(robot, goal, budget=Budget(restarts=0)))
+    assert not stuck.converged and stuck.q[1] == pytest.approx(3.2)
+    # One random start: where it stands must not matter to a joint that may go round.
+    once = [
+        make_solver("lm", draws=1).solve(Problem(robot, goal, budget=Budget(restarts=1), seed=seed))
+        for seed in range(20)
+    ]
+    assert all(low <= solution.q[1] <= 3.2 for solution in once)
+    assert all(solution.converged for solution in once) == goes_round
+
+
+@pytest.mark.parametrize("stride", [0.05, 0.3])
+def test_no_joint_moves_more_than_the_stride(near_problems, one_step, stride):
+    lengths = []
+    for problem, q in near_problems("puma560", "pose", distance=0.6):
+        lengths.append(np.abs(one_step(make_solver("lm", stride=stride), problem, q)).max())
+    assert max(lengths) == pytest.approx(stride, rel=1e-9)
+
+
+def test_better_random_starts_need_fewer_restarts(robots, reachable):
+    robot = robots("puma560")
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=Tolerance(1e-6, 1e-6))
+    restarts = {}
+    for draws in (1, 8):
+        solver, restarts[draws] = make_solver("lm", draws=draws), 0
+        for q in reachable(robot, 100):
+            problem.retarget(robot.forward(q))
+            restarts[draws] += solver.solve(problem).restarts
+    assert restarts[8] < 0.8 * restarts[1]
+
+
+@pytest.mark.parametrize("name", ["lm", "auto"])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_a_start_that_is_not_finite_is_refused(robots, name, wrong):
+    robot = robots("puma560")
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)))
+    start = robot.home.copy()
+    start[3] = wrong
+    with pytest.raises(ModelError, match="finite"):
+        make_solver(name).solve(problem, start)
+    assert make_solver(name).solve(problem, robot.home).converged
+
+
+def test_matrices_of_all_sorts_move_a_target_alike(robots, reachable):
+    robot = robots("puma560")
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)))
+    matrix = robot.forward(reachable(robot, 1)[0]).matrix
+    for same in (
+        matrix,
+        np.asfortranarray(matrix),
+        matrix.tolist(),
+        np.kron(matrix, np.ones((2, 2)))[::2, ::2],
+    ):
+        problem.target[:] = 0.0
+        problem.retarget(same)
+        np.testing.assert_array_equal(problem.target[0, :3], matrix[:3, 3])
+        np.testing.assert_array_equal(problem.target[0, 3:].reshape(3, 3), matrix[:3, :3])
+    problem.retarget(matrix.astype(np.float32))
+    np.testing.assert_allclose(problem.target[0, :3], matrix[:3, 3], rtol=1e-6)
+    before = problem.target.copy()
+    for wrong in (np.nan, np.inf):
+        broken = matrix.copy()
+        broken[1, 2] = wrong
+        with pytest.raises(InvalidGoalError, match="finite"):
+            problem.retarget(broken)
+        np.testing.assert_array_equal(problem.target, before)
+
+
+def test_each_goal_is_moved_by_its_own_index(robots, reachable):
+    robot = robots("puma560")
+    goals = [PoseGoal.at(None, robot.forward(robot.home)), PositionGoal(None, (0.1, 0.2, 0.3))]
+    problem = Problem(robot, goals)
+    matrix = robot.forward(reachable(robot, 1)[0]).matrix
+    problem.retarget(matrix, 1)
+    np.testing.assert_array_equal(problem.target[1, :3], matrix[:3, 3])
+    np.testing.assert_allclose(problem.target[0, :3], goals[0].target.position)
+    with pytest.raises(IndexError):
+        problem.retarget(matrix, 2)
+
+
+def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
+    robot = robots("puma560")
+    there, far = robot.forward(robot.home).matrix, robot.forward(robot.home).matrix
+    far[:3, 3] = 3.0, 1.0, 1.0
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)))
+    for name in ("lm", "auto", "dls"):
+        solver = make_solver(name)
+        for matrix, status in ((far, Status.UNREACHABLE), (there, Status.CONVERGED)) * 2:
+            problem.retarget(matrix)
+            assert solver.solve(problem).status is status

@@ -1,0 +1,137 @@
+"""Strict priorities: a later goal never costs an earlier one anything, and gets all the rest."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import UnsupportedGoalError
+from robot_ik.goals import AimGoal, CenterOfMassGoal, PlaneGoal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.problem import Budget, Tolerance
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solve import solve
+from robot_ik.solvers import SOLVERS
+
+FINE = Tolerance(1e-6, 1e-6)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_robot("srs_arm")
+
+
+def slope_left(robot, q, frame, wanted):
+    """Way to ``wanted`` that the pose of ``frame`` and the limits still leave open: zero at the optimum."""
+    jacobian, way, held = robot.jacobian(q, frame), wanted - q, np.zeros(robot.nv, dtype=bool)
+    for _ in range(robot.nv):
+        free = ~held
+        part = np.zeros(robot.nv)
+        part[free] = way[free] - np.linalg.pinv(jacobian[:, free], rcond=1e-6) @ (
+            jacobian[:, free] @ way[free]
+        )
+        outward = ((q <= robot.lower + 1e-9) & (part < 0)) | ((q >= robot.upper - 1e-9) & (part > 0))
+        if not (outward & ~held).any():
+            break
+        held |= outward
+    return float(np.linalg.norm(part))
+
+
+def test_the_pose_is_met_and_the_posture_gets_all_the_freedom_that_is_left(arm):
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
+        found = solve(arm, [pose, PostureGoal(q=arm.home, priority=1)], solver="lm")
+        assert found.misses[0].position < 1e-4 and found.misses[0].angle < 1e-3
+        assert not arm.outside(found.q)
+        assert slope_left(arm, found.q, None, arm.home) < 2e-3
+
+
+def test_what_cannot_be_met_first_is_as_near_as_if_it_were_alone(arm):
+    for k in range(4):
+        far = PositionGoal(None, (2.5 * np.cos(k), 2.5 * np.sin(k), 0.5))
+        alone = solve(arm, far, solver="lm")
+        both = solve(arm, [far, PostureGoal(q=arm.home + 0.3, priority=1)], solver="lm")
+        assert both.status is Status.UNREACHABLE
+        assert both.misses[0].position == pytest.approx(alone.miss.position, rel=2e-5)
+
+
+@pytest.mark.parametrize("far", [0.35, 5.0])
+def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
+    elbow, tool = "elbow", arm.tool
+    there = arm.forward(arm.home + 0.2, tool).position
+    first = PositionGoal(tool, there, tolerance=FINE)
+    for away in itertools.product((-far, far), repeat=2):
+        second = PositionGoal(elbow, (*away, 0.4), priority=1)
+        strict = solve(arm, [first, second], solver="lm")
+        assert strict.misses[0].position <= 1e-6
+        mixed = solve(arm, [first, PositionGoal(elbow, (*away, 0.4))], solver="lm", budget=Budget(restarts=0))
+        if far > 1.0:  # without priorities they share the miss
+            assert mixed.misses[0].position > 1e-4
+        alone = solve(arm, second, solver="lm")
+        assert strict.misses[1].position >= alone.miss.position - 1e-4
+
+
+def test_the_order_of_the_list_does_not_matter_but_that_of_the_numbers_does(arm):
+    pose = arm.forward(arm.home + 0.25)
+    goals = [
+        PositionGoal(None, pose.position, priority=2, tolerance=FINE),
+        PlaneGoal("elbow", (0, 0, 0.3), "z", priority=7),
+        PositionGoal("elbow", (0.1, 0.9, 0.9), priority=40),
+    ]
+    answers = [solve(arm, list(order), solver="lm") for order in itertools.permutations(goals)]
+    for found in answers:
+        by_goal = dict(zip(found.goals, found.misses, strict=True))
+        assert [by_goal[g].position for g in goals] == pytest.approx(
+            [answers[0].misses[k].position for k in range(3)], abs=1e-6
+        )
+    turned = solve(
+        arm, [PositionGoal("elbow", (0.1, 0.9, 0.9)), PositionGoal(None, pose.position, priority=1)]
+    )
+    assert turned.misses[0].position < answers[0].misses[2].position - 0.01
+
+
+def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
+    figure = load_robot("humanoid")
+    hand = figure.forward(figure.home, "right_hand").position
+    for out, reached in ((0.3, True), (1.3, False)):
+        ball = hand + np.array([out, 0.1, -0.2])
+        goals = [
+            PoseGoal.at("left_foot", figure.forward(figure.home, "left_foot")),
+            PoseGoal.at("right_foot", figure.forward(figure.home, "right_foot")),
+            CenterOfMassGoal(None, figure.center_of_mass(figure.home), axes="xy", priority=1),
+            PositionGoal("right_hand", ball, priority=2),
+            AimGoal("gaze", ball, axis="x", priority=3),
+            PostureGoal(q=figure.home, priority=4),
+        ]
+        found = solve(figure, goals)
+        misses = found.misses
+        assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
+        assert (misses[3].position < 1e-4) is reached
+        assert misses[4].angle < 1e-3 or not reached
+        assert not figure.outside(found.q)
+
+
+def test_laws_hold_with_priorities_too(arm):
+    rng = np.random.default_rng(4)
+    q = arm.sample(rng)
+    goals = [PoseGoal.at(None, arm.forward(q)), PostureGoal(q=q, priority=1)]
+    at_goal = solve(arm, goals, start=q, solver="lm")
+    assert at_goal.converged and at_goal.iterations == 0 and np.array_equal(at_goal.q, q)
+    near = arm.clip(q + 0.1)
+    once, twice = (solve(arm, goals, start=near, solver="lm", seed=5) for _ in range(2))
+    assert once.q.tobytes() == twice.q.tobytes() and once.converged
+    short = solve(arm, goals, solver="lm", budget=Budget(iterations=2))
+    assert short.iterations == 2 and short.status is Status.ITERATION_LIMIT
+    late = solve(arm, goals, solver="lm", budget=Budget(seconds=0.0))
+    assert late.status is Status.TIME_LIMIT and late.iterations == 0
+    traced = solve(arm, goals, solver="lm", trace=True)
+    assert len(traced.trace) == traced.iterations > 0
+
+
+def test_methods_without_priorities_refuse_them_by_name(arm):
+    goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PositionGoal("elbow", (0, 0, 1), priority=1)]
+    for name in sorted(set(SOLVERS) - {"auto", "lm", "combined"}):
+        with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+            solve(arm, goals, solver=name)
+        assert "lm" in caught.value.able

@@ -1,0 +1,191 @@
+"""Joints that follow others: the law holds in every answer, in MuJoCo's eyes too, or the method refuses."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.errors import (
+    ConfigError,
+    ModelError,
+    UnknownJointError,
+    UnsupportedGoalError,
+    UnsupportedJointError,
+)
+from robot_ik.goals import PositionGoal, PostureGoal
+from robot_ik.kernels.residuals import residual_and_jacobian
+from robot_ik.problem import Problem, Tolerance
+from robot_ik.robot import load_robot
+from robot_ik.solve import solve
+from robot_ik.solvers import SOLVERS, make_solver
+
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="a"><joint name="j1" axis="0 0 1" range="-2 2"/><geom size="0.05"/>
+ <body name="b" pos="0.4 0 0"><joint name="j2" axis="0 1 0" ref="0.2" range="-1.5 1.5"/><geom size="0.05"/>
+  <body name="c" pos="0.4 0 0"><joint name="j3" axis="0 1 0" range="-0.9 1.2"/><geom size="0.05"/>
+   <body name="d" pos="0.3 0 0.1"><joint name="j4" axis="1 0 0" range="-2 2"/><geom size="0.05"/>
+    <body name="e" pos="0.2 0.1 0"><joint name="j5" type="slide" axis="0 0 1" range="-.2 .2"/>
+     <geom size="0.05"/><site name="tip" pos="0.1 0 0.1"/></body></body></body></body></body>
+</worldbody><equality>{}</equality></mujoco>"""
+LAWS = {
+    "linear": '<joint joint1="j3" joint2="j2" polycoef="0.1 -0.6 0 0 0"/>',
+    "curved": '<joint joint1="j3" joint2="j2" polycoef="0.1 0.5 0.2 -0.05 0.01"/>',
+    "slide follows hinge": '<joint joint1="j5" joint2="j4" polycoef="0 0.08 0 0 0"/>',
+    "still": '<joint joint1="j4" polycoef="0.3 0 0 0 0"/>',
+    "chain": '<joint joint1="j3" joint2="j2" polycoef="0 -0.5 0 0 0"/><joint joint1="j4" joint2="j3"/>',
+}
+_EXACT = Tolerance(1e-9, 1e-9)
+HONOUR = [name for name, kind in SOLVERS.items() if "couplings" in kind.honours and name != "combined"]
+
+
+def arm(folder: Path, equality: str, **options):
+    path = folder / "arm.xml"
+    path.write_text(ARM.format(equality))
+    return load_robot(path, tool="tip", **options)
+
+
+def broken(robot, q):
+    """Largest violation of the model's equalities at q, by MuJoCo's own constraint solver."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_forward(robot.model, data)
+    return np.abs(data.efc_pos[: data.ne]).max(initial=0.0)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_answer_keeps_the_law_in_mujocos_eyes(tmp_path, law):
+    robot = arm(tmp_path, LAWS[law])
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        there = robot.sample(rng)
+        assert broken(robot, there) < 1e-12 and not robot.outside(there)
+        for name in HONOUR:
+            found = solve(robot, PositionGoal(None, robot.forward(there).position), solver=name)
+            assert broken(robot, found.q) < 1e-12 and not robot.outside(found.q), name
+            if name == "lm":
+                assert found.converged, found
+    assert broken(robot, robot.home) < 1e-12
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if law != "still"])
+def test_the_jacobian_carries_the_followers(tmp_path, law):
+    robot = arm(tmp_path, LAWS[law])
+    rng = np.random.default_rng(5)
+    problem = Problem(robot, [PositionGoal(None, (0.3, 0.2, 0.1)), PositionGoal("d", (1, 0, 0), axes="xz")])
+
+    def at(q):
+        problem.arrays["q"][:] = q
+        residual_and_jacobian(robot.tree.handle, problem.handle, problem.work)
+        return problem.arrays["residual"].copy(), problem.arrays["jacobian"].copy()
+
+    for _ in range(5):
+        q = robot.clip(robot.sample(rng))
+        _, jacobian = at(q)
+        for u, v in enumerate(problem.dofs):
+            step = np.zeros(robot.nv)
+            step[v] = 1e-6
+            ahead, behind = robot.follow(robot.integrate(q, step)), robot.follow(robot.integrate(q, -step))
+            slope = (at(behind)[0] - at(ahead)[0]) / 2e-6
+            np.testing.assert_allclose(jacobian[:, u], slope, atol=1e-7)
+
+
+def test_a_leader_stops_where_its_follower_meets_a_limit(tmp_path):
+    robot = arm(tmp_path, LAWS["linear"])
+    # j3 = 0.1 - 0.6 (j2 - 0.2) inside -0.9 … 1.2; j2 itself could go to ±1.5
+    assert robot.lower[1] == pytest.approx(-1.5) and robot.upper[1] == pytest.approx(1.5)
+    tight = arm(tmp_path, LAWS["linear"].replace("-0.6", "-3"))
+    assert tight.lower[1] == pytest.approx(0.2 - 1.1 / 3) and tight.upper[1] == pytest.approx(0.2 + 1.0 / 3)
+    narrower = tight.with_limits(np.full(5, -0.05), np.full(5, 10.0))
+    assert narrower.upper[1] == pytest.approx(0.25)
+    with pytest.raises(ModelError, match="no place inside its limits"):
+        arm(tmp_path, LAWS["linear"].replace("0.1 -0.6", "7 0.1"))
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in SOLVERS if name not in HONOUR and name not in ("auto", "combined")]
+)
+def test_a_method_that_cannot_refuses_by_name_and_names_those_that_can(tmp_path, name):
+    with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+        solve(arm(tmp_path, LAWS["linear"]), PositionGoal(None, (0.5, 0.5, 0)), solver=name)
+    assert "lm" in caught.value.able and "ccd" not in caught.value.able
+
+
+def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp_path):
+    goal = PositionGoal(None, (0.8, 0.3, 0.2))
+    with pytest.raises(UnsupportedJointError, match=r"'j3', which is frozen, to 'j2'"):
+        Problem(arm(tmp_path, LAWS["linear"], joints=["j1", "j2"]), goal)
+    robot = arm(tmp_path, LAWS["linear"], joints=["j1", "j3", "j4"])
+    q = solve(robot, goal, solver="lm").q
+    assert q[1] == pytest.approx(robot.home[1]) and broken(robot, q) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("equality", "says"),
+    [
+        (LAWS["linear"] + '<joint joint1="j3" joint2="j1"/>', "'j3' is tied twice"),
+        ('<joint joint1="j3" joint2="j2"/><joint joint1="j2" joint2="j3"/>', "in a circle"),
+        ('<joint joint1="j3" joint2="j2" polycoef="0 0 1 1 1"/>'
+            '<joint joint1="j4" joint2="j3" polycoef="0 0 1 0 0"/>',
+         "degree 8"),
+    ],
+)  # fmt: skip
+def test_couplings_that_make_no_sense_are_refused(tmp_path, equality, says):
+    with pytest.raises(UnsupportedJointError, match=says):
+        arm(tmp_path, equality)
+
+
+TOML = """schema = 1
+title = "coupled"
+model = "arm.xml"
+tool = "tip"
+{}
+"""
+
+
+def described(folder: Path, text: str):
+    (folder / "arm.xml").write_text(ARM.format(""))
+    (folder / "robot.toml").write_text(TOML.format(text))
+    return load_robot(folder)
+
+
+def test_robot_toml_couples_joints_too(tmp_path):
+    robot = described(tmp_path, "[couplings]\nj3 = { follows = 'j2', ratio = -0.5, offset = 0.1 }")
+    found = solve(robot, PositionGoal(None, (0.7, 0.5, 0.1)), solver="lm")
+    assert found.q[2] == pytest.approx(0.1 - 0.5 * found.q[1], abs=1e-12)
+    with pytest.raises(UnknownJointError, match="j9"):
+        described(tmp_path, "[couplings]\nj3 = { follows = 'j9', ratio = 1.0 }")
+    with pytest.raises(ConfigError, match="couplings"):
+        described(tmp_path, "[couplings]\nj3 = { follow = 'j2', ratio = 1.0 }")
+
+
+def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
+    soft = described(tmp_path, "")
+    stiff = described(tmp_path, "[stiffness]\nj1 = 25.0\nj3 = 4.0")
+    assert stiff.stiffness.tolist() == [25.0, 1.0, 4.0, 1.0, 1.0]
+    goal = PostureGoal(q=soft.home)  # all joints count, so all are columns
+    assert np.allclose(Problem(stiff, goal)._compiled.arrays["ease"], [0.2, 1.0, 0.5, 1.0, 1.0])
+    start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
+    place = soft.forward(start).position
+    near = PositionGoal(None, place + np.array([0.0, 1e-4, 1e-4]))
+    for name in ("lm", "dls", "pseudoinverse"):
+        method = make_solver(name)
+        moved = {
+            robot.stiffness[0]: method.solve(Problem(robot, near, tolerance=_EXACT), start).q - start
+            for robot in (soft, stiff)
+        }
+        jacobian = soft.jacobian(start)[:3]
+        for weight, step in moved.items():
+            inverse = np.diag(1.0 / (stiff if weight > 1 else soft).stiffness)
+            wanted = (
+                inverse
+                @ jacobian.T
+                @ np.linalg.solve(jacobian @ inverse @ jacobian.T, near.target.position - place)
+            )
+            np.testing.assert_allclose(step, wanted, atol=2e-7, err_msg=name)
+        assert abs(moved[25.0][0]) < 0.95 * abs(moved[1.0][0])
+    with pytest.raises(UnsupportedGoalError, match="stiffness"):
+        solve(stiff, near, solver="ccd")
+    for bad, says in (("j1 = 0.0", "stiffness"), ("j9 = 2.0", "j9")):
+        with pytest.raises((ConfigError, UnknownJointError), match=says):
+            described(tmp_path, "[stiffness]\n" + bad)

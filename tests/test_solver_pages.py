@@ -1,0 +1,95 @@
+"""The pages of the methods: one for each row of ``SOLVERS``, with its tables, picture and measurements."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik import load_robot
+from robot_ik.solvers import SOLVERS
+
+DOCS = Path(__file__).parents[1] / "docs"
+PLOTS = DOCS / "images" / "solvers"
+HEADINGS = [
+    "Formula and source",
+    "What is ours",
+    "When to use it, and when not",
+    "Convergence",
+    "Options",
+    "Floors",
+]
+
+
+def script(name: str) -> types.ModuleType:
+    """A program of docs/."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look it up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", list(SOLVERS))
+def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> None:
+    page = DOCS / "solvers" / f"{name}.md"
+    assert page.is_file(), f"docs/solvers/{name}.md is missing: take another method's page as a pattern"
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith(f"# {name}: ")
+    for table in ("method", "options", "floors"):
+        assert f"<!-- table: {table} {name} -->\n" in text, f"{page.name} has no table of its {table}"
+    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert headings == HEADINGS
+    picture = PLOTS / f"{name}.png"
+    assert f"(../images/solvers/{name}.png)" in text
+    assert picture.is_file(), f"python docs/make_plots.py {name}"
+    assert 3_000 < picture.stat().st_size < 40 * 1024
+    overview = (DOCS / "solvers.md").read_text(encoding="utf-8")
+    assert f"(solvers/{name}.md)" in overview
+
+
+def test_pages_and_pictures_are_of_methods_that_are_there() -> None:
+    assert {page.stem for page in (DOCS / "solvers").iterdir()} == set(SOLVERS)
+    assert {picture.stem for picture in PLOTS.iterdir()} == set(SOLVERS)
+
+
+def test_measured_tables_have_a_row_for_every_method_that_can() -> None:
+    measure = script("make_measurements")
+    found = {}
+    for page in measure.PAGES:
+        for place in measure.PLACE.finditer(page.read_text(encoding="utf-8")):
+            found[place[2]] = re.findall(r"^\| \[`(\w+)`\]", place[3], re.MULTILINE)
+    assert set(found) == set(measure.MEASURED)
+    able = list(measure.methods())
+    assert {"lm", "analytic"} <= set(able)
+    assert found == {"convergence": list(SOLVERS), "targets": able, "path": able}, (
+        "python docs/make_measurements.py"
+    )
+
+
+def test_poses_called_singular_are_singular() -> None:
+    measure, robot = script("make_measurements"), load_robot("puma560")
+    for kind in ("wrist", "elbow", "both"):
+        for q, start in measure.singular_cases(robot, kind, 5):
+            sigma, beside = (np.linalg.svd(robot.jacobian(v), compute_uv=False) for v in (q, start))
+            assert sigma[-1] < 1e-9, (kind, sigma)
+            assert beside[-1] > 1e-6 and not robot.outside(q) and not robot.outside(start)
+
+
+def test_a_picture_is_drawn_and_drawn_the_same_again(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra: pip install robot_ik[plots]")
+    plots = script("make_plots")
+    for name in ("a", "b"):
+        plots.draw("dls", tmp_path / f"{name}.png", count=3)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    few = plots.curves("lm", plots.TASKS[0], 3)
+    assert few is not None and (few.steps > 0).all()
+    for residual, steps in zip(few.residuals, few.steps, strict=True):
+        assert len(residual) == steps + 1 and residual[-1] < 1e-5 < residual[0]
+    assert plots.curves("triangulation", plots.TASKS[0], 3) is None  # no poses
