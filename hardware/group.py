@@ -68,7 +68,6 @@ class GroupTraffic:
         self._wire = wire
         self._counters: Counters = wire.counters
         self._retries = retries
-        self._longest = wire.answer_time
         self._plans: dict[tuple[object, ...], _Plan] = {}
         self.reset()
 
@@ -76,7 +75,7 @@ class GroupTraffic:
         """Forgets what was learned about the servos: the port was opened anew."""
         self._silent: frozenset[int] = frozenset()
         self._fast_misses = 0
-        self._longest = self._wire.answer_time
+        self._longest: float | None = None
 
     @property
     def fast(self) -> bool:
@@ -171,7 +170,9 @@ class GroupTraffic:
 
     def _patience(self, plan: _Plan, port: QuietPortHandler) -> float:
         """s from sending the question to giving up the answers."""
-        wait = min(max(SLOWNESS * self._longest, SHORTEST_WAIT), self._wire.answer_time)
+        wait = self._wire.answer_time
+        if self._longest is not None:
+            wait = min(max(SLOWNESS * self._longest, SHORTEST_WAIT), wait)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
     def _once(
@@ -207,7 +208,7 @@ class GroupTraffic:
             self._wire.missed()
         else:
             took = self._wire.now() - sent - (len(before) + plan.bytes_back) * port.seconds_per_byte
-            self._longest = max(took, _FORGET * self._longest)
+            self._longest = max(took, _FORGET * (self._longest or 0.0))
         if plan.fast:
             self._judge_fast(failed=bool(waiting))
 
