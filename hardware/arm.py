@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError, UnsafeCommandError
-from robot_ik.hardware.bus import ServoBus, Status
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.exit_guard import ExitGuard
+from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.shutdown import ExitReport, checked_policy, hold, torque_off
 from robot_ik.hardware.startup import check_servos, read_all, set_up_servos, shared_register
 from robot_ik.hardware.state import ArmState
@@ -107,11 +108,13 @@ class Arm:
             self.bus.open()
             check_servos(self.bus, self.config)
             set_up_servos(self.bus, self.config)
+            feedback = Feedback(self.config)
+            feedback.prepare(self.bus, read_all(self.bus, self.config, "firmware_version"))
         except BaseException:
             self.bus.close()
             raise
         self._fault = None
-        self._cycle = Cycle(self.config, self.bus, self.clock)
+        self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
         self.state = ArmState.CONNECTED
 
     def enable(self) -> None:
@@ -126,7 +129,7 @@ class Arm:
         try:
             goals = torque_on(self.bus, self.config)
             self._cycle.stand(goals)
-            self._cycle.samples.take({id: Status(id, at) for id, at in goals.items()}, self.clock.now())
+            self._cycle.samples.take(goals, self.clock.now())
         except BaseException:
             with self._guard.shield():
                 self.exit_report = torque_off(self.bus, self.config)
@@ -173,7 +176,7 @@ class Arm:
             raise ArmStateError("cannot read: the arm is disconnected", hint="call connect() first")
         if self.state is ArmState.CONNECTED:
             ticks = read_all(self.bus, self.config, "present_position")
-            samples.take({id: Status(id, value) for id, value in ticks.items()}, self.clock.now())
+            samples.take(ticks, self.clock.now())
         elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
             self._latching(self._cycle.measure)
         return JointReading(samples.q.copy(), float(samples.times.min()))

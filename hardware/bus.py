@@ -6,7 +6,7 @@ radians begin one layer up, in ``JointMap``.  All methods are safe to call from 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -57,19 +57,26 @@ class Counters:
     """Running totals of one bus since it was made; they add up over reconnects.
 
     Attributes:
-        cycles: Sync reads.
-        timeouts: Answers that never came (one per servo).
+        cycles: Reads of many servos at once.
+        asked: Measurements wanted in them, one per servo; always the sum of the next three.
+        answered: … that came; ``refused``: … for which an error number came; ``timeouts``: … that never came.
+            Single reads and writes that nobody answered count as ``timeouts`` too.
         corrupt: Answers that came and could not be trusted (checksum, length).
         retries: Requests repeated because of the above.
         alerts: Answers that carried the alert bit.
+        fallbacks: Times fast reads were given up.
         bytes_sent, bytes_received: On the wire, from the host's side.
     """
 
     cycles: int = 0
+    asked: int = 0
+    answered: int = 0
+    refused: int = 0
     timeouts: int = 0
     corrupt: int = 0
     retries: int = 0
     alerts: int = 0
+    fallbacks: int = 0
     bytes_sent: int = 0
     bytes_received: int = 0
 
@@ -122,6 +129,27 @@ class ServoBus(Protocol):
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
         """The same register of many servos in one packet (servo id -> value); nobody answers."""
+        ...
+
+    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, Status]:
+        """A register of its own from every servo, in one cycle; a row for every id asked."""
+        ...
+
+    def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
+        """A register of its own of every servo in one packet (servo id -> register, value)."""
+        ...
+
+    def exchange(
+        self,
+        writes: Mapping[int, tuple[Register, int]],
+        reads: Mapping[int, Register],
+        within: float | None = None,
+    ) -> dict[int, Status]:
+        """A control cycle: ``bulk_write``, then ``bulk_read``, nobody asked again after ``within`` s."""
+        ...
+
+    def use_fast_reads(self, ids: Collection[int]) -> None:
+        """Only these servos may be asked to answer together in one packet (their firmware knows it)."""
         ...
 
     def reboot(self, id: int) -> None:

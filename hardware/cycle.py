@@ -10,10 +10,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import BusTimeoutError, HardwareError, MotorFaultError, UnsafeCommandError
+from robot_ik.errors import (
+    BusCorruptError,
+    BusTimeoutError,
+    HardwareError,
+    MotorFaultError,
+    UnsafeCommandError,
+)
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.control_table import hardware_error_names
+from robot_ik.hardware.control_table import OperatingMode, Register, hardware_error_names
+from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.startup import read_all, shared_register
@@ -87,7 +94,9 @@ class Cycle:
         reports: See ``MotionReport``.
     """
 
-    def __init__(self, config: ArmConfig, bus: ServoBus, clock: Clock) -> None:
+    def __init__(
+        self, config: ArmConfig, bus: ServoBus, clock: Clock, feedback: Feedback | None = None
+    ) -> None:
         n = len(config.joints)
         self.samples = Samples(config)
         self.limits = LimiterState.at_rest(np.zeros(n))
@@ -99,7 +108,9 @@ class Cycle:
             config.lower, config.upper, config.velocity, config.acceleration, joints=config.names
         )
         self._goal = shared_register(config, "goal_position")
-        self._present = shared_register(config, "present_position")
+        self.feedback = feedback or Feedback(config)
+        # A shadow hears what is written to its first servo.
+        self._written = [servo for servo in config.servos if servo.shadow_of is None]
         # A pause of half the bus watchdog: from there on it may have tripped.
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
         self._suspect = False
@@ -114,7 +125,7 @@ class Cycle:
         self._last_traffic = self._clock.now()
 
     def drive(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
-        """Limits and caps, goals to all servos in one packet, positions of all in one read.
+        """Limits and caps, then goals to all servos and positions of all back in one exchange.
 
         Raises:
             UnsafeCommandError: Nothing was sent.
@@ -123,46 +134,60 @@ class Cycle:
         command = self._limiter.command(q, self.limits.command)
         if not math.isfinite(now):
             raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
+        # The time before the packet, and before the last look at the clock: this process may be stalled
+        # anywhere between, and the next look must see that.
+        start = self._clock.now()
         self.stay_alive()
         before = np.array(self.limits.q)
         dt = self._tick(now)
         if dt > 0.0:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
-            joints = self._config.joints
-            self.goals = {j.id: j.to_ticks(angle) for j, angle in zip(joints, out.tolist(), strict=True)}
+            angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)
+            self.goals = {
+                servo.id: servo.to_ticks(angle)
+                for servo, angle in zip(self._config.servos, angles, strict=True)
+            }
             self.reports.count(report)
-        self._bus.sync_write(self._goal, self.goals)
-        self.measure()
+        self._measure(start, {s.id: (self._goal, self.goals[s.id]) for s in self._written})
         # A shaft had one period to reach the goal before this one.
         self.reports.track(np.abs(self.samples.q - before))
         self._check_torque()
 
     def measure(self) -> None:
-        """One sync read.
+        """Positions of all, without new goals.
 
         Raises:
-            MotorFaultError: A servo reports a hardware error, or one is silent for too long.
-            BusTimeoutError: All are.
+            MotorFaultError: A servo reports a hardware error, has lost its torque, stands apart from the
+                other one of its joint, or is silent for too long.
+            BusTimeoutError: All are silent.
             BusDisconnectedError: The port went away.
         """
-        # The time before the packet, and before the last look at the clock: this process may be stalled
-        # anywhere between, and the next look must see that.
         start = self._clock.now()
         self.stay_alive()
-        statuses = self._bus.sync_read(self._config.ids, self._present)
+        self._measure(start, {})
+
+    def _measure(self, start: float, goals: Mapping[int, tuple[Register, int]]) -> None:
+        """``goals`` to the servos, then their measurements; ``start``: since when no packet was sent."""
+        statuses = self._bus.exchange(goals, self.feedback.registers, within=self.period)
         self._last_traffic = start
         now = self._clock.now()
-        self.samples.take(statuses, now)
-        for joint in self._config.joints:
-            if statuses[joint.id].alert:
+        measured = {id: self.feedback.measurement(status) for id, status in statuses.items()}
+        self.samples.take({id: m.ticks for id, m in measured.items()}, now)
+        for servo in self._config.servos:
+            if statuses[servo.id].alert:
                 raise MotorFaultError(
-                    joint.name,
-                    self._hardware_errors(joint),
-                    hint="the other joints hold; remove the cause, then power-cycle or reboot the servo",
+                    servo.name,
+                    self._hardware_errors(servo),
+                    hint="the other joints hold; remove the cause, then reset_fault() or power-cycle it",
                 )
+            if measured[servo.id].torque is False:
+                self._confirm_torque(servo)
+        twisted = self.samples.twisted()
+        if twisted is not None:
+            raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
         silent = self.samples.silent(now)
         if silent:
-            raise self._silence(self._config.joint(silent[0]), everyone=len(silent) == len(statuses))
+            self._confirm_silence(silent, everyone=len(silent) == len(statuses))
 
     def go(
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
@@ -206,7 +231,9 @@ class Cycle:
     def holding_goals(self) -> dict[int, int]:
         """Servo id -> ticks.  Taking the present position every time would let a loaded joint creep down."""
         goals = dict(self.goals)
-        for joint in self._config.joints:
+        for joint in self._config.servos:
+            if joint.mode == OperatingMode.CURRENT_BASED_POSITION:
+                continue  # it is meant to press: yielding would let go of what it grips
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG:
                 goals[joint.id] = present
@@ -226,11 +253,11 @@ class Cycle:
         self._suspect, self._last_traffic = False, start
         armed = self._config.watchdog_ms // WATCHDOG_UNIT_MS
         watchdog = shared_register(self._config, "bus_watchdog")
-        statuses = self._bus.sync_read(self._config.ids, watchdog)
+        statuses = self._bus.sync_read(self._config.servo_ids, watchdog)
         if all(status.data in (armed, None) for status in statuses.values()):
             return
         log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
-        self._bus.sync_write(watchdog, dict.fromkeys(self._config.ids, 0))
+        self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
         present = read_all(self._bus, self._config, "present_position")
         self._bus.sync_write(self._goal, present)
         arm_watchdog(self._bus, self._config)
@@ -252,21 +279,41 @@ class Cycle:
         return self.period if spent >= 0.5 * self.period else 0.0
 
     def _check_torque(self) -> None:
-        """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque."""
+        """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque.
+
+        Only for servos whose torque is not in the feedback: asking costs a cycle, so it needs a reason.
+        """
+        if self.feedback.watched:
+            return
         now = self._clock.now()
         if self.reports.tracking_error.max() < FOLLOWING_ALARM or now - self._last_alarm < _ALARM_PERIOD:
             return
         self._last_alarm = now
         self._suspect = True
         torque = shared_register(self._config, "torque_enable")
-        statuses = self._bus.sync_read(self._config.ids, torque)
-        for joint in self._config.joints:
-            if statuses[joint.id].data == 0:
-                raise MotorFaultError(
-                    joint.name,
-                    ("torque_lost",),
-                    hint="the servo has probably restarted: check its supply; the other joints hold",
-                )
+        statuses = self._bus.sync_read(self._config.servo_ids, torque)
+        for servo in self._config.servos:
+            if statuses[servo.id].data == 0:
+                raise self._torque_lost(servo)
+
+    def _confirm_torque(self, servo: JointMap) -> None:
+        """The feedback of a servo says it has no torque: the servo itself is asked."""
+        try:
+            torque = self._bus.read(servo.id, servo.table["torque_enable"]).data
+        except (BusTimeoutError, BusCorruptError):
+            return  # if it stays so, it is a silent servo
+        if not torque:
+            raise self._torque_lost(servo)
+        log.warning("servo %d has torque and its feedback denies it: read plainly from here on", servo.id)
+        self.feedback.read_plainly(servo.id)
+
+    @staticmethod
+    def _torque_lost(servo: JointMap) -> MotorFaultError:
+        return MotorFaultError(
+            servo.name,
+            ("torque_lost",),
+            hint="the servo has probably restarted: check its supply; the other joints hold",
+        )
 
     def _hardware_errors(self, joint: JointMap) -> tuple[str, ...]:
         try:
@@ -276,16 +323,33 @@ class Cycle:
             value = 0
         return hardware_error_names(value) or ("hardware_error",)
 
-    def _silence(self, joint: JointMap, everyone: bool) -> HardwareError:
-        age = float(self._clock.now() - self.samples.times[self._config.names.index(joint.name)])
+    def _confirm_silence(self, silent: list[JointMap], everyone: bool) -> None:
+        """Who is about to be given up is asked once more, by itself and with all patience.
+
+        Raises:
+            MotorFaultError, BusTimeoutError: It still does not answer.
+        """
+        for servo in silent:
+            try:
+                ticks = self._bus.read(servo.id, servo.table["present_position"]).data
+            except BusTimeoutError:
+                raise self._silence(servo, everyone, "no_status") from None
+            except BusCorruptError:
+                raise self._silence(servo, everyone, "corrupt") from None
+            found = dict.fromkeys(self._config.servo_ids) | {servo.id: ticks}
+            self.samples.take(found, self._clock.now())
+
+    def _silence(self, servo: JointMap, everyone: bool, status: str) -> HardwareError:
+        age = self.samples.age(servo, self._clock.now())
         if everyone:
             return BusTimeoutError(
-                id=joint.id,
+                id=servo.id,
                 register="present_position",
                 port=self._bus.port,
-                joint=joint.name,
+                joint=servo.name,
                 last_good=age if math.isfinite(age) else None,
                 hint="no servo answers any more: check their power and the cable",
             )
-        hint = f"servo id {joint.id} is silent for {age:.2f} s: check its cable and power; the others hold"
-        return MotorFaultError(joint.name, ("no_status",), hint=hint)
+        cause = "its cable and power" if status == "no_status" else "whether another servo has this id"
+        hint = f"no good answer of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
+        return MotorFaultError(servo.name, (status,), hint=hint)

@@ -8,16 +8,15 @@ bits, and retries with a bound.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoRefusedError
 from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, GARBLED, Counters, Status
 from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.group import GroupTraffic
+from robot_ik.hardware.packets import SHORTEST_STATUS, Answer
 from robot_ik.hardware.quiet_port import ANSWER_TIME, QuietPortHandler
-from robot_ik.hardware.wire import QUIET, SHORTEST_STATUS, Answer, Wire
-
-CYCLE_TIME = 0.100
-"""s after which a sync read is not tried again, whoever is still missing."""
+from robot_ik.hardware.wire import QUIET, Wire
 
 _PING, _REBOOT = 0x01, 0x08
 _PING_DATA = 3  # bytes: model number 2, firmware 1
@@ -31,19 +30,27 @@ class DynamixelBus:
         baud: bit/s, one the servos know.
         retries: How often an unanswered or corrupt request is repeated.
         answer_time: s a servo is given to answer, beyond the time of the bytes.
+        make_handler: Makes what reads and writes the port; takes name, rate, counters and answer time.
+        now: The clock of ages and deadlines, s.
     """
 
     def __init__(
-        self, port: str, baud: int = 1_000_000, *, retries: int = 2, answer_time: float = ANSWER_TIME
+        self,
+        port: str,
+        baud: int = 1_000_000,
+        *,
+        retries: int = 2,
+        answer_time: float = ANSWER_TIME,
+        make_handler: Callable[..., QuietPortHandler] = QuietPortHandler,
+        now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.port = port
         self.baud = baud
         self.counters = Counters()
-        self._wire = Wire(port, baud, self.counters, answer_time)
+        self._wire = Wire(port, baud, self.counters, answer_time, make_handler, now)
         self._packet = self._wire.packet
         self._retries = retries
-        self._silent: frozenset[int] = frozenset()
-        self._last_good: dict[int, float] = {}
+        self._group = GroupTraffic(self._wire, retries)
 
     @property
     def is_open(self) -> bool:
@@ -57,7 +64,7 @@ class DynamixelBus:
             BusNotOpenError: Missing, not a serial port, not permitted, in use, or an impossible rate.
         """
         self._wire.open()
-        self._silent = frozenset()
+        self._group.reset()
 
     def close(self) -> None:
         """Closes the port; may be called any number of times and never raises."""
@@ -134,19 +141,22 @@ class DynamixelBus:
             ValueError: A value does not fit the register; nothing is sent.
             BusDisconnectedError, BusNotOpenError.
         """
-        body: list[int] = []
-        for id, value in values.items():
-            body += [id, *register.encode(value)]
-        # Nobody answers, so an answer still outstanding keeps belonging to the question before.
-        with self._wire.transaction(None) as port:
-            if body:
-                self._packet.syncWriteTxOnly(port, register.address, register.size, body, len(body))
+        self._group.write({id: (register, value) for id, value in values.items()})
+
+    def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
+        """A register of its own of every servo in one packet; nobody answers.
+
+        Raises:
+            ValueError: A value does not fit its register; nothing is sent.
+            BusDisconnectedError, BusNotOpenError.
+        """
+        self._group.write(values)
 
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, Status]:
         """The same register of many servos in one cycle.
 
-        Servos that do not answer are asked again, but only within ``CYCLE_TIME`` and not if they were silent
-        in the cycle before as well: one dead servo must not slow down the others.
+        Servos that do not answer are asked again, but only within a time and not if they were silent in the
+        cycle before as well: one dead servo must not slow down the others.
 
         Returns:
             A row for every id; ``data`` is None where nothing usable came.
@@ -154,50 +164,37 @@ class DynamixelBus:
         Raises:
             BusDisconnectedError, BusNotOpenError.
         """
-        # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
-        missing = sorted(ids, key=lambda id: id in self._silent)
-        found: dict[int, Status] = {}
-        end = time.monotonic() + CYCLE_TIME
-        with self._wire.transaction(f"sync read {register.name}") as port:
-            self.counters.cycles += 1
-            for attempt in range(1 + self._retries):
-                self.counters.retries += attempt > 0
-                self._sync_read_once(port, register, missing, found)
-                missing = [id for id in missing if id not in found]
-                if not missing or self._silent.issuperset(missing) or time.monotonic() > end:
-                    break
-            if missing:
-                self._wire.missed()
-        self.counters.timeouts += len(missing)
-        self._silent = self._silent.difference(ids).union(missing)
-        return {id: found.get(id) or Status(id, None) for id in ids}
+        return self._group.read(dict.fromkeys(ids, register))
 
-    def _sync_read_once(
-        self, port: QuietPortHandler, register: Register, ids: Sequence[int], found: dict[int, Status]
-    ) -> None:
-        """One request and the answers to it; puts the usable ones into ``found``."""
-        self._packet.syncReadTx(port, register.address, register.size, list(ids), len(ids), False)
-        port.setPacketTimeout((SHORTEST_STATUS + register.size) * len(ids))
-        waiting = set(ids)
-        damaged = 0
-        # As many damaged packets as servos are missing: nothing more will come, ask again at once.
-        while len(waiting) > damaged:
-            answer = self._wire.receive(port)
-            if answer is None:
-                damaged += 1
-                if port.isPacketTimeout():
-                    self._wire.missed()
-                    return
-            elif answer.id in waiting:
-                usable = len(answer.data) == register.size and not answer.code
-                if not usable and not answer.code:
-                    self.counters.corrupt += 1  # a late answer to something else, or short
-                    damaged += 1
-                    continue
-                data = register.decode(answer.data) if usable else None
-                found[answer.id] = Status(answer.id, data, answer.code, answer.alert)
-                self._last_good[answer.id] = time.monotonic()
-                waiting.discard(answer.id)
+    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, Status]:
+        """A register of its own from every servo in one cycle; otherwise as ``sync_read``."""
+        return self._group.read(registers)
+
+    def exchange(
+        self,
+        writes: Mapping[int, tuple[Register, int]],
+        reads: Mapping[int, Register],
+        within: float | None = None,
+    ) -> dict[int, Status]:
+        """A control cycle: goals and the question for measurements leave in one piece.
+
+        Args:
+            writes: Servo id -> register and value.
+            reads: Servo id -> register.
+            within: s after which nobody is asked again.
+
+        Returns:
+            A row for every id of ``reads``; ``data`` is None where nothing usable came.
+
+        Raises:
+            ValueError: A value does not fit its register; nothing is sent.
+            BusDisconnectedError, BusNotOpenError.
+        """
+        return self._group.read(reads, writes, within)
+
+    def use_fast_reads(self, ids: Collection[int]) -> None:
+        """Only these servos may be asked to answer together in one packet; at first nobody."""
+        self._group.fast_ids = frozenset(ids)
 
     # ---------------------------------------------------------------------------------- packets
 
@@ -220,7 +217,7 @@ class DynamixelBus:
                     break
                 self._wire.missed()
         if answer is not None:
-            self._last_good[id] = time.monotonic()
+            self._wire.last_good[id] = self._wire.now()
             if answer.code:
                 reason = ERROR_REASONS.get(answer.code, "unknown error")
                 raise ServoRefusedError(id=id, register=what, code=answer.code, reason=reason)
@@ -231,8 +228,8 @@ class DynamixelBus:
                 hint="check the cable, the baud rate and whether two servos have this id",
             )
         self.counters.timeouts += 1
-        since = self._last_good.get(id)
-        age = None if since is None else time.monotonic() - since
+        since = self._wire.last_good.get(id)
+        age = None if since is None else self._wire.now() - since
         raise BusTimeoutError(id=id, register=what, port=self.port, last_good=age)
 
     def _answer(self, port: QuietPortHandler, id: int, size: int) -> Answer | None:

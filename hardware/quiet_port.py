@@ -49,7 +49,9 @@ class QuietPortHandler(PortHandler):
         super().__init__(port_name)
         self.baudrate = baud
         self.answer_time = answer_time
+        self.seconds_per_byte = 10.0 / baud
         self._counters = counters
+        self._file = -1
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Opens the port, exclusively."""
@@ -65,6 +67,8 @@ class QuietPortHandler(PortHandler):
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10_000.0 / cflag_baud  # ms; 8N1 is 10 bits a byte
+        self.seconds_per_byte = 10.0 / cflag_baud
+        self._file = self.ser.fileno() if os.name == "posix" else -1
         return True
 
     def closePort(self) -> None:
@@ -85,6 +89,33 @@ class QuietPortHandler(PortHandler):
         """Until when an answer of so many bytes is waited for, from now."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.answer_time)
 
+    def send(self, data: bytes) -> None:
+        """Writes all of it, or raises."""
+        self.writePort(data)
+
+    def receive(self, deadline: float) -> bytes:
+        """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing."""
+        if os.name != "posix":
+            while not (data := bytes(self.ser.read(self.ser.in_waiting or 1))):
+                if time.monotonic() > deadline:
+                    break
+        else:
+            wait = deadline - time.monotonic()
+            if not select.select([self._file], [], [], wait if wait > 0.0 else 0.0)[0]:
+                return b""
+            data = os.read(self._file, 4096)
+            if not data:
+                raise serial.SerialException("the port is ready to read and has nothing: it went away")
+        self._counters.bytes_received += len(data)
+        return data
+
+    def clear(self) -> None:
+        """Throws away what has come in."""
+        if os.name != "posix":
+            self.ser.reset_input_buffer()
+        else:
+            termios.tcflush(self._file, termios.TCIFLUSH)
+
     def readPort(self, length: int) -> bytes:
         """At most ``length`` bytes; sleeps until there are some or the packet's time is over."""
         if length <= 0:
@@ -101,7 +132,7 @@ class QuietPortHandler(PortHandler):
         self._counters.bytes_received += len(data)
         return data
 
-    def writePort(self, packet: Sequence[int]) -> int:
+    def writePort(self, packet: Sequence[int] | bytes) -> int:
         """Number of bytes written: all of them, or an error."""
         if os.name != "posix":
             self.ser.write(bytes(packet))

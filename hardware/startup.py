@@ -22,6 +22,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config_check import current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
@@ -52,12 +53,12 @@ def shared_register(config: ArmConfig, name: str) -> Register:
     Raises:
         ConfigError: The models of the arm differ in it.
     """
-    first = config.joints[0].table[name]
-    for joint in config.joints:
+    first = config.servos[0].table[name]
+    for joint in config.servos:
         other = joint.table[name]
         if (other.address, other.size, other.signed) != (first.address, first.size, first.signed):
             raise ConfigError(
-                f"{name} lies elsewhere in {joint.model} than in {config.joints[0].model}",
+                f"{name} lies elsewhere in {joint.model} than in {config.servos[0].model}",
                 file=config.file or config.name,
                 key="joints",
                 allowed="models with one layout on one bus",
@@ -68,7 +69,7 @@ def shared_register(config: ArmConfig, name: str) -> Register:
 @contextmanager
 def joint_named(config: ArmConfig) -> Iterator[None]:
     """Adds the joint's name to errors of the bus, which knows ids only."""
-    names = dict(zip(config.ids, config.names, strict=True))
+    names = {servo.id: servo.name for servo in config.servos}
     try:
         yield
     except BusTimeoutError as error:
@@ -98,7 +99,7 @@ def read_all(bus: ServoBus, config: ArmConfig, name: str) -> dict[int, int]:
     register = shared_register(config, name)
     values: dict[int, int] = {}
     with joint_named(config):
-        for id, status in bus.sync_read(config.ids, register).items():
+        for id, status in bus.sync_read(config.servo_ids, register).items():
             value = status.data if status.data is not None else bus.read(id, register).data
             assert value is not None  # read() answers or raises
             values[id] = value
@@ -115,7 +116,7 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     """
     _check_models(bus, config)
     with joint_named(config):
-        for joint in config.joints:
+        for joint in config.servos:
             _answer_everything(bus, joint)
     for joint, value in _by_joint(config, read_all(bus, config, "hardware_error_status")):
         if value:
@@ -144,39 +145,41 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
     torque = read_all(bus, config, "torque_enable")
     drive = read_all(bus, config, "drive_mode")
     for joint, value in _by_joint(config, drive):
-        if value & _REVERSE:
+        if value & _REVERSE and joint.shadow_of is None:
             raise HardwareError(
                 f"joint {joint.name!r} (servo id {joint.id}) is set to turn in reverse (Drive Mode bit 0)",
                 hint="clear it in the servo, and set `direction` in the arm file instead",
             )
     wanted = {
-        "return_delay_time": dict.fromkeys(config.ids, 0),
-        "drive_mode": dict.fromkeys(config.ids, 0),
-        "operating_mode": {joint.id: int(joint.mode) for joint in config.joints},
+        "return_delay_time": dict.fromkeys(config.servo_ids, 0),
+        "drive_mode": {s.id: drive[s.id] & _REVERSE if s.shadow_of is not None else 0 for s in config.servos},
+        "operating_mode": {joint.id: int(joint.mode) for joint in config.servos},
     }
     for name, values in wanted.items():
         _set_eeprom(bus, config, name, values, torque)
+    _check_shadows(bus, config)
     _check_servo_limits(bus, config)
+    _limit_currents(bus, config)
     _write_verified(bus, config, "profile_acceleration", _profile(config)[1])
     _write_verified(bus, config, "profile_velocity", _profile(config)[0])
 
 
 def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointMap, int]]:
-    return [(joint, values[joint.id]) for joint in config.joints]
+    return [(joint, values[joint.id]) for joint in config.servos]
 
 
 def _check_models(bus: ServoBus, config: ArmConfig) -> None:
     found: dict[int, int] = {}
-    for joint in config.joints:
+    for joint in config.servos:
         try:
             found[joint.id] = bus.ping(joint.id)
         except (BusTimeoutError, BusCorruptError) as error:
             log.debug("ping %d: %s", joint.id, error)
-    if all(found.get(joint.id) == joint.table.number for joint in config.joints):
+    if all(found.get(joint.id) == joint.table.number for joint in config.servos):
         return
-    if len(found) < len(config.joints):
+    if len(found) < len(config.servos):
         found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
-    expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.joints}
+    expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.servos}
     models = {id: _model_name(number) for id, number in found.items()}
     hint = ""
     if not found:
@@ -222,7 +225,7 @@ def _set_eeprom(
 ) -> None:
     register = shared_register(config, name)
     present = read_all(bus, config, name)
-    wrong = [joint for joint in config.joints if present[joint.id] != wanted[joint.id]]
+    wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
         if torque[joint.id]:
             raise ArmStateError(
@@ -237,10 +240,45 @@ def _set_eeprom(
         raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
 
 
+def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
+    """Who is to hear another servo's goals must, and nobody else may: it would move along."""
+    heard = read_all(bus, config, "secondary_id")
+    for joint, value in _by_joint(config, heard):
+        wanted = joint.shadow_of
+        if value != wanted and (wanted is not None or value in config.servo_ids):
+            raise HardwareError(
+                f"servo id {joint.id} (joint {joint.name!r}) has secondary id {value}, "
+                + (
+                    "which is no shadow's" if wanted is None else f"the arm file says a shadow of id {wanted}"
+                ),
+                hint=f"set its Secondary ID to {255 if wanted is None else wanted}, or correct the arm file",
+            )
+
+
+def _limit_currents(bus: ServoBus, config: ArmConfig) -> None:
+    """Goal Current of the servos in current-based position mode; the servo's own limit by default.
+
+    Raises:
+        HardwareError: It reads back otherwise.
+    """
+    with joint_named(config):
+        for joint in config.servos:
+            if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
+                continue
+            most = bus.read(joint.id, joint.table["current_limit"]).data or 0
+            wanted = most
+            if joint.current is not None:
+                wanted = min(most, int(joint.current / current_unit(joint.table)))
+            register = joint.table["goal_current"]
+            bus.write(joint.id, register, wanted)
+            if bus.read(joint.id, register).data != wanted:
+                raise HardwareError(f"joint {joint.name!r} does not take a current of {wanted} units")
+
+
 def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
     """A one-turn servo refuses goals outside its own limits, and a sync write has no answer to say so."""
     lowest, highest = (read_all(bus, config, f"{end}_position_limit") for end in ("min", "max"))
-    for index, joint in enumerate(config.joints):
+    for joint in config.servos:
         first, last = joint.ticks_range
         low, high = lowest[joint.id], highest[joint.id]
         if joint.mode == OperatingMode.POSITION and not low <= first <= last <= high:
@@ -248,7 +286,7 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
             raise ConfigError(
                 f"the servo's own limits (ticks {low} to {high}) are narrower than lower_deg .. upper_deg",
                 file=config.file or config.name,
-                key=f"joints[{index}]",
+                key=f"joints[{config.names.index(joint.name)}]",
                 allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg, or other limits in the servo",
             )
 
@@ -256,7 +294,7 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
 def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
     """Profile velocity and acceleration by servo id, in register units."""
     velocity, acceleration = {}, {}
-    for joint in config.joints:
+    for joint in config.servos:
         speed = SPEED_HEADROOM * joint.velocity * joint.ratio  # rad/s at the servo
         ramp = speed * config.rate_hz / RAMP_SHARE
         velocity[joint.id] = min(max(math.ceil(speed / VELOCITY_UNIT), 1), _LARGEST_PROFILE)
@@ -267,7 +305,7 @@ def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
 def _write_verified(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> None:
     register = shared_register(config, name)
     with joint_named(config):
-        for joint in config.joints:
+        for joint in config.servos:
             bus.write(joint.id, register, values[joint.id])
     if read_all(bus, config, name) != dict(values):
         raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")

@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, Protocol2PacketHandler
 
 from robot_ik.errors import BusDisconnectedError, BusNotOpenError
 from robot_ik.hardware.bus import ALERT_BIT, Counters
 from robot_ik.hardware.control_table import BAUD_RATES
+from robot_ik.hardware.packets import SHORTEST_STATUS, Answer
 from robot_ik.hardware.quiet_port import PORT_ERRORS, QuietPortHandler, describe_failure
 
 log = logging.getLogger(__name__)
-
-SHORTEST_STATUS = 11
-"""Bytes of a status packet without data: header 4, id 1, length 2, instruction 1, error 1, CRC 2."""
-
 
 OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
 """What opening a port raises; ValueError: a name or rate the operating system does not take."""
@@ -33,24 +30,38 @@ QUIET = 0.003
 """s without a byte after which a line is taken to be empty, when nothing worse than a repeat can follow."""
 
 
-class Answer(NamedTuple):
-    """One status packet with a good checksum and a length that agrees with its length field."""
-
-    id: int
-    code: int
-    alert: bool
-    data: bytes
-
-
 class Wire:
-    """A port and the SDK's packet code on it.  One transaction at a time, from any thread."""
+    """A port and the SDK's packet code on it.  One transaction at a time, from any thread.
 
-    def __init__(self, port: str, baud: int, counters: Counters, answer_time: float) -> None:
+    Args:
+        port: Its name.
+        baud: bit/s.
+        counters: What happens is added here.
+        answer_time: s a servo is given to answer, beyond the time of the bytes.
+        make_handler: Makes the port handler; takes the four above.
+        now: The clock of ages and deadlines, s.
+
+    Attributes:
+        last_good: Servo id -> when it last answered, on ``now``.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int,
+        counters: Counters,
+        answer_time: float,
+        make_handler: Callable[..., QuietPortHandler] = QuietPortHandler,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.port = port
         self.baud = baud
         self.counters = counters
         self.packet = Protocol2PacketHandler()
-        self._answer_time = answer_time
+        self.answer_time = answer_time
+        self.last_good: dict[int, float] = {}
+        self.now = now
+        self._make_handler = make_handler
         self._lock = threading.RLock()
         self._handler: QuietPortHandler | None = None
         self._dirty = False  # answers to an earlier request may still be under way …
@@ -70,7 +81,7 @@ class Wire:
         with self._lock:
             if self._handler is not None:
                 return
-            handler = QuietPortHandler(self.port, self.baud, self.counters, self._answer_time)
+            handler = self._make_handler(self.port, self.baud, self.counters, self.answer_time)
             if handler.getCFlagBaud(self.baud) <= 0:
                 rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
                 raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
@@ -113,7 +124,7 @@ class Wire:
                 handler.is_using = False
                 if asks is not None:
                     if self._dirty:
-                        handler.drain(QUIET if asks == self._asked else self._answer_time)
+                        handler.drain(QUIET if asks == self._asked else self.answer_time)
                         self._dirty = False
                     self._asked = asks
                 yield handler

@@ -47,7 +47,8 @@ def solve_all(
 
     Args:
         robot: From ``load_robot``.
-        goal: A pose for six axes, a position for a planar two-link.
+        goal: A pose for six axes or a limb of seven (each branch at the swivel nearest to ``start``), a
+            position for a planar two-link or the wrist's centre of a limb.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
 

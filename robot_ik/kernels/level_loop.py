@@ -124,7 +124,11 @@ def lm_levels(run):
             continue
         if level_met(goal, work, stage) or state[STALLS] >= _LEVEL_PATIENCE:
             leave_level(goal, work, stage)
-            restore(tree, goal, work, stage + 1)
+            copy(work.q, work.accepted)
+            if not restore(tree, goal, work, stage + 1):
+                copy(work.accepted, work.q)
+                measure(tree, goal, work)
+                level_costs(goal, work, work.level_cost)
             state[STAGE], state[STALLS] = stage + 1, 0
             work.value[DAMPING] = options[1]
             continue

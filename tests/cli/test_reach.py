@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.cli.reach import ReachOptions
+from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.jobs import cameras, eyes
 from robot_ik.robot import load_robot
 
@@ -256,3 +256,29 @@ def test_the_help_names_every_option(robot_ik: Any) -> None:
     for name in names:
         if name != "rehearse":
             assert f"--{name.replace('_', '-')}" in run.out, name
+
+
+def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
+    """A port gets the arm that servos move, an arm file the robot it is of, all else the shown one."""
+    for bus in ("pty", "sim", "none"):
+        assert make_request(ReachOptions(bus=bus)).robot == "puma560"
+    assert make_request(ReachOptions(bus="/dev/ttyUSB0")).robot == "tabletop_puma"
+    assert make_request(ReachOptions(bus="/dev/ttyUSB0", robot="ur5e")).robot == "ur5e"
+    other = arm_file(tmp_path, 'robot = "puma560"', 'robot = "panda"')
+    for bus in ("sim", "/dev/ttyUSB0"):
+        assert make_request(ReachOptions(bus=bus, arm=str(other))).robot == "panda"
+
+
+def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(robot_ik: Any, tmp_path: Path) -> None:
+    port = tmp_path / "arm"
+    program = [sys.executable, "-m", "robot_ik", "sim-bus", "--link", str(port)]
+    servos = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        wait_for(port.exists)
+        run = robot_ik("reach", "--bus", port, "--json")
+        facts = json.loads(run.out)
+        assert (run.code, facts["robot"]["name"]) == (0, "tabletop_puma"), run.err
+        assert facts["reached"] and facts["by_camera"] is None
+    finally:
+        servos.send_signal(signal.SIGINT)
+        servos.communicate(timeout=60)

@@ -178,7 +178,7 @@ def test_models_with_another_layout_cannot_share_a_cycle():
     there = dataclasses.replace(here, address=30)
     joints = [SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))]
     with pytest.raises(ConfigError, match="elsewhere in B than in A"):
-        shared_register(SimpleNamespace(joints=joints, file=None, name="arm"), "goal_position")
+        shared_register(SimpleNamespace(servos=joints, file=None, name="arm"), "goal_position")
 
 
 def test_an_unknown_policy_and_servos_for_a_real_port_are_refused(arm_config):

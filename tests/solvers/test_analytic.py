@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Problem, Tolerance
 from robot_ik.robot import load_robot
@@ -13,7 +15,7 @@ from robot_ik.solve import solve, solve_all
 from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-6, angle=1e-6)
-ARMS = ("spherical", "parallel")
+ARMS = ("spherical", "parallel", "shoulder")
 
 
 def unit(rng):
@@ -42,6 +44,12 @@ def parallel_axes(rng):
     meet = rng.normal(size=3) * 0.4
     p = [rng.normal(size=3) * 0.4 for _ in range(4)]
     return h, [*p, meet + h[4] * rng.normal(), meet + h[5] * rng.normal()]
+
+
+def axes_of(rng, family):
+    """Directions and points of six axes; a spherical shoulder is a spherical wrist from behind."""
+    h, p = parallel_axes(rng) if family == "parallel" else spherical_axes(rng)
+    return (h[::-1], p[::-1]) if family == "shoulder" else (h, p)
 
 
 def arm_from_axes(rng, path, h, p, limit=None):
@@ -73,8 +81,7 @@ def row(values):
 
 
 def made_up(rng, tmp_path, family, **options):
-    h, p = spherical_axes(rng) if family == "spherical" else parallel_axes(rng)
-    return arm_from_axes(rng, tmp_path / "arm.xml", h, p, **options)
+    return arm_from_axes(rng, tmp_path / "arm.xml", *axes_of(rng, family), **options)
 
 
 @pytest.mark.parametrize("family", ARMS)
@@ -98,8 +105,9 @@ def test_every_branch_meets_the_goal_and_the_sampled_one_is_among_them(family, s
 @pytest.mark.parametrize("family", ARMS)
 def test_a_millimetre_off_the_geometry_is_not_recognised(family, tmp_path):
     rng = np.random.default_rng(5)
-    h, p = spherical_axes(rng) if family == "spherical" else parallel_axes(rng)
-    p[5] = p[5] + 1e-3 * across(rng, h[5])
+    h, p = axes_of(rng, family)
+    moved = 0 if family == "shoulder" else 5
+    p[moved] = p[moved] + 1e-3 * across(rng, h[moved])
     robot = arm_from_axes(rng, tmp_path / "arm.xml", h, p)
     goal = PoseGoal.at("tool", robot.forward(rng.uniform(-2, 2, 6)))
     with pytest.raises(UnsupportedGoalError, match="no closed form"):
@@ -141,7 +149,7 @@ def test_a_stretched_elbow_is_solved():
         assert solution.converged, (q, solution)
 
 
-def test_a_goal_whose_branches_are_all_outside_the_limits_is_missed_but_not_called_proven(tmp_path):
+def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
     rng = np.random.default_rng(6)
     robot = made_up(rng, tmp_path, "spherical", limit=0.4)
     beyond = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -150,9 +158,9 @@ def test_a_goal_whose_branches_are_all_outside_the_limits_is_missed_but_not_call
     assert solve_all(robot, goal) == ()
     assert len(solve_all(robot, goal, limits=False)) >= 1
     alone = solve(robot, goal, solver="analytic")
-    assert alone.status is Status.BLOCKED_BY_LIMITS and np.array_equal(alone.q, robot.home)
+    assert alone.status is Status.UNREACHABLE and np.array_equal(alone.q, robot.home)
     nearest = solve(robot, goal)
-    assert nearest.status in (Status.BLOCKED_BY_LIMITS, Status.STALLED)
+    assert nearest.status is Status.UNREACHABLE
     assert nearest.misses[0].position < alone.misses[0].position and not robot.outside(nearest.q)
 
 
@@ -188,8 +196,14 @@ def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tm
         assert np.linalg.norm(robot.measure(branch.q, "tool").position - place) < 1e-9
     normal = robot.forward(q, "tool")  # any motion of the joints keeps the height over the plane
     axis = np.cross(*(robot.jacobian(a, "tool")[:3, 0] for a in ((0.0, 0.0), (1.0, 0.7))))
-    off = normal.position + 0.05 * axis / np.linalg.norm(axis)
-    assert solve(robot, PositionGoal("tool", off), solver="analytic").status is Status.STALLED
+    axis /= np.linalg.norm(axis)
+    for height, status in (
+        (0.05, Status.UNREACHABLE),
+        (1.1e-4, Status.UNREACHABLE),
+        (0.9e-4, Status.CONVERGED),
+    ):
+        off = PositionGoal("tool", normal.position + height * axis)
+        assert solve(robot, off, solver="analytic", tolerance=Tolerance(position=1e-4)).status is status
 
 
 def test_a_goal_a_little_beyond_a_limit_is_reached_within_its_tolerance():
@@ -210,3 +224,21 @@ def test_far_beyond_every_link_is_proven(tmp_path):
     robot = load_robot("puma560")
     far = solve(robot, PoseGoal("gripper", (3.0, 0.0, 1.0)), solver="analytic")
     assert far.status is Status.UNREACHABLE and np.array_equal(far.q, robot.home)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32), family=st.sampled_from(ARMS))
+def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(
+    seed, family, tmp_path_factory
+):
+    rng = np.random.default_rng(seed)
+    robot = made_up(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
+    solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
+    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance)
+    for _ in range(40):
+        luck = rng.random(6)
+        q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))
+        pose = robot.forward(q)
+        turned = quat_multiply(rotation_exp(0.9999 * tolerance.angle * unit(rng)), pose.wxyz)
+        problem.retarget(Pose(pose.position + 0.9999 * tolerance.position * unit(rng), turned))
+        assert solver.solve(problem).status is not Status.UNREACHABLE

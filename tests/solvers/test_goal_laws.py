@@ -49,7 +49,7 @@ def _serving():
 NAMES_OF = _serving()
 cases = pytest.mark.parametrize(("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]])
 # Methods that reach every goal near home; others may stall at limits or saddles, and say so.
-SURE = ("auto", "lm", "combined", "sdls")
+SURE = ("auto", "lm", "combined", "sdls", "bfgs")
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
 """Closed forms: the geometry is recognised from the kinematic tree alone.
 
-Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022).  All branches are
-computed; the answer is the one inside the limits nearest to the start.  At singular poses the free angle
-stays as near to the start as can be.  The branches are those of
-the exact target: that none is inside the limits does not prove that nothing within tolerance is.
+Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022), and the swivel angle of
+a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the answer is the one inside the limits
+nearest to the start.  At singular poses the free angle stays as near to the start as can be.  Where there is
+no answer, a proof is tried that nothing within tolerance can be reached (``proof.py``).
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -20,53 +20,28 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
-from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.kinematics import clip
-from robot_ik.kernels.loop import copy, keep_best, measure
-from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.tree import Q_WIDTH, Tree
 from robot_ik.kernels.work import (
     BEST_COST,
-    BLOCKED,
     CONVERGED,
-    COST,
     ITERATION_LIMIT,
     ITERATIONS,
-    STALLED,
     STATUS,
     TIME_LIMIT,
     UNREACHABLE,
-    open_work,
 )
 from robot_ik.problem import Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
-from robot_ik.solvers.analytic.choose import nearest
+from robot_ik.solvers.analytic.edges import limit_edges, middle_turns
+from robot_ik.solvers.analytic.entry import closed_form, closed_form_many
+from robot_ik.solvers.analytic.form import EVERY, FORM, LOOK, SOLVE
 from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
-from robot_ik.solvers.analytic.planar import planar_two_link
-from robot_ik.solvers.analytic.six_axes import spherical_wrist, three_parallel
+from robot_ik.solvers.analytic.limb_entry import closed_limb, closed_limb_many
+from robot_ik.solvers.analytic.proof_entry import PROOFS
 from robot_ik.solvers.base import Answers, Solver
 from robot_ik.solvers.ready import take_start
 
 Array = NDArray[np.float64]
-
-FORM = Layout(
-    "Form",
-    place="ints",  # (n,) where the chain's joints stand in q
-    axes="table",  # (n, 6)
-    extra="table",  # (5, 3)
-    lower="floats",  # (n,)
-    upper="floats",  # (n,)
-    start="floats",  # (n,)
-    best="floats",  # (n,)
-    branches="table",  # (8, n)
-    target="table",  # (1, 12) the goal in the world
-)
-open_form = FORM.open
-
-_PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
-# What a run is for: the answer; every branch, even for a start at the goal; only a look at the start.
-SOLVE, EVERY, LOOK = range(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +53,8 @@ class Prepared:
         arrays: By their names in ``FORM``.
         tables: What the kernels take first: tree, goals, work space, form.
         family: The form's number.
-        run: ``closed_form`` without numba's look at its arguments.
+        run: What solves one problem, without numba's look at its arguments.
+        kernel, batch, prove: The same, what solves many, and what proves that none will do.
     """
 
     form: Form
@@ -86,6 +62,9 @@ class Prepared:
     tables: tuple[Any, Any, Any, Any]
     family: int
     run: Callable[..., None]
+    kernel: Callable[..., None]
+    batch: Callable[..., None]
+    prove: Callable[..., None]
 
 
 @dataclass(frozen=True)
@@ -93,8 +72,8 @@ class Analytic(Solver):
     """Every branch in closed form, the nearest to the start inside the limits taken."""
 
     name: ClassVar[str] = "analytic"
-    title: ClassVar[str] = "closed form: planar two-link, spherical wrist, three parallel axes"
-    source: ClassVar[str] = "Paden 1986; Elias & Wen 2022"
+    title: ClassVar[str] = "closed form: two links, six axes (wrist, shoulder, three parallel), 7-axis limb"
+    source: ClassVar[str] = "Paden 1986; Tolani et al. 2000; Elias & Wen 2022"
     goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal)
 
     def applies(self, problem: Problem) -> bool:
@@ -129,11 +108,15 @@ class Analytic(Solver):
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
         prepared.run(*prepared.tables, prepared.family, mode)
         state = arrays["state"]
+        if mode == SOLVE and state[STATUS] != CONVERGED:
+            # As a batch of one: its status stands first in the state.
+            jit.announce(prepared.prove, "proofs of unreachable goals")
+            prepared.prove(prepared.tables[1], prepared.tables[3], problem.target, state)
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
         number, iterations = state[: ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
-        if status is not Status.CONVERGED and problem.out_of_reach():
+        if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach():
             status = Status.UNREACHABLE
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
@@ -143,17 +126,20 @@ class Analytic(Solver):
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         prepared = self._require(problem)
-        jit.announce(closed_form_many, f"batches of solver {self.name!r}")
-        closed_form_many(
+        jit.announce(prepared.batch, f"batches of solver {self.name!r}")
+        prepared.batch(
             *prepared.tables, prepared.family, targets, starts, answers.q, answers.status, answers.miss
         )
+        if (answers.status != CONVERGED).any():
+            jit.announce(prepared.prove, "proofs of unreachable goals")
+            prepared.prove(prepared.tables[1], prepared.tables[3], targets, answers.status)
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``."""
         prepared, arrays = self._require(problem), problem.arrays
         arrays["start"][:] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
-        closed_form(*prepared.tables, prepared.family, EVERY)
+        prepared.kernel(*prepared.tables, prepared.family, EVERY)
         names = BRANCH_NAMES[prepared.form.family]
         found: list[tuple[str, Array]] = []
         for row, angles in enumerate(prepared.arrays["branches"]):
@@ -184,81 +170,36 @@ def _prepare(problem: Problem) -> Prepared | None:
         return None  # a part that weighs nothing is not asked for, so there is more than the branches
     tree = problem.robot.tree
     node, local = problem.robot.attachment(problem.goals[0].frame)
-    form = recognise(tree, node, local)
-    if form is None or (form.family is Family.PLANAR_TWO_LINK) != isinstance(problem.goals[0], PositionGoal):
+    form = recognise(tree, node, local, whole=isinstance(problem.goals[0], PoseGoal))
+    if form is None:
         return None
-    n, nodes = len(form.nodes), list(form.nodes)
-    arrays: dict[str, Any] = {
-        "place": np.ascontiguousarray(tree.qadr[nodes]),
-        "axes": form.axes,
-        "extra": form.extra,
-        "lower": np.ascontiguousarray(tree.lower[tree.vadr[nodes]]),
-        "upper": np.ascontiguousarray(tree.upper[tree.vadr[nodes]]),
-        "start": np.zeros(n),
-        "best": np.zeros(n),
-        "branches": np.zeros((8, n)),
-        "target": problem.target,
-    }
-    jit.announce(closed_form, "closed forms")
+    arrays = _arrays(form, tree, problem.target)
+    limb = form.family is Family.LIMB
+    kernel, batch = (closed_limb, closed_limb_many) if limb else (closed_form, closed_form_many)
+    jit.announce(kernel, "closed forms")
     tables = (tree.handle, problem.handle, problem.work, FORM.pack(arrays))
-    run = jit.entry(closed_form, *tables, int(form.family), SOLVE)
-    return Prepared(form, arrays, tables, int(form.family), run)
+    run = jit.entry(kernel, *tables, int(form.family), SOLVE)
+    return Prepared(form, arrays, tables, int(form.family), run, kernel, batch, PROOFS[form.family])
 
 
-@outlined
-def answer(tree, goal, work, form, family, mode):
-    """Solves from work.start, which is the answer if it is at the goal; fills best, status and branches."""
-    state, q = work.state, work.q
-    state[ITERATIONS] = 0
-    copy(work.start, q)
-    clip(tree, work.nodes, q)
-    within = measure(tree, goal, work)
-    keep_best(work)
-    state[STATUS] = CONVERGED
-    if mode == LOOK or (within and mode == SOLVE):
-        if not within:
-            state[STATUS] = STALLED
-        return
-    place, start, branches = form.place, form.start, form.branches
-    for j in range(place.shape[0]):
-        start[j] = q[place[j]]
-    if family == _PLANAR:
-        found = planar_two_link(form.axes, form.extra, form.target, start, goal.tolerance[0, 0], branches)
-    elif family == _WRIST:
-        found = spherical_wrist(form.axes, form.extra, form.target, start, branches)
-    else:
-        found = three_parallel(form.axes, form.extra, form.target, start, branches)
-    state[ITERATIONS] = 1
-    row = nearest(branches, start, form.lower, form.upper, form.best)
-    if row < 0:
-        # No proof: the branches are those of the exact target, and one within tolerance may have others.
-        state[STATUS] = BLOCKED if found > 0 else STALLED
-        return
-    for j in range(place.shape[0]):
-        q[place[j]] = form.best[j]
-    state[STATUS] = CONVERGED if measure(tree, goal, work) else STALLED
-    if state[STATUS] == CONVERGED or work.value[COST] < work.value[BEST_COST]:
-        keep_best(work)
-
-
-@kernel
-def closed_form(tree, goals, work, form, family, mode):
-    """One solve."""
-    answer(open_tree(tree), open_goals(goals), open_work(work), open_form(form), family, mode)
-
-
-@kernel
-def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss):
-    """One solve for each row of targets (n, 12), starts (n, nq): fills q (n, nq), status, miss (n, 2)."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
-    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
-    for row in range(targets.shape[0]):
-        for i in range(12):
-            target[0, i] = targets[row, i]
-        for i in range(start.shape[0]):
-            start[i] = starts[row, i]
-        answer(tree, goal, work, form, family, SOLVE)
-        for i in range(start.shape[0]):
-            q[row, i] = best[i]
-        status[row] = state[STATUS]
-        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
+    """What the kernels work on, by their names in ``FORM``."""
+    place: list[int] = []
+    limits: list[tuple[float, float]] = []
+    for node in form.nodes:
+        width, v = Q_WIDTH[int(tree.kind[node])], int(tree.vadr[node])
+        place += range(int(tree.qadr[node]), int(tree.qadr[node]) + width)
+        limits += [(float(tree.lower[v]), float(tree.upper[v]))] * width
+    n = len(place)
+    lower, upper = (np.array(side) for side in zip(*limits, strict=True))
+    return {
+        "place": np.array(place, dtype=np.int64),
+        "axes": form.axes, "extra": form.extra, "groups": form.groups,
+        "lower": lower, "upper": upper, "least": np.full(n, -np.inf), "most": np.full(n, np.inf),
+        "start": np.zeros(n), "best": np.zeros(n), "branches": np.zeros((8, n)),
+        "target": target, "inverse": np.zeros((1, 12)),
+        "turns": middle_turns(form), "edges": limit_edges(form, lower, upper),
+        "matrices": np.zeros((7, 9)), "parts": np.zeros((2, 27)), "cuts": np.zeros(64),
+        "tally": np.zeros((4, 4)), "trial": np.zeros((2, n)), "scores": np.zeros(6),
+        "spin": np.zeros((2, 3)), "speeds": np.zeros(2),
+    }  # fmt: skip

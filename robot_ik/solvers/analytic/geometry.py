@@ -6,13 +6,13 @@ Only the joint axes as lines in space at q = 0 count: names, link frames, base a
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.geometry import Pose
-from robot_ik.kernels.tree import HINGE, Tree
+from robot_ik.kernels.tree import BALL, HINGE, Tree
 from robot_ik.model_tree import row_pose
 
 Array = NDArray[np.float64]
@@ -27,6 +27,8 @@ class Family(enum.IntEnum):
     PLANAR_TWO_LINK = 0
     SPHERICAL_WRIST = 1
     THREE_PARALLEL = 2
+    SPHERICAL_SHOULDER = 3
+    LIMB = 4
 
 
 # What the two solutions of each choice are called, for ``solve_all``; by row = 4·first + 2·second + third.
@@ -34,7 +36,12 @@ BRANCH_NAMES: dict[Family, tuple[str, ...]] = {
     Family.PLANAR_TWO_LINK: ("elbow",),
     Family.SPHERICAL_WRIST: ("shoulder", "elbow", "wrist"),
     Family.THREE_PARALLEL: ("shoulder", "wrist", "elbow"),
+    Family.SPHERICAL_SHOULDER: ("wrist", "elbow", "shoulder"),
+    Family.LIMB: ("elbow", "shoulder", "wrist"),
 }
+
+# How a limb is joined at its shoulder and at its wrist; NO_JOINTS: its end is a point of the wrist's centre.
+HINGES, BALL_JOINT, NO_JOINTS = range(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,54 +50,138 @@ class Form:
 
     Attributes:
         family: Which one.
-        nodes: Joints of the chain, root first.
-        axes: (n, 6) direction and a point of each joint axis at q = 0, world.
+        nodes: Joints of the chain in the order of the kernel: root first, of a spherical shoulder last.
+        axes: (n, 6) direction and a point of each joint axis at q = 0, world.  A limb has seven rows
+            (three, elbow, three), those of a ball joint the axes of its frame.
         extra: (5, 3) wrist centre in the world at q = 0, the same seen from the tool, rows of the tool's
             rotation at q = 0.
+        groups: (2, 2) of a limb: how shoulder and wrist are joined, and the column of their first number.
     """
 
     family: Family
     nodes: tuple[int, ...]
     axes: Array
     extra: Array
+    groups: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 2), dtype=np.int64))
 
 
-def recognise(tree: Tree, node: int, local: Array) -> Form | None:
-    """The closed form of the frame at ``local`` (12,) of ``node``, or None when there is none."""
+def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
+    """The closed form of the frame at ``local`` (12,) of ``node``, or None when there is none.
+
+    ``whole``: its pose is wanted, not only its position.
+    """
     chain = tree.ancestors(node)
-    if not chain or any(int(tree.kind[k]) != HINGE for k in chain):
+    kinds = [int(tree.kind[k]) for k in chain]
+    if not chain or any(kind not in (HINGE, BALL) for kind in kinds):
         return None
-    axes, tool = _at_zero(tree, chain, local)
-    if len(chain) == 2 and _parallel(axes, 0, 1):
-        return _form(Family.PLANAR_TWO_LINK, chain, axes, tool, tool.position)
-    if len(chain) != 6:
-        return None
+    axes, frames, tool = _at_zero(tree, chain, local)
     scale = float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())
+    limb = _limb(kinds, chain, axes, frames, tool, scale, whole)
+    if limb is not None or BALL in kinds:
+        return limb
+    if not whole:
+        planar = len(chain) == 2 and _parallel(axes, 0, 1)
+        return _form(Family.PLANAR_TWO_LINK, chain, axes, tool, tool.position) if planar else None
+    return _six_axes(chain, axes, tool, scale) if len(chain) == 6 else None
+
+
+def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form | None:
+    if _is_spherical(axes, scale):
+        return _form(Family.SPHERICAL_WRIST, chain, axes, tool, _meeting(axes[4], axes[5], scale))
+    seen = _from_the_tool(axes, tool)
+    if _is_spherical(seen, scale):
+        back = tool.inverse()
+        centre = _meeting(seen[4], seen[5], scale)
+        return _form(Family.SPHERICAL_SHOULDER, chain[::-1], seen, back, centre)
     centre = _meeting(axes[4], axes[5], scale)
-    if centre is None:
-        return None
-    spherical = _on_axis(axes[3], centre, scale) and not _parallel(axes, 3, 4) and not _parallel(axes, 4, 5)
-    if spherical and _parallel(axes, 1, 2) and not _parallel(axes, 0, 1):
-        return _form(Family.SPHERICAL_WRIST, chain, axes, tool, centre)
-    if (
-        _parallel(axes, 1, 2)
-        and _parallel(axes, 2, 3)
-        and not _parallel(axes, 0, 1)
-        and not _parallel(axes, 3, 4)
-    ):
+    parallel = _parallel(axes, 1, 2) and _parallel(axes, 2, 3)
+    if centre is not None and parallel and not _parallel(axes, 0, 1) and not _parallel(axes, 3, 4):
         return _form(Family.THREE_PARALLEL, chain, axes, tool, centre)
     return None
 
 
-def _at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, Pose]:
-    pose, axes = Pose(), []
+def _is_spherical(axes: Array, scale: float) -> bool:
+    """Whether axes 2 and 3 are parallel and the last three meet."""
+    if not _parallel(axes, 1, 2) or _parallel(axes, 0, 1):
+        return False
+    return _centre(axes[3:], scale) is not None
+
+
+def _from_the_tool(axes: Array, tool: Pose) -> Array:
+    """The axes of the same arm held by its tool: the inverse pose is e₆(-q₆) … e₁(-q₁) seen from there."""
+    back = tool.inverse()
+    return np.hstack([-(axes[::-1, :3] @ back.rotation.T), back.apply(axes[::-1, 3:])])
+
+
+def _limb(
+    kinds: list[int],
+    chain: list[int],
+    axes: Array,
+    frames: list[Array],
+    tool: Pose,
+    scale: float,
+    whole: bool,
+) -> Form | None:
+    """Shoulder (three hinges that meet, or a ball), elbow hinge, and the like wrist.
+
+    For a position the frame must stand in the wrist's centre, where the wrist's joints do not move it.
+    """
+    arm, shoulder = _ball_joint(kinds, axes, scale)
+    if shoulder is None or len(kinds) <= arm or kinds[arm] != HINGE:
+        return None
+    wrist_kinds, wrist_axes = kinds[arm + 1 :], axes[arm + 1 :]
+    hand, centre = _ball_joint(wrist_kinds, wrist_axes, scale)
+    joined = BALL_JOINT if hand == 1 else HINGES
+    if not whole:
+        centre, joined, chain = tool.position, NO_JOINTS, chain[: arm + 1]
+        if any(not _on_axis(axis, centre, scale) for axis in wrist_axes):
+            return None
+    elif centre is None or len(wrist_kinds) != hand:
+        return None
+    elbow = axes[arm]
+    if any(_on_axis(elbow, point, scale, 1e-4) for point in (shoulder, centre)):
+        return None  # the elbow would not change the distance of shoulder and wrist
+    table = np.zeros((7, 6))
+    table[:3, 3:], table[4:, 3:] = shoulder, centre
+    table[3] = elbow
+    table[:3, :3] = axes[:3, :3] if arm == 3 else frames[0].T
+    if joined != NO_JOINTS:
+        table[4:, :3] = wrist_axes[:, :3] if joined == HINGES else frames[-1].T
+    form = _form(Family.LIMB, chain, table, tool, centre)
+    first = 4 if arm == 3 else 5
+    form.groups[:] = (HINGES if arm == 3 else BALL_JOINT, 0), (joined, first)
+    return form
+
+
+def _ball_joint(kinds: list[int], axes: Array, scale: float) -> tuple[int, Array | None]:
+    """How many joints at the head of a chain turn about one point in every direction, and that point."""
+    if kinds and kinds[0] == BALL:
+        return 1, axes[0, 3:]
+    if kinds[:3] != [HINGE] * 3:
+        return 3, None
+    return 3, _centre(axes[:3], scale)
+
+
+def _centre(axes: Array, scale: float) -> Array | None:
+    """Where three axes meet that can turn in every direction, or None."""
+    if _parallel(axes, 0, 1) or _parallel(axes, 1, 2):
+        return None
+    centre = _meeting(axes[1], axes[2], scale)
+    return centre if centre is not None and _on_axis(axes[0], centre, scale) else None
+
+
+def _at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, list[Array], Pose]:
+    """At q = 0, in the world: axes (n, 6), rotations of the joints' frames, pose of the frame."""
+    pose, axes, frames = Pose(), [], []
     for k in chain:
         pose = pose.compose(row_pose(tree.constant[k]))
+        frames.append(pose.rotation)
         axes.append(np.concatenate([pose.rotation[:, 2], pose.position]))
-    return np.array(axes), pose.compose(row_pose(local))
+    return np.array(axes), frames, pose.compose(row_pose(local))
 
 
-def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array) -> Form:
+def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array | None) -> Form:
+    assert centre is not None
     extra = np.vstack([centre, tool.inverse().apply(centre), tool.rotation])
     return Form(family, tuple(chain), np.ascontiguousarray(axes), np.ascontiguousarray(extra))
 
@@ -112,5 +203,5 @@ def _meeting(a: Array, b: Array, scale: float) -> Array | None:
     return np.asarray(a[3:] + along * a[:3])
 
 
-def _on_axis(axis: Array, point: Array, scale: float) -> bool:
-    return float(np.linalg.norm(np.cross(axis[:3], point - axis[3:]))) < _MEETS * scale
+def _on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> bool:
+    return float(np.linalg.norm(np.cross(axis[:3], point - axis[3:]))) < slack * scale

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import outlined
+from robot_ik.solvers.analytic.apart import keep_apart
 from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, turn
 
 # Metres off the plane of motion, or beyond the reach, that still are rounding.
@@ -19,6 +20,7 @@ def planar_two_link(axes, extra, target, start, slack, branches):
     Fills ``branches`` (8, n), rows 0 and 1; returns how many exist.  ``slack`` (m): how far the target may
     lie off the plane in which the tool moves.
     """
+    keep_apart()
     for row in range(branches.shape[0]):
         for j in range(branches.shape[1]):
             branches[row, j] = math.nan

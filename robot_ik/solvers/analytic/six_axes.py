@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, turn
+from robot_ik.solvers.analytic.apart import keep_apart
+from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside, turn
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
 ALIGNED = 1e-7
@@ -66,15 +67,7 @@ def back(axes, j, c, s, x, y, z):
 
 
 @pure
-def split_evenly(total, sign, a, b):
-    """α, β with α + sign·β = total (mod 2π), both as near to a and b as can be."""
-    rest = total - a - sign * b
-    rest -= 2.0 * math.pi * math.floor(rest / (2.0 * math.pi) + 0.5)
-    return a + 0.5 * rest, b + 0.5 * sign * rest
-
-
-@pure
-def wrist_angles(axes, target, extra, start, flip, c1, s1, c2, s2, c3, s3):
+def wrist_angles(axes, target, extra, start, lower, upper, flip, c1, s1, c2, s2, c3, s3):
     """q4, q5, q6 of the rotation that is left after joints 1 to 3; and whether there are any.
 
     R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  What Q makes of h₆, and its inverse of h₄, is all
@@ -114,17 +107,18 @@ def wrist_angles(axes, target, extra, start, flip, c1, s1, c2, s2, c3, s3):
     vx, vy, vz = back(axes, 1, c2, s2, vx, vy, vz)
     vx, vy, vz = back(axes, 2, c3, s3, vx, vy, vz)
     total, _ = angle_between(h4x, h4y, h4z, px, py, pz, vx, vy, vz)
-    q4, q6 = split_evenly(total, sign, start[3], start[5])
+    q4, q6 = split_inside(total, sign, start[3], start[5], lower[3], upper[3], lower[5], upper[5])
     return q4, q5, q6, True
 
 
 @outlined
-def spherical_wrist(axes, extra, target, start, branches):
+def spherical_wrist(axes, extra, target, start, lower, upper, branches):
     """All branches of an arm whose axes 2 and 3 are parallel and whose last three meet.
 
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·elbow + flip; a row that does not exist gets NaN.
     Returns how many exist.
     """
+    keep_apart()
     found = 0
     wx, wy, wz = centre(target, extra)
     h1x, h1y, h1z = axes[0, 0], axes[0, 1], axes[0, 2]
@@ -172,7 +166,7 @@ def spherical_wrist(axes, extra, target, start, branches):
             c2, s2 = math.cos(q2), math.sin(q2)
             for flip in range(2):
                 q4, q5, q6, possible = wrist_angles(
-                    axes, target, extra, start, flip, c1, s1, c2, s2, c3, along3 * s3
+                    axes, target, extra, start, lower, upper, flip, c1, s1, c2, s2, c3, along3 * s3
                 )
                 if not possible:
                     continue
@@ -190,6 +184,7 @@ def three_parallel(axes, extra, target, start, branches):
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·flip + elbow; a row that does not exist gets NaN.
     Returns how many exist.
     """
+    keep_apart()
     found = 0
     for row in range(8):
         for j in range(6):

@@ -73,3 +73,29 @@ def image(angle, start, lower, upper):
         found += whole * math.ceil((lower - 1e-9 - found) / whole)
     inside = lower - 1e-9 <= found <= upper + 1e-9
     return min(max(found, lower), upper), inside
+
+
+@pure
+def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
+    """α, β with α + sign·β = total (mod 2π), as near to a and b as can be inside the limits.
+
+    Where no such pair is inside the limits, the nearest of all.
+    """
+    whole = 2.0 * math.pi
+    rest = total - a - sign * b
+    rest -= whole * math.floor(rest / whole + 0.5)
+    best_a, best_b, closest = a + 0.5 * rest, b + 0.5 * sign * rest, math.inf
+    for k in range(-2, 3):
+        turned = rest + whole * k
+        # β = b + sign·(turned - (α - a)) inside its limits, as limits of α.
+        low = a + turned - sign * ((upper_b if sign > 0.0 else lower_b) - b)
+        high = a + turned - sign * ((lower_b if sign > 0.0 else upper_b) - b)
+        low, high = max(low, lower_a), min(high, upper_a)
+        if low > high + 1e-9:
+            continue
+        alpha = min(max(a + 0.5 * turned, low), high)
+        beta = b + sign * (turned - (alpha - a))
+        distance = (alpha - a) * (alpha - a) + (beta - b) * (beta - b)
+        if distance < closest:
+            best_a, best_b, closest = alpha, beta, distance
+    return best_a, best_b

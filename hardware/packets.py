@@ -1,0 +1,216 @@
+"""Bytes of the control cycle, on the host's side: group requests, and the answers to them.
+
+A cycle is the one thing that must be quick; everything else leaves packets to the Dynamixel SDK.  It takes an
+answer apart byte by byte in Python; here whole answers are found and checked at once.  The tests hold these
+bytes to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from robot_ik.hardware.bus import ALERT_BIT, BROADCAST_ID
+from robot_ik.hardware.control_table import Register
+
+HEADER = b"\xff\xff\xfd\x00"
+STATUS = 0x55
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
+BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+
+SHORTEST_STATUS = 11
+"""Bytes of a status packet without data: header 4, id 1, length 2, instruction 1, error 1, CRC 2."""
+
+FAST_HEAD = 8
+"""Bytes of a fast status before the first servo: header 4, id 1, length 2, instruction 1."""
+FAST_FRAME = 4
+"""Bytes of a fast status that each servo adds to its data: error 1, id 1, CRC 2."""
+
+LONGEST = 1024
+"""Bytes of a packet; a length field that says more is damaged."""
+
+_STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
+
+
+class Answer(NamedTuple):
+    """One status with a good checksum and a length that agrees with its length field."""
+
+    id: int
+    code: int
+    alert: bool
+    data: bytes
+
+
+def _crc_table() -> tuple[int, ...]:
+    """CRC-16, polynomial 0x8005, most significant bit first, of every byte."""
+    table = []
+    for byte in range(256):
+        value = byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
+        table.append(value)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc(data: Iterable[int], value: int = 0) -> int:
+    """Checksum of bytes that follow bytes with checksum ``value``."""
+    table = _CRC
+    for byte in data:
+        value = (value << 8 & 0xFF00) ^ table[value >> 8 ^ byte]
+    return value
+
+
+def build(id: int, instruction: int, params: bytes) -> bytes:
+    """An instruction packet: stuffed, measured, signed with its checksum."""
+    body = (bytes((instruction,)) + params).replace(_PLAIN, _STUFFED)
+    head = HEADER + bytes((id,)) + (len(body) + 2).to_bytes(2, "little") + body
+    return head + crc(head).to_bytes(2, "little")
+
+
+def _same_place(registers: Iterable[Register]) -> bool:
+    return len({(r.address, r.size) for r in registers}) == 1
+
+
+def _where(register: Register) -> bytes:
+    return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
+
+
+def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
+    """Sync write if all registers lie at one place, else bulk write.
+
+    Raises:
+        ValueError: A value does not fit its register.
+    """
+    registers = [register for register, _ in values.values()]
+    if _same_place(registers):
+        body = [bytes((id,)) + register.encode(value) for id, (register, value) in values.items()]
+        return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + b"".join(body))
+    body = [bytes((id,)) + _where(r) + r.encode(value) for id, (r, value) in values.items()]
+    return build(BROADCAST_ID, BULK_WRITE, b"".join(body))
+
+
+def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:
+    """Sync read if all registers lie at one place, else bulk read; fast: one status packet for all."""
+    if _same_place(registers.values()):
+        first = next(iter(registers.values()))
+        return build(BROADCAST_ID, FAST_SYNC_READ if fast else SYNC_READ, _where(first) + bytes(registers))
+    body = b"".join(bytes((id,)) + _where(register) for id, register in registers.items())
+    return build(BROADCAST_ID, FAST_BULK_READ if fast else BULK_READ, body)
+
+
+class StatusParser:
+    """Status packets out of bytes that come in pieces, with anything between them.
+
+    Attributes:
+        damaged: Packets seen so far that could not be trusted.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self.damaged = 0
+
+    def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
+        """Answers that are complete now.
+
+        Args:
+            data: The next bytes.
+            last: Nothing more will come: what looks like the head of a packet that is not all there is
+                passed over, for it may be noise with packets behind it.
+        """
+        buffer = self._buffer + data
+        answers = []
+        at = 0
+        while True:
+            at = buffer.find(HEADER, at)
+            if at < 0:
+                at = max(len(buffer) - len(HEADER) + 1, 0)  # it may end in a part of a header
+                break
+            if len(buffer) < at + 7:
+                break
+            length = buffer[at + 5] | buffer[at + 6] << 8
+            end = at + 7 + length
+            if not last and length <= LONGEST and len(buffer) < end:
+                break
+            answer = _status(buffer[at:end]) if len(buffer) >= end else None
+            if answer is None:
+                if len(buffer) < end or buffer[at + 7] == STATUS:
+                    self.damaged += 1
+                at += len(HEADER)
+                continue
+            answers.append(answer)
+            at = end
+        self._buffer = buffer[at:]
+        return answers
+
+
+def _status(packet: bytes) -> Answer | None:
+    """A whole packet, taken apart; None if it is damaged or no status."""
+    if len(packet) < SHORTEST_STATUS or packet[7] != STATUS:
+        return None
+    if crc(packet[:-2]) != packet[-2] | packet[-1] << 8:
+        return None
+    body = packet[8:-2]
+    if _STUFFED in body:
+        body = body.replace(_STUFFED, _PLAIN)
+    return Answer(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
+
+
+class FastParser:
+    """The one status in which all servos answer a fast read; gives each as soon as its checksum is there.
+
+    Every servo's checksum runs over all bytes before it, so behind a damaged byte nobody can be trusted,
+    and behind a servo that is missing nobody speaks.  What comes before is good.
+
+    Args:
+        expected: (id, bytes of data), in the order asked.
+
+    Attributes:
+        damaged: 1 when there is no use in waiting for more.
+    """
+
+    def __init__(self, expected: Sequence[tuple[int, int]]) -> None:
+        self._expected = expected
+        self._total = FAST_HEAD + sum(size + FAST_FRAME for _, size in expected)
+        self._buffer = b""
+        self._head = -1
+        self._next = self._at = self._crc = 0
+        self.damaged = 0
+
+    def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
+        """Answers that are complete now; ``last``: nothing more will come."""
+        buffer = self._buffer = self._buffer + data
+        if self._head < 0 and not self._found_head(buffer):
+            return []
+        answers: list[Answer] = []
+        while self._next < len(self._expected) and not self.damaged:
+            id, size = self._expected[self._next]
+            end = self._at + size + FAST_FRAME
+            if len(buffer) < end:
+                break
+            frame = buffer[self._at : end]
+            value = crc(frame[:-2], self._crc)
+            if value != frame[-2] | frame[-1] << 8 or frame[1] != id:
+                self.damaged = 1
+                break
+            answers.append(Answer(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
+            self._crc = crc(frame[-2:], value)
+            self._at = end
+            self._next += 1
+        return answers
+
+    def _found_head(self, buffer: bytes) -> bool:
+        at = -1
+        while (at := buffer.find(HEADER, at + 1)) >= 0 and len(buffer) >= at + FAST_HEAD:
+            if buffer[at + 4] != BROADCAST_ID or buffer[at + 7] != STATUS:
+                continue
+            # Stuffing would make it longer; clients differ on whether there is any: not to be trusted.
+            if (buffer[at + 5] | buffer[at + 6] << 8) + 7 != self._total:
+                self.damaged = 1
+                return False
+            self._head, self._at = at, at + FAST_HEAD
+            self._crc = crc(buffer[at : self._at])
+            return True
+        return False
