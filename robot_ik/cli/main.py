@@ -64,6 +64,12 @@ COMMANDS: dict[str, Command] = {
         "serve simulated servos on a port that any client can open",
         mujoco=False,
     ),
+    "servo": Command(
+        "robot_ik.cli.servo",
+        "ServoOptions",
+        "servos by hand: find, set up, calibrate, watch, move, record, save",
+        mujoco=False,
+    ),
     "doctor": Command(
         "robot_ik.cli.doctor",
         "DoctorOptions",
