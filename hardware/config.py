@@ -36,6 +36,8 @@ class ArmConfig:
         on_exit: ``torque_off``, ``hold`` or ``park``.
         joints: In the order of q.
         file: Where it was read from; ``None`` when made by a program.
+        stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
+        on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
     """
 
     name: str
@@ -46,6 +48,8 @@ class ArmConfig:
     on_exit: str
     joints: tuple[JointMap, ...]
     file: Path | None = field(default=None, compare=False)
+    stale_ms: int = 250
+    on_stale: str = "hold"
 
     def __post_init__(self) -> None:
         check_arm(self, self.file or self.name)
@@ -196,5 +200,14 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
     )
     bus = arm.bus
     return ArmConfig(
-        arm.name, arm.robot, bus.baud, float(bus.rate_hz), bus.watchdog_ms, bus.on_exit, joints, file
+        arm.name,
+        arm.robot,
+        bus.baud,
+        float(bus.rate_hz),
+        bus.watchdog_ms,
+        bus.on_exit,
+        joints,
+        file,
+        bus.stale_ms,
+        bus.on_stale,
     )

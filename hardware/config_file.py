@@ -40,6 +40,8 @@ class BusFile(_Table):
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 100.0
     watchdog_ms: Annotated[int, Field(ge=0, le=WATCHDOG_MAX_MS, multiple_of=WATCHDOG_STEP_MS)] = 200
     on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
+    stale_ms: Annotated[int, Field(ge=0, le=60_000)] = 250
+    on_stale: Literal["hold", "park", "torque_off"] = "hold"
 
 
 class TwinFile(_Table):
@@ -185,6 +187,8 @@ def arm_file_text(config: ArmConfig) -> str:
         f"rate_hz = {config.rate_hz:g}",
         f"watchdog_ms = {config.watchdog_ms}",
         f"on_exit = {json.dumps(config.on_exit)}",
+        f"stale_ms = {config.stale_ms}",
+        f"on_stale = {json.dumps(config.on_stale)}",
     ]
     for joint in config.joints:
         values: dict[str, Any] = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +20,8 @@ from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import OperatingMode, Register, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
-from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
+from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
+from robot_ik.hardware.motion_report import MotionReport
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.startup import read_all, shared_register
 from robot_ik.hardware.switch_on import WATCHDOG_UNIT_MS, arm_watchdog
@@ -45,45 +45,6 @@ GRACE = 2.0
 """s allowed on the way to a pose beyond what the caps ask for."""
 
 _ALARM_PERIOD = 0.5  # s; asking costs a cycle
-
-
-@dataclass
-class MotionReport:
-    """What happened to the commands since torque came on.
-
-    Attributes:
-        sent: Commands sent.
-        clipped: Joint -> number of ticks in which its command lay outside the limits.
-        capped: Joint -> number of ticks in which a cap held it back.
-        last: What the limiter did to the last command.
-        tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
-        largest_tracking_error: (n,) rad.
-    """
-
-    tracking_error: Array
-    largest_tracking_error: Array
-    sent: int = 0
-    clipped: dict[str, int] = field(default_factory=dict)
-    capped: dict[str, int] = field(default_factory=dict)
-    last: LimiterReport = field(default_factory=LimiterReport)
-
-    @classmethod
-    def empty(cls, n: int) -> MotionReport:
-        """Before the first command of ``n`` joints."""
-        return cls(np.zeros(n), np.zeros(n))
-
-    def count(self, report: LimiterReport) -> None:
-        """Adds one command."""
-        self.sent += 1
-        self.last = report
-        for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
-            for name in names:
-                counts[name] = counts.get(name, 0) + 1
-
-    def track(self, error: Array) -> None:
-        """Adds (n,) rad, one cycle's tracking error."""
-        self.tracking_error = error
-        self.largest_tracking_error = np.fmax(self.largest_tracking_error, error)
 
 
 class Cycle:

@@ -22,7 +22,6 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.config_check import current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
@@ -31,6 +30,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
+from robot_ik.hardware.currents import set_currents
 
 log = logging.getLogger(__name__)
 
@@ -159,7 +159,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         _set_eeprom(bus, config, name, values, torque)
     _check_shadows(bus, config)
     _check_servo_limits(bus, config)
-    _limit_currents(bus, config)
+    set_currents(bus, config, {})
     _write_verified(bus, config, "profile_acceleration", _profile(config)[1])
     _write_verified(bus, config, "profile_velocity", _profile(config)[0])
 
@@ -253,26 +253,6 @@ def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
                 ),
                 hint=f"set its Secondary ID to {255 if wanted is None else wanted}, or correct the arm file",
             )
-
-
-def _limit_currents(bus: ServoBus, config: ArmConfig) -> None:
-    """Goal Current of the servos in current-based position mode; the servo's own limit by default.
-
-    Raises:
-        HardwareError: It reads back otherwise.
-    """
-    with joint_named(config):
-        for joint in config.servos:
-            if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
-                continue
-            most = bus.read(joint.id, joint.table["current_limit"]).data or 0
-            wanted = most
-            if joint.current is not None:
-                wanted = min(most, int(joint.current / current_unit(joint.table)))
-            register = joint.table["goal_current"]
-            bus.write(joint.id, register, wanted)
-            if bus.read(joint.id, register).data != wanted:
-                raise HardwareError(f"joint {joint.name!r} does not take a current of {wanted} units")
 
 
 def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
