@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from robot_ik.hardware.control_table import Register
@@ -34,8 +34,7 @@ ERROR_REASONS: dict[int, str] = {
 """ERR byte, bits 0-6: a number, not a mask (Protocol 2.0 manual, "Status packet")."""
 
 
-@dataclass(frozen=True)
-class Status:
+class Status(NamedTuple):
     """What one servo answered to one request.
 
     Attributes:
