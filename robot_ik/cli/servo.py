@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import importlib
+import re
 from dataclasses import dataclass
 from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
+from robot_ik.cli.servo_monitor import MonitorOptions
+from robot_ik.cli.servo_move import MoveOptions
 from robot_ik.cli.servo_ports import PortsOptions
 from robot_ik.cli.servo_scan import ScanOptions
 from robot_ik.cli.servo_setup import SetupOptions
+from robot_ik.cli.servo_torque import ResetFaultOptions, TorqueOptions
 
 Subcommand = (
     Annotated[PortsOptions, subcommand("ports")]
     | Annotated[ScanOptions, subcommand("scan")]
     | Annotated[SetupOptions, subcommand("setup")]
+    | Annotated[MonitorOptions, subcommand("monitor")]
+    | Annotated[MoveOptions, subcommand("move")]
+    | Annotated[TorqueOptions, subcommand("torque")]
+    | Annotated[ResetFaultOptions, subcommand("reset-fault")]
 )
 
 
@@ -33,6 +41,6 @@ def run(options: ServoOptions) -> int:
     """Runs the subcommand: the function ``run`` beside its options."""
     chosen = options.command
     module = importlib.import_module(type(chosen).__module__)
-    runner = getattr(module, f"run_{type(chosen).__name__.removesuffix('Options').lower()}")
-    code: int = runner(chosen)
+    words = re.findall("[A-Z][a-z]+", type(chosen).__name__)[:-1]  # ResetFaultOptions: Reset, Fault
+    code: int = getattr(module, "_".join(["run", *words]).lower())(chosen)
     return code

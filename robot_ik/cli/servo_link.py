@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
@@ -15,15 +15,16 @@ from robot_ik.cli import console
 from robot_ik.errors import BusNotOpenError, ConfigError, HardwareError, UnsafeCommandError
 
 if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.control_table import ControlTable
+    from robot_ik.ports import Clock
 
 #: Ports that only a machine's own board has; no adapter of servos is behind them.
 _ONBOARD = ("ttyS", "ttyAMA", "Bluetooth")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BusOptions:
     """Where the servos are."""
 
@@ -33,15 +34,6 @@ class BusOptions:
     """Serial port of the servos; pty and sim: virtual ones."""
     arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file (TOML), or a robot of the catalogue that has one."""
-
-
-@dataclass(frozen=True)
-class ServoAt:
-    """One servo that a command speaks to."""
-
-    name: str
-    id: int
-    table: ControlTable
 
 
 def serial_ports() -> list[Any]:
@@ -102,29 +94,69 @@ def tried(action: Callable[[], int]) -> int:
         return console.NOT_ACHIEVED
 
 
-def chosen(config: ArmConfig, names: Sequence[str]) -> list[ServoAt]:
-    """The servos of these joints, or of all; a joint that two servos turn gives both.
+@dataclass(frozen=True)
+class Link:
+    """An open bus, the arm on it, and the clock on which both run."""
 
-    Raises:
-        UnknownJointError: No such joint; close ones are named.
-    """
-    wanted = {config.joint(name).name for name in names} or set(config.names)
-    return [ServoAt(s.name, s.id, s.table) for s in config.servos if s.name in wanted]
+    bus: ServoBus
+    config: ArmConfig
+    clock: Clock
 
 
 @contextmanager
-def opened(options: BusOptions) -> Iterator[tuple[ServoBus, ArmConfig]]:
+def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Link]:
     """The bus, open, and the arm file; nothing is asked of any servo yet.
+
+    Args:
+        options: From the command line.
+        config: Instead of the arm file.
 
     Raises:
         BusNotOpenError, ConfigError, UnknownRobotError.
     """
     from robot_ik.cli.sim_bus import load_arm
-    from robot_ik.hardware import open_bus
+    from robot_ik.hardware import bus_row, open_bus
+    from robot_ik.hardware.virtual.bus import VirtualBus
 
-    config = load_arm(options.arm)
-    bus = open_bus(port_name(options.bus), config)
+    config = config or load_arm(options.arm)
+    name = port_name(options.bus)
+    clock = bus_row(name).clock()
+    servos = VirtualBus.from_config(config, clock) if bus_row(name).virtual else None
+    bus = open_bus(name, config, virtual_bus=servos)
     try:
-        yield bus, config
+        yield Link(bus, config, clock)
     finally:
         bus.close()
+
+
+def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
+    """The arm with these joints only; all where none is named.
+
+    Raises:
+        UnknownJointError: No such joint; close ones are named.
+    """
+    wanted = {config.joint(name).name for name in names}
+    kept = tuple(joint for joint in config.joints if not wanted or joint.name in wanted)
+    return replace(config, joints=kept)
+
+
+def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
+    """The arm of these options, still disconnected.
+
+    Raises:
+        BusNotOpenError: No port is named and there is not exactly one.
+        ConfigError: No such way to leave an arm.
+    """
+    from robot_ik.hardware import open_arm
+
+    return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
+
+
+def left(arm: Arm) -> str:
+    """How an arm was left, in words."""
+    report = arm.exit_report
+    if report is None:
+        return ""
+    words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
+    text = words[report.done] + (" (parked first)" if report.parked else "")
+    return text if report.ok else f"{text}, NOT confirmed by {', '.join(report.unverified)}: cut the power"
