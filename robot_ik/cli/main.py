@@ -58,6 +58,9 @@ COMMANDS: dict[str, Command] = {
     "bench": Command(
         "robot_ik.cli.bench", "BenchOptions", "methods on seeded problems: success, time, plots"
     ),
+    "run": Command(
+        "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
+    ),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",
