@@ -148,7 +148,8 @@ class Problem:
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
+            "best": (nq,), "nearby": (nq,), "rival": (nq,),
+            "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
             "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
             "normal": (nu, nu), "damped": (nu, nu),

@@ -17,10 +17,13 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 OUTCOME = slice(STATUS, BEYOND + 1)
 
 # Entries of work.value (float64).
-COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, LOWEST, SCALE, VALUE_SIZE = range(10)
+(
+    COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, LOWEST, SCALE, SHARE, RIVAL,
+    VALUE_SIZE,
+) = range(12)  # fmt: skip
 
 # What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
-NOTHING, STEP, DRAW, TRY = range(4)
+NOTHING, STEP, DRAW, TRY, BACK = range(5)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
@@ -35,6 +38,8 @@ WORK = Layout(
     start="floats",  # (nq,)
     q="floats",  # (nq,) where the solver is
     best="floats",  # (nq,) best so far
+    nearby="floats",  # (nq,) best of the try from the start
+    rival="floats",  # (nq,) best of all tries, while the one from the start is polished
     accepted="floats",  # (nq,) free for a solver that may reject a step
     candidate="floats",  # (nq,) the best of several random starts
     reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
