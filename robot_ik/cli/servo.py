@@ -9,6 +9,7 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
+from robot_ik.cli.servo_backup import BackupOptions, RestoreOptions
 from robot_ik.cli.servo_monitor import MonitorOptions
 from robot_ik.cli.servo_move import MoveOptions
 from robot_ik.cli.servo_ports import PortsOptions
@@ -24,6 +25,8 @@ Subcommand = (
     | Annotated[MoveOptions, subcommand("move")]
     | Annotated[TorqueOptions, subcommand("torque")]
     | Annotated[ResetFaultOptions, subcommand("reset-fault")]
+    | Annotated[BackupOptions, subcommand("backup")]
+    | Annotated[RestoreOptions, subcommand("restore")]
 )
 
 
