@@ -15,9 +15,10 @@ from robot_ik.kernels.levels import (
     restore,
     stacked_step,
 )
-from robot_ik.kernels.loop import begin, copy, judge, measure, record
+from robot_ik.kernels.loop import begin, copy, judge, measure
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.room import apply_step
+from robot_ik.kernels.trace import record
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import (
     BEST_COST,
