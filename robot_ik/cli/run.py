@@ -62,19 +62,16 @@ def run(options: RunOptions) -> int:
             raise OutputError(f"cannot write {file}: no such folder", hint="give a folder that exists")
     arm = Path(options.arm) if options.arm else None
     this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed))
-    began = False
     try:
         with console.progress() as bar, _quiet(options.bus):
             task = bar.add_task("getting ready", total=1.0, note="")
 
             def progress(name: str, share: float) -> None:
-                nonlocal began
-                began = began or share > 0.0 or name == this.report.steps[0].name
                 bar.update(task, description=name, completed=share)
 
             this.run(progress)
     finally:
-        if began:  # an interrupted run leaves its report, too
+        if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
             _tell(this.report, options)
     return console.DONE if this.report.passed else console.NOT_ACHIEVED
 

@@ -60,7 +60,9 @@ class _Booking:
         """Puts it into the schedule; without delay it happens at once."""
         if self.fault.id is not None:
             bus.servo(self.fault.id)
-        if self.delay > 0.0:
+        if self.fault.at_packet is not None:
+            bus.schedule.at_packet(bus.schedule.packets + self.fault.at_packet, lambda: self._begin(bus))
+        elif self.delay > 0.0:
             bus.schedule.at(bus.clock.now() + self.delay, lambda: self._begin(bus))
         else:
             self._begin(bus)
@@ -86,6 +88,8 @@ class _Booking:
             self.undos.append(undo)
         if self.lasts is not None:
             bus.schedule.at(bus.clock.now() + self.lasts, self.end)
+        elif self.fault.lasts_packets is not None:
+            bus.schedule.at_packet(bus.schedule.upcoming + self.fault.lasts_packets, self.end)
 
 
 def _restart(servo: VirtualServo, kind: str) -> Callable[[], None]:
@@ -118,7 +122,10 @@ class Mischief:
         self._booked: list[_Booking] = []
 
     def inject(self, fault: Fault, delay: float = 0.0, lasts: float | None = None) -> None:
-        """Lets ``fault`` happen in ``delay`` s, for ``lasts`` s or for good."""
+        """Lets ``fault`` happen in ``delay`` s, for ``lasts`` s or for good.
+
+        Packets, where the fault counts those instead, are counted from here, too.
+        """
         booking = _Booking(fault, delay, lasts)
         self._booked.append(booking)
         self._bus.inject(cast(Fault, booking))

@@ -159,8 +159,8 @@ def _check_follow(script: Script, step: FollowStep, at: str) -> None:
 
 
 def _check_expect(script: Script, step: ExpectStep, at: str) -> None:
-    wanted = ("position", "wxyz", "joints_deg", "keyframe", "state", "error", "joint", "cause", "status")
-    wanted += ("step_seconds", "run_seconds")
+    places = ("position", "wxyz", "joints_deg", "keyframe")
+    wanted = (*places, "state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
     if all(getattr(step, key) is None for key in wanted):
         raise script.wrong("nothing is expected", at, f"one or more of {', '.join(wanted)}")
     for key in ("step_seconds", "run_seconds"):

@@ -111,27 +111,22 @@ class ScriptRun:
         limbs, report = self._limbs, self.report
         method = find_robot(self._request.robot)[1].solver or "auto"
         now = Situation(self._script, limbs, method, self._seed)
-        with contextlib.ExitStack() as stack:
-            self._prepare(now, stack, progress)
-            stack.enter_context(limbs.connected())
-            limbs.energise()
-            now.stand()
-            now.begin = limbs.clock.now()
-            try:
-                self._steps(now, progress)
-            except BaseException:
-                report.interrupted = True
-                raise
-            finally:
-                report.seconds = now.now()
-        left = now.arm.exit_report
-        row = report.steps[-1]
-        row.outcome = PASSED if left is not None and left.ok else FAILED
-        row.found = (
-            "" if left is None else f"{left.done}, confirmed by {', '.join(left.verified) or 'nobody'}"
-        )
-        if left is not None and left.unverified:
-            row.found += f"; not by {', '.join(left.unverified)}: torque may be on"
+        try:
+            with contextlib.ExitStack() as stack:
+                self._prepare(now, stack, progress)
+                stack.enter_context(limbs.connected())
+                limbs.energise()
+                now.stand()
+                now.begin = limbs.clock.now()
+                try:
+                    self._steps(now, progress)
+                except BaseException:
+                    report.interrupted = True
+                    raise
+                finally:
+                    report.seconds = now.now()
+        finally:
+            _tell_leaving(now, report.steps[-1])
         return report
 
     def _prepare(self, now: Situation, stack: contextlib.ExitStack, progress: Progress) -> None:
@@ -166,6 +161,16 @@ class ScriptRun:
             self.report.counters = dict(counters)
             if result.outcome == FAILED:
                 return
+
+
+def _tell_leaving(now: Situation, row: StepResult) -> None:
+    left = now.arm.exit_report
+    if left is None:  # it was never connected
+        return
+    row.outcome = PASSED if left.ok else FAILED
+    row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'nobody'}"
+    if left.unverified:
+        row.found += f"; not by {', '.join(left.unverified)}: torque may be on"
 
 
 def run_step(now: Situation, step: AnyStep, result: StepResult) -> None:
@@ -259,7 +264,7 @@ DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyTyp
 
 def describe(step: AnyStep) -> str:
     """What a step without a name is called: its kind and its first word or numbers."""
-    words = [step.do]
+    words: list[str] = [step.do]
     for key in ("keyframe", "path", "kind", "joint", "position", "by", "joints_deg", "seconds", "opening"):
         value = getattr(step, key, None)
         if isinstance(value, dict):
