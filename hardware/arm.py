@@ -17,7 +17,8 @@ from robot_ik.errors import ArmStateError, HardwareError
 from robot_ik.hardware.arm_base import MOVABLE, ArmBase
 from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.cycle import Cycle
-from robot_ik.hardware.recovery import check_turns_kept, open_again, restart_faulty, verify
+from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
 from robot_ik.hardware.shutdown import torque_off
 from robot_ik.hardware.startup import read_all
 from robot_ik.hardware.state import ArmState
@@ -201,7 +202,7 @@ class Arm(ArmBase):
             if not self.bus.is_open:
                 raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
             joints = restart_faulty(self.bus, self.config, self.clock)
-            self._begin_anew()
+            self._begin_anew(verify(self.bus, self.config))
             return joints
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -212,17 +213,15 @@ class Arm(ArmBase):
 
         Raises:
             ArmStateError: Nothing was connected, or the arm is in use.
-            BusNotOpenError: The port did not come back.
+            BusNotOpenError, BusDisconnectedError: The port did not come back.
             HardwareError: These are not the servos as they were left.  The fault stays.
         """
         with self._lock:
             self._require("reconnect", ArmState.FAULT, ArmState.CONNECTED)
-            open_again(self.bus, self.clock, timeout)
-            self._begin_anew()
+            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout))
 
-    def _begin_anew(self) -> None:
-        """From an open bus to ``CONNECTED``; torque stays as it is."""
-        feedback = verify(self.bus, self.config)
+    def _begin_anew(self, feedback: Feedback) -> None:
+        """From a verified bus to ``CONNECTED``; torque stays as it is."""
         check_turns_kept(self.bus, self.config, self._cycle.samples)
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
         self._fault = None

@@ -69,18 +69,18 @@ def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str,
     return tuple(dict.fromkeys(servo.name for servo in faulty))
 
 
-def open_again(bus: ServoBus, clock: Clock, timeout: float) -> None:
-    """Opens the port as soon as it is there again.
+def find_again(bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float) -> Feedback:
+    """Opens the port as soon as it is there again and stays, and verifies what is behind it.
 
     Raises:
-        BusNotOpenError: It was not for ``timeout`` s.
+        BusNotOpenError, BusDisconnectedError: It was not there for ``timeout`` s.  As ``verify``.
     """
     bus.close()
     end = clock.now() + timeout
     while True:
         try:
             bus.open()
-            return
+            return verify(bus, config)
         except (BusNotOpenError, BusDisconnectedError):
             if clock.now() >= end:
                 raise

@@ -72,8 +72,9 @@ print("handlers", signal.getsignal(signal.SIGINT) is signal.default_int_handler,
 
 
 @pytest.fixture
-def served(arm_config):
+def served(arm_config, goal_recorder):
     with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=START)) as port:
+        goal_recorder.watch(port.bus, arm_config)
         yield port
 
 
