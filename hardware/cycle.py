@@ -9,16 +9,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import (
-    BusCorruptError,
-    BusTimeoutError,
-    HardwareError,
-    MotorFaultError,
-    UnsafeCommandError,
-)
+from robot_ik.errors import MotorFaultError, UnsafeCommandError
+from robot_ik.hardware import suspicion
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.control_table import OperatingMode, Register, hardware_error_names
+from robot_ik.hardware.control_table import OperatingMode, Register
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
 from robot_ik.hardware.motion_report import MotionReport
@@ -136,11 +131,7 @@ class Cycle:
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
         for servo in self._config.servos:
             if statuses[servo.id].alert:
-                raise MotorFaultError(
-                    servo.name,
-                    self._hardware_errors(servo),
-                    hint="the other joints hold; remove the cause, then reset_fault() or power-cycle it",
-                )
+                raise suspicion.shut_down(self._bus, servo)
             if measured[servo.id].torque is False:
                 self._confirm_torque(servo)
         twisted = self.samples.twisted()
@@ -255,62 +246,19 @@ class Cycle:
         statuses = self._bus.sync_read(self._config.servo_ids, torque)
         for servo in self._config.servos:
             if statuses[servo.id].data == 0:
-                raise self._torque_lost(servo)
+                raise suspicion.torque_lost(servo)
 
     def _confirm_torque(self, servo: JointMap) -> None:
-        """The feedback of a servo says it has no torque: the servo itself is asked."""
-        try:
-            torque = self._bus.read(servo.id, servo.table["torque_enable"]).data
-        except (BusTimeoutError, BusCorruptError):
-            return  # if it stays so, it is a silent servo
-        if not torque:
-            raise self._torque_lost(servo)
+        """The feedback of a servo says it has no torque."""
+        if not suspicion.has_torque(self._bus, servo):
+            return  # not heard: if it stays so, it is a silent servo
         log.warning("servo %d has torque and its feedback denies it: read plainly from here on", servo.id)
         self.feedback.read_plainly(servo.id)
 
-    @staticmethod
-    def _torque_lost(servo: JointMap) -> MotorFaultError:
-        return MotorFaultError(
-            servo.name,
-            ("torque_lost",),
-            hint="the servo has probably restarted: check its supply; the other joints hold",
-        )
-
-    def _hardware_errors(self, joint: JointMap) -> tuple[str, ...]:
-        try:
-            value = self._bus.read(joint.id, joint.table["hardware_error_status"]).data or 0
-        except HardwareError as error:
-            log.warning("hardware error status of %s: %s", joint.name, error)
-            value = 0
-        return hardware_error_names(value) or ("hardware_error",)
-
     def _confirm_silence(self, silent: list[JointMap], everyone: bool) -> None:
-        """Who is about to be given up is asked once more, by itself and with all patience.
-
-        Raises:
-            MotorFaultError, BusTimeoutError: It still does not answer.
-        """
+        """Who is about to be given up is asked once more, by itself and with all patience."""
         for servo in silent:
-            try:
-                ticks = self._bus.read(servo.id, servo.table["present_position"]).data
-            except BusTimeoutError:
-                raise self._silence(servo, everyone, "no_status") from None
-            except BusCorruptError:
-                raise self._silence(servo, everyone, "corrupt") from None
-            found = dict.fromkeys(self._config.servo_ids) | {servo.id: ticks}
-            self.samples.take(found, self._clock.now())
-
-    def _silence(self, servo: JointMap, everyone: bool, status: str) -> HardwareError:
-        age = self.samples.age(servo, self._clock.now())
-        if everyone:
-            return BusTimeoutError(
-                id=servo.id,
-                register="present_position",
-                port=self._bus.port,
-                joint=servo.name,
-                last_good=age if math.isfinite(age) else None,
-                hint="no servo answers any more: check their power and the cable",
-            )
-        cause = "its cable and power" if status == "no_status" else "whether another servo has this id"
-        hint = f"no good answer of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
-        return MotorFaultError(servo.name, (status,), hint=hint)
+            age = self.samples.age(servo, self._clock.now())
+            ticks = suspicion.last_word(self._bus, servo, age, everyone=everyone)
+            nobody: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
+            self.samples.take(nobody | {servo.id: ticks}, self._clock.now())

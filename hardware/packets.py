@@ -46,7 +46,7 @@ class Answer(NamedTuple):
 
 def _crc_table() -> list[int]:
     """CRC-16, polynomial 0x8005, most significant bit first, of every pair of bytes."""
-    value = np.arange(65_536, dtype=np.uint32)
+    value = np.arange(65_536)
     for _ in range(16):
         value = np.where(value & 0x8000, value << 1 ^ 0x8005, value << 1) & 0xFFFF
     return value.tolist()
