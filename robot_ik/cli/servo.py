@@ -10,21 +10,26 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from robot_ik.cli.servo_backup import BackupOptions, RestoreOptions
+from robot_ik.cli.servo_calibrate import CalibrateOptions
 from robot_ik.cli.servo_monitor import MonitorOptions
 from robot_ik.cli.servo_move import MoveOptions
 from robot_ik.cli.servo_ports import PortsOptions
 from robot_ik.cli.servo_scan import ScanOptions
 from robot_ik.cli.servo_setup import SetupOptions
+from robot_ik.cli.servo_teach import PlayOptions, TeachOptions
 from robot_ik.cli.servo_torque import ResetFaultOptions, TorqueOptions
 
 Subcommand = (
     Annotated[PortsOptions, subcommand("ports")]
     | Annotated[ScanOptions, subcommand("scan")]
     | Annotated[SetupOptions, subcommand("setup")]
+    | Annotated[CalibrateOptions, subcommand("calibrate")]
     | Annotated[MonitorOptions, subcommand("monitor")]
     | Annotated[MoveOptions, subcommand("move")]
     | Annotated[TorqueOptions, subcommand("torque")]
     | Annotated[ResetFaultOptions, subcommand("reset-fault")]
+    | Annotated[TeachOptions, subcommand("teach")]
+    | Annotated[PlayOptions, subcommand("play")]
     | Annotated[BackupOptions, subcommand("backup")]
     | Annotated[RestoreOptions, subcommand("restore")]
 )

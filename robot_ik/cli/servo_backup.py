@@ -43,7 +43,7 @@ def run_backup(options: BackupOptions) -> int:
 
 
 def new_file(path: Path, overwrite: bool) -> None:
-    """Raises ``OutputError`` if a result could not be kept or would replace another; asked before the work."""
+    """Raises ``OutputError`` if a result could not be kept or would replace another; asked first."""
     if path.exists() and not overwrite:
         raise OutputError(
             f"{path} exists; it stays as it is", hint="choose another name, or give --overwrite"

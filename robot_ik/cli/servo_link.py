@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -150,6 +150,25 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
     from robot_ik.hardware import open_arm
 
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
+
+
+def check_beside(arm: Arm, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
+    """Compares a connected arm with the calibration beside its arm file, where there is one.
+
+    Args:
+        arm: Connected.
+        limits: Joint -> limits of the model, rad; None: the model is not compared.
+
+    Raises:
+        CalibrationMismatchError: With a table of what differs.
+        ConfigError: The calibration cannot be read, or is of another arm.
+    """
+    from robot_ik.hardware.calibration import check_calibration
+    from robot_ik.hardware.calibration_file import Calibration, calibration_beside
+
+    file = arm.config.file
+    if file is not None and calibration_beside(file).exists():
+        check_calibration(arm.bus, arm.config, Calibration.load(calibration_beside(file)), limits or {})
 
 
 def left(arm: Arm) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, arm_on, left, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, check_beside, left, tried, wrong
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -59,6 +59,7 @@ def run_move(options: MoveOptions) -> int:
         return console.DONE
 
     with arm:
+        check_beside(arm)
         code = tried(move)
     console.say(left(arm), "dim")
     return code
