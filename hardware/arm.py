@@ -19,8 +19,8 @@ from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
+from robot_ik.hardware.registers import read_all
 from robot_ik.hardware.shutdown import torque_off
-from robot_ik.hardware.startup import read_all
 from robot_ik.hardware.state import ArmState
 from robot_ik.hardware.switch_on import torque_on
 from robot_ik.ports import JointReading

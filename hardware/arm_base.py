@@ -21,8 +21,8 @@ from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.exit_guard import ExitGuard
 from robot_ik.hardware.heartbeat import GIVE_UP, Heartbeat
 from robot_ik.hardware.motion_report import MotionReport
+from robot_ik.hardware.registers import shared_register
 from robot_ik.hardware.shutdown import ExitReport, checked_policy, hold, torque_off
-from robot_ik.hardware.startup import shared_register
 from robot_ik.hardware.state import ArmState
 from robot_ik.ports import Array, Clock, VirtualClock
 

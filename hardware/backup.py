@@ -18,7 +18,7 @@ from robot_ik.files import write_atomically
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number
-from robot_ik.hardware.startup import joint_named
+from robot_ik.hardware.registers import joint_named
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""
@@ -26,6 +26,7 @@ SCHEMA = 1
 ADDRESS = ("id", "baud_rate", "protocol_type")
 """EEPROM registers that decide how a servo is reached."""
 
+_BLOCK = 64  # bytes read at once
 _PASSES = 2  # a limit may be refused until the one at the other end is written
 
 
@@ -76,11 +77,7 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
         for servo in config.servos:
             firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
             table = control_table(servo.model, firmware)
-            registers = {
-                r.name: bus.read(servo.id, r).data or 0
-                for r in table
-                if not r.name.startswith("indirect_data")
-            }
+            registers = _read(bus, servo.id, [r for r in table if not r.name.startswith("indirect_data")])
             found.append(SavedServo(servo.name, servo.id, table.number, firmware, registers))
     return found
 
@@ -138,7 +135,7 @@ def _saved(row: Any, path: Path, at: str) -> SavedServo:
         raise ConfigError(f"{numbers} is no id, model number and firmware", file=path, key=at)
     if model_by_number(numbers[1]) is None:
         raise ConfigError(f"model number {numbers[1]} is not known here", file=path, key=f"{at}.model_number")
-    servo = SavedServo(joint, *numbers, registers)
+    servo = SavedServo(joint, numbers[0], numbers[1], numbers[2], registers)
     for name, value in registers.items():
         if name not in servo.table:
             raise ConfigError(f"a {servo.table.model} has no register {name!r}", file=path, key=at)
@@ -171,13 +168,28 @@ def differences(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     for servo in servos:
         firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
         table = control_table(servo.table.model, firmware)
-        for register in table:
-            if not _restored(register) or register.name not in servo.registers:
-                continue
-            present, saved = bus.read(servo.id, register).data or 0, servo.registers[register.name]
-            if present != saved:
-                found.append(Change(servo.joint, servo.id, register.name, present, saved))
+        present = _read(bus, servo.id, [r for r in table if _restored(r) and r.name in servo.registers])
+        found += [
+            Change(servo.joint, servo.id, name, value, servo.registers[name])
+            for name, value in present.items()
+            if value != servo.registers[name]
+        ]
     return found
+
+
+def _read(bus: ServoBus, id: int, registers: Sequence[Register]) -> dict[str, int]:
+    """Many registers in few reads; what lies between them is read along and thrown away."""
+    values: dict[str, int] = {}
+    left = sorted(registers, key=lambda register: register.address)
+    while left:
+        begin = left[0].address
+        block = [register for register in left if register.end <= begin + _BLOCK]
+        left = left[len(block) :]
+        size = block[-1].end - begin
+        whole = Register(f"{block[0].name} ...", begin, size, "r", False, "", False, None, 0, 0)
+        data = (bus.read(id, whole).data or 0).to_bytes(size, "little")
+        values |= {r.name: r.decode(data[r.address - begin : r.end - begin]) for r in block}
+    return values
 
 
 def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:

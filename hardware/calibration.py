@@ -15,7 +15,7 @@ from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.startup import read_all
+from robot_ik.hardware.registers import read_all
 
 LEAST_SWEEP = math.radians(10.0)
 """rad at the joint; a joint that turned by less was forgotten."""
@@ -195,7 +195,9 @@ def measured_calibration(
                 joint.name,
                 joint.id,
                 joint.model,
-                *(registers[name][joint.id] for name in names),
+                registers["firmware_version"][joint.id],
+                registers["drive_mode"][joint.id],
+                registers["homing_offset"][joint.id],
                 measured.sweep.low[joint.id],
                 measured.sweep.high[joint.id],
                 direction,

@@ -17,8 +17,8 @@ from robot_ik.hardware.control_table import OperatingMode, Register
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
 from robot_ik.hardware.motion_report import MotionReport
+from robot_ik.hardware.registers import read_all, shared_register
 from robot_ik.hardware.samples import Samples
-from robot_ik.hardware.startup import read_all, shared_register
 from robot_ik.hardware.switch_on import WATCHDOG_UNIT_MS, arm_watchdog
 from robot_ik.ports import Array, Clock
 

@@ -16,8 +16,9 @@ from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN
 from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.registers import joint_named, read_all
 from robot_ik.hardware.samples import Samples
-from robot_ik.hardware.startup import check_servos, joint_named, read_all, set_up_servos
+from robot_ik.hardware.startup import check_servos, set_up_servos
 from robot_ik.ports import Clock
 
 log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.startup import shared_register
+from robot_ik.hardware.registers import shared_register
 
 log = logging.getLogger(__name__)
 

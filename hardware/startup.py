@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 from robot_ik.errors import (
     ArmStateError,
@@ -26,13 +25,18 @@ from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
     OperatingMode,
-    Register,
     hardware_error_names,
     model_by_number,
 )
 from robot_ik.hardware.currents import set_currents
+from robot_ik.hardware.registers import joint_named, read_all, shared_register
+
+__all__ = ["check_servos", "joint_named", "read_all", "set_up_servos", "shared_register"]
 
 log = logging.getLogger(__name__)
+
+NO_SECONDARY_ID = 255
+"""Secondary ID of a servo that hears nobody else's packets."""
 
 ALL_ANSWERS = 2
 """Status Return Level: answer everything."""
@@ -45,65 +49,6 @@ RAMP_SHARE = 0.25
 
 _REVERSE = 0b0001  # Drive Mode bit 0
 _LARGEST_PROFILE = 32767  # of both profile registers
-
-
-def shared_register(config: ArmConfig, name: str) -> Register:
-    """The register all servos of the arm have at one address: what sync read and write need.
-
-    Raises:
-        ConfigError: The models of the arm differ in it.
-    """
-    first = config.servos[0].table[name]
-    for joint in config.servos:
-        other = joint.table[name]
-        if (other.address, other.size, other.signed) != (first.address, first.size, first.signed):
-            raise ConfigError(
-                f"{name} lies elsewhere in {joint.model} than in {config.servos[0].model}",
-                file=config.file or config.name,
-                key="joints",
-                allowed="models with one layout on one bus",
-            )
-    return first
-
-
-@contextmanager
-def joint_named(config: ArmConfig) -> Iterator[None]:
-    """Adds the joint's name to errors of the bus, which knows ids only."""
-    names = {servo.id: servo.name for servo in config.servos}
-    try:
-        yield
-    except BusTimeoutError as error:
-        raise BusTimeoutError(
-            id=error.id,
-            register=error.register,
-            port=error.port,
-            joint=names.get(error.id, ""),
-            last_good=error.last_good,
-        ) from error
-    except ServoRefusedError as error:
-        raise ServoRefusedError(
-            id=error.id,
-            register=error.register,
-            code=error.code,
-            reason=error.reason,
-            joint=names.get(error.id, ""),
-        ) from error
-
-
-def read_all(bus: ServoBus, config: ArmConfig, name: str) -> dict[int, int]:
-    """One register of every servo; who misses the common read is asked alone.
-
-    Raises:
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
-    """
-    register = shared_register(config, name)
-    values: dict[int, int] = {}
-    with joint_named(config):
-        for id, status in bus.sync_read(config.servo_ids, register).items():
-            value = status.data if status.data is not None else bus.read(id, register).data
-            assert value is not None  # read() answers or raises
-            values[id] = value
-    return values
 
 
 def check_servos(bus: ServoBus, config: ArmConfig) -> None:
@@ -126,11 +71,23 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
                 hint="remove the cause, then power-cycle or reboot the servo",
             )
     _check_voltage(bus, config)
-    watchdog = shared_register(config, "bus_watchdog")
     with joint_named(config):
-        for joint, value in _by_joint(config, read_all(bus, config, "bus_watchdog")):
-            if value != 0:  # armed, or tripped: then goals are refused until it is cleared
-                bus.write(joint.id, watchdog, 0)
+        for joint in config.servos:
+            _clear_watchdog(bus, config, joint)
+
+
+def _clear_watchdog(bus: ServoBus, config: ArmConfig, joint: JointMap) -> None:
+    """One that is armed, or has tripped: then goals are refused until it is cleared."""
+    watchdog = joint.table["bus_watchdog"]
+    try:
+        if bus.read(joint.id, watchdog).data != 0:
+            bus.write(joint.id, watchdog, 0)
+    except ServoRefusedError:
+        if config.watchdog_ms:
+            raise HardwareError(
+                f"servo id {joint.id} (joint {joint.name!r}) has no bus watchdog; nothing was switched on",
+                hint="firmware before 38 has none: update it, or set watchdog_ms = 0 and stay beside the arm",
+            ) from None
 
 
 def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
@@ -143,7 +100,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     torque = read_all(bus, config, "torque_enable")
-    drive = read_all(bus, config, "drive_mode")
+    drive = read_all(bus, config, "drive_mode", absent=0)
     for joint, value in _by_joint(config, drive):
         if value & _REVERSE and joint.shadow_of is None:
             raise HardwareError(
@@ -224,7 +181,7 @@ def _set_eeprom(
     bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
 ) -> None:
     register = shared_register(config, name)
-    present = read_all(bus, config, name)
+    present = read_all(bus, config, name, absent=0)
     wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
         if torque[joint.id]:
@@ -236,13 +193,13 @@ def _set_eeprom(
         for joint in wrong:
             log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
             bus.write(joint.id, register, wanted[joint.id])
-    if wrong and read_all(bus, config, name) != dict(wanted):
+    if wrong and read_all(bus, config, name, absent=0) != dict(wanted):
         raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
 
 
 def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
     """Who is to hear another servo's goals must, and nobody else may: it would move along."""
-    heard = read_all(bus, config, "secondary_id")
+    heard = read_all(bus, config, "secondary_id", absent=NO_SECONDARY_ID)
     for joint, value in _by_joint(config, heard):
         wanted = joint.shadow_of
         if value != wanted and (wanted is not None or value in config.servo_ids):

@@ -8,8 +8,8 @@ from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
+from robot_ik.hardware.registers import read_all, shared_register
 from robot_ik.hardware.samples import TWIST
-from robot_ik.hardware.startup import read_all, shared_register
 
 WATCHDOG_UNIT_MS = 20
 
@@ -61,12 +61,14 @@ def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
     Raises:
         HardwareError: A servo did not take it.
     """
+    if not config.watchdog_ms:
+        return  # cleared when the arm was connected, where there is one
     value = config.watchdog_ms // WATCHDOG_UNIT_MS
     missing = _sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.servo_ids, value))
     if missing:
         raise HardwareError(
             f"{_names(missing)} did not take the bus watchdog",
-            hint="firmware before 38 has none: set watchdog_ms = 0 in the arm file and stay beside the arm",
+            hint="power-cycle the servos and try again",
         )
 
 

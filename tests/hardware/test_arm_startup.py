@@ -20,9 +20,10 @@ from robot_ik.errors import (
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
-from robot_ik.hardware.startup import shared_register
+from robot_ik.hardware.registers import shared_register
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import JointSink, JointSource, RealClock, VirtualClock
 
 
@@ -128,6 +129,21 @@ def test_a_servo_that_reverses_by_itself_is_refused(arm_config):
     servos.servo(1).memory.set("drive_mode", 1)
     with pytest.raises(HardwareError, match="reverse"):
         open_arm(arm_config, "sim", virtual_bus=servos).connect()
+
+
+def test_firmware_without_a_watchdog_is_taken_only_by_those_who_say_so(arm_config, stream, smooth):
+    clock = VirtualClock()
+    servos = VirtualBus(
+        [VirtualServo(j.model, j.id, clock, firmware=37, mode=j.mode) for j in arm_config.joints], clock
+    )
+    with pytest.raises(HardwareError, match="no bus watchdog"):
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+    with open_arm(dataclasses.replace(arm_config, watchdog_ms=0), "sim", virtual_bus=servos) as arm:
+        arm.enable()
+        here = arm.read().q
+        arm.clock.sleep_until(arm.clock.now() + 5.0)
+        stream(arm, smooth(here, here + 0.1, 0.4))
+        assert np.allclose(arm.read().q, here + 0.1, atol=0.01)
 
 
 def test_lost_turns_are_refused_before_torque(arm_config):
