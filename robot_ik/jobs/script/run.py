@@ -14,14 +14,14 @@ from robot_ik.catalogue import catalogue, find_robot
 from robot_ik.errors import RobotIkError
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.jobs.cameras import open_eyes
 from robot_ik.jobs.limbs import prepare_limbs
-from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
+from robot_ik.jobs.reach_request import ReachRequest
 from robot_ik.jobs.script.check import check_script, looks
 from robot_ik.jobs.script.expect import expect
 from robot_ik.jobs.script.faults import Mischief, fault_for
 from robot_ik.jobs.script.file import Script, error_classes
 from robot_ik.jobs.script.follow import follow_goal
+from robot_ik.jobs.script.looking import open_camera
 from robot_ik.jobs.script.moves import go
 from robot_ik.jobs.script.recover import recover
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
@@ -90,9 +90,7 @@ class ScriptRun:
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:
             arm_file = Path(_seen_from(script, content.arm))
-        self._request = ReachRequest(
-            robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed, rehearsal=_marker(script)
-        )
+        self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
         self._limbs = prepare_limbs(self._request)
         check_script(script, self._limbs)
         rows = [StepResult(step.name or describe(step), step.do) for step in script.steps]
@@ -143,10 +141,9 @@ class ScriptRun:
         progress("getting ready", 0.0)
         solve(robot, PoseGoal.at(limbs.frame, robot.forward(robot.home, limbs.frame)), solver=now.solver)
         if any(looks(step) for step in self._script.steps):
-            now.eyes = open_eyes(self._request, limbs, limbs.frame, stack)
-            assert now.eyes is not None  # there is no other goal
-            now.eyes.picture()
-            now.eyes.get_ready_to_follow()
+            now.eyes = open_camera(limbs, self._script.content.marker_at, self._seed, stack)
+            if any(isinstance(step, FollowStep) for step in self._script.steps):
+                now.eyes.get_ready_to_follow()
 
     def _steps(self, now: Situation, progress: Progress) -> None:
         counters: Counter[str] = Counter()
@@ -281,10 +278,3 @@ def _seen_from(script: Script, name: str) -> str:
     if name in catalogue() or script.folder is None:
         return name
     return str(script.folder / Path(name).expanduser())
-
-
-def _marker(script: Script) -> Rehearsal:
-    at = script.content.marker_at
-    if at is None:
-        return Rehearsal()
-    return Rehearsal(marker_at=(at[0], at[1], at[2], at[3] if len(at) == 4 else 0.0))
