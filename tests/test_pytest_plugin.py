@@ -18,83 +18,72 @@ ROOT = Path(__file__).parents[1]
 PLUGIN = ("-p", "robot_ik.pytest_plugin", "-p", "no:cacheprovider", "-p", "no:hypothesispytest")
 
 
-def run(pytester: pytest.Pytester, **outcomes: int) -> str:
-    result = pytester.runpytest_inprocess(*PLUGIN)
-    result.assert_outcomes(**outcomes)
-    return str(result.stdout)
+ONE_WORLD = r"""
+import numpy as np
+import pytest
+from robot_ik.errors import BusDisconnectedError, ConfigError
+
+def test_arm_stands_at_home_with_torque(virtual_arm, virtual_bus):
+    assert virtual_arm.virtual_bus is virtual_bus
+    assert virtual_arm.state.value == "enabled"
+    assert all(servo.memory.get("torque_enable") for servo in virtual_bus.servos)
+    np.testing.assert_allclose(np.degrees(virtual_arm.read().q), [0, 75, -165, 0, -90, 0], atol=0.1)
+
+def test_each_test_has_its_own(virtual_bus):
+    assert not any(servo.memory.get("torque_enable") for servo in virtual_bus.servos)
+
+def test_a_file_of_faults_counts_from_its_call(virtual_arm, fault_script):
+    clock = virtual_arm.clock
+    clock.sleep_until(5.0)
+    fault_script('''
+        schema = 1
+        [[faults]]
+        kind = "port_unplugged"
+        at_s = 0.2
+    ''')
+    virtual_arm.send(virtual_arm.read().q, clock.now())
+    clock.sleep_until(clock.now() + 0.21)
+    with pytest.raises(BusDisconnectedError):
+        virtual_arm.send(virtual_arm.read().q, clock.now())
+    assert fault_script.clear() == 1
+
+def test_a_slip_in_a_fault_is_told(fault_script):
+    with pytest.raises(ConfigError, match="no fault is called 'overlod'"):
+        fault_script.inject("overlod")
+"""
+
+ANOTHER_ARM = r"""
+import pytest
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.dynamixel import DynamixelBus
+
+@pytest.fixture
+def virtual_arm_config():
+    return ArmConfig.generic("nobody's", ["a", "b"], -1.0, 1.0)
+
+def test_port(virtual_port, virtual_bus, fault_script):
+    bus = DynamixelBus(virtual_port, 1_000_000)
+    bus.open()
+    try:
+        assert bus.ping(2) == 1020  # an XM430-W350
+        fault_script.inject("silent", "a")
+        assert list(bus.broadcast_ping()) == [2]
+    finally:
+        bus.close()
+"""
 
 
-def test_the_example_of_the_page_runs(pytester: pytest.Pytester) -> None:
+@pytest.mark.timeout(120)
+def test_projects_of_other_people(pytester: pytest.Pytester) -> None:
+    """In one child: what pytest imports and forgets in this process would be here twice."""
     page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
-    examples = re.findall(r"^```python file=(test_\w+)\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    examples = dict(re.findall(r"^```python file=(test_\w+)\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
     assert examples
-    pytester.makepyfile(**dict(examples))
-    count = sum(len(re.findall(r"^def test_", text, re.MULTILINE)) for _, text in examples)
-    run(pytester, passed=count)
-
-
-def test_arm_servos_and_faults_are_one_world(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile(
-        """
-        import numpy as np
-        import pytest
-        from robot_ik.errors import BusDisconnectedError, ConfigError
-
-        def test_arm_stands_at_home_with_torque(virtual_arm, virtual_bus):
-            assert virtual_arm.virtual_bus is virtual_bus
-            assert virtual_arm.state.value == "enabled"
-            assert all(servo.memory.get("torque_enable") for servo in virtual_bus.servos)
-            np.testing.assert_allclose(np.degrees(virtual_arm.read().q), [0, 75, -165, 0, -90, 0], atol=0.1)
-
-        def test_each_test_has_its_own(virtual_bus):
-            assert not any(servo.memory.get("torque_enable") for servo in virtual_bus.servos)
-
-        def test_a_file_of_faults_counts_from_its_call(virtual_arm, fault_script):
-            clock = virtual_arm.clock
-            clock.sleep_until(5.0)
-            fault_script('''
-                schema = 1
-                [[faults]]
-                kind = "port_unplugged"
-                at_s = 0.2
-            ''')
-            virtual_arm.send(virtual_arm.read().q, clock.now())
-            clock.sleep_until(clock.now() + 0.21)
-            with pytest.raises(BusDisconnectedError):
-                virtual_arm.send(virtual_arm.read().q, clock.now())
-            assert fault_script.clear() == 1
-
-        def test_a_slip_in_a_fault_is_told(fault_script):
-            with pytest.raises(ConfigError, match="no fault is called 'overlod'"):
-                fault_script.inject("overlod")
-        """
-    )
-    run(pytester, passed=4)
-
-
-def test_another_arm_behind_a_port(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile(
-        """
-        import pytest
-        from robot_ik.hardware.config import ArmConfig
-        from robot_ik.hardware.dynamixel import DynamixelBus
-
-        @pytest.fixture
-        def virtual_arm_config():
-            return ArmConfig.generic("nobody's", ["a", "b"], -1.0, 1.0)
-
-        def test_port(virtual_port, virtual_bus, fault_script):
-            bus = DynamixelBus(virtual_port, 1_000_000)
-            bus.open()
-            try:
-                assert bus.ping(2) == 1020  # an XM430-W350
-                fault_script.inject("silent", "a")
-                assert list(bus.broadcast_ping()) == [2]
-            finally:
-                bus.close()
-        """
-    )
-    run(pytester, passed=1)
+    files = {**examples, "test_one_world": ONE_WORLD, "test_another_arm": ANOTHER_ARM}
+    pytester.makepyfile(**files)
+    count = sum(len(re.findall(r"^def test_", text, re.MULTILINE)) for text in files.values())
+    result = pytester.runpytest_subprocess(*PLUGIN)
+    result.assert_outcomes(passed=count)
 
 
 def test_the_entry_point_is_the_module() -> None:
