@@ -71,7 +71,9 @@ def build(id: int, instruction: int, params: bytes) -> bytes:
 
 
 def _same_place(registers: Iterable[Register]) -> bool:
-    return len({(r.address, r.size) for r in registers}) == 1
+    rows = iter(registers)
+    first = next(rows)
+    return all(r is first or (r.address, r.size) == (first.address, first.size) for r in rows)
 
 
 def _where(register: Register) -> bytes:
