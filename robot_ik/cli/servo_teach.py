@@ -35,6 +35,9 @@ APPROACH = 0.25
 ALLOWED_OUTSIDE = math.radians(1.0)
 """rad by which a recording may pass a limit, as a soft stop gives; it is played at the limit."""
 
+SMOOTHING = 0.1
+"""s over which a recording is averaged before it is played."""
+
 ARRIVED = math.radians(2.0)
 """rad between the end of a recording and the arm, up to which it counts as played."""
 
@@ -216,10 +219,26 @@ def playable(motion: Trajectory, config: ArmConfig, speed: float) -> tuple[Traje
     """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
     from robot_ik.motion import Trajectory
 
-    q = np.clip(motion.q, config.lower, config.upper)
-    needed = float((Trajectory(motion.times, q, motion.joints).peak_velocity / config.velocity).max())
+    smooth = smoothed(motion, config.rate_hz)
+    q = np.clip(smooth.q, config.lower, config.upper)
+    needed = float((Trajectory(smooth.times, q, motion.joints).peak_velocity / config.velocity).max())
     stretch = max(1.0 / speed, needed)
-    return Trajectory(stretch * motion.times, q, motion.joints).resampled(config.rate_hz), stretch
+    return Trajectory(stretch * smooth.times, q, motion.joints).resampled(config.rate_hz), stretch
+
+
+def smoothed(motion: Trajectory, rate: float) -> Trajectory:
+    """The running mean over ``SMOOTHING``, at ``rate`` Hz; it begins and ends where the motion does.
+
+    Whole ticks, read at uneven times, have steps in them that no hand has made.
+    """
+    from robot_ik.motion import Trajectory
+
+    count = math.ceil(motion.duration * rate) + 1
+    q = np.array([motion.at(motion.times[0] + k / rate) for k in range(count)])
+    width = max(round(SMOOTHING * rate), 1)
+    padded = np.pad(q, ((width - 1, width - 1), (0, 0)), "edge")
+    mean = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
+    return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 
 
 def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
