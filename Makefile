@@ -43,8 +43,9 @@ help:
 reach: $(STAMP)
 	@$(PY) -m robot_ik reach $(ARGS)
 
+# Two workers: a file is one worker's, so that what it compiles and opens is its own.
 test: $(STAMP)
-	@$(PY) -m pytest $(ARGS)
+	@$(PY) -m pytest -n 2 --dist loadfile $(ARGS)
 
 soak: $(STAMP)
 	@$(PY) -m pytest -m soak --timeout 3600 $(ARGS)

@@ -11,6 +11,9 @@ from typing import Protocol
 import pytest
 from hypothesis import settings
 
+# The width of the terminal that the tests were started in, which pytest-xdist hands on, must not matter.
+os.environ.pop("COLUMNS", None)
+
 # No deadline: the first example of a law compiles its kernel, and the machine may be busy.
 settings.register_profile("robot_ik", deadline=None, print_blob=True)
 settings.load_profile("robot_ik")

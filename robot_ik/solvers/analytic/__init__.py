@@ -90,12 +90,14 @@ class Analytic(Solver):
     def _require(self, problem: Problem) -> Prepared:
         prepared = self.prepare(problem)
         if prepared is None:
+            from robot_ik.solvers import able_solvers
+
             self.require_support(problem)
             raise UnsupportedGoalError(
                 self.name,
                 f"{' and '.join('a ' + g.name for g in problem.goals)} on {problem.robot.name}: "
                 "no closed form is known for this chain of joints",
-                ("auto", "lm"),
+                tuple(name for name in able_solvers(problem) if name != self.name),
             )
         return prepared
 
