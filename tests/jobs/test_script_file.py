@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import re
 import typing
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, parse_script, shipped
@@ -105,6 +109,7 @@ def test_no_toml_and_no_file_are_told(tmp_path: Path) -> None:
         (("do = 'inject'", "kind = 'overload'", "joint = 'joint9'"), "joint", "joint9"),
         (("do = 'inject'", "kind = 'corrupt'", "value = 2.0"), "value", "0..1"),
         (("do = 'inject'", "kind = 'corrupt'"), "value", "missing"),
+        (("do = 'inject'", "kind = 'model'", "value = 3"), "value", "1020"),
         (("do = 'inject'", "kind = 'drop'", "joint = 'joint2'", "value = 0.1"), "joint", "not of one servo"),
     ],
 )
@@ -151,3 +156,28 @@ def test_the_page_tells_every_step_and_every_key() -> None:
         assert set(re.findall(r"`(\w+)`", rows[name])) >= keys, name
     for key in everywhere | set(ScriptFile.model_fields) - {"version", "about", "arm"}:
         assert key in page, key
+
+
+WORDS = sorted({key for kind in STEPS.values() for key in kind.model_fields} | set(STEPS) | {"frmae"})
+VALUES = st.one_of(
+    st.booleans(),
+    st.integers(-3, 3),
+    st.floats(-2.0, 2.0),
+    st.sampled_from([*WORDS, "MotorFaultError", "home", "silent", "joint1", "circle"]),
+    st.lists(st.floats(-1.0, 1.0), max_size=4),
+    st.dictionaries(st.sampled_from(["joint1", "jont"]), st.floats(-90.0, 90.0), max_size=2),
+)
+
+
+def toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
+    return json.dumps(value)
+
+
+@settings(max_examples=150)
+@given(do=st.sampled_from(sorted(STEPS)), rest=st.dictionaries(st.sampled_from(WORDS), VALUES, max_size=6))
+def test_whatever_is_written_is_taken_or_told_in_one_sentence(do: str, rest: dict[str, object]) -> None:
+    rows = [f"{key} = {toml(value)}" for key, value in ({"do": do} | rest).items()]
+    with contextlib.suppress(ConfigError):
+        parse_script(with_step(*rows), "fuzz.toml")

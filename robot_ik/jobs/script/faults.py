@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from robot_ik.errors import ConfigError
-from robot_ik.hardware.control_table import HARDWARE_ERRORS
+from robot_ik.hardware.control_table import CONTROL_TABLES, HARDWARE_ERRORS, model_by_number
 from robot_ik.hardware.virtual.fault_file import parse_faults
 from robot_ik.hardware.virtual.fault_kinds import KINDS, Fault
 
@@ -43,6 +43,11 @@ def fault_for(
         problem = problem.removesuffix(f"; allowed: {error.allowed}")
         there = error.key.replace("faults[0]", key)
         raise ConfigError(problem, file=file, key=there, allowed=error.allowed, hint=error.hint) from None
+    if kind == "model" and model_by_number(int(fault.value)) is None:
+        known = ", ".join(str(table.number) for table in CONTROL_TABLES.values())
+        raise ConfigError(
+            f"no model has the number {fault.value:g}", file=file, key=f"{key}.value", allowed=known
+        )
     return fault
 
 

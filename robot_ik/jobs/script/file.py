@@ -145,7 +145,7 @@ def _check_step(script: Script, step: AnyStep, at: str) -> None:
 def _check_follow(script: Script, step: FollowStep, at: str) -> None:
     given = [key for key in ("center", "radius", "period") if getattr(step, key) is not None]
     if step.path == "marker":
-        wrong = [*given, *(key for key in ("normal", "wxyz") if getattr(step, key) is not None)]
+        wrong = [*given, *(key for key in ("normal", "wxyz", "frame") if getattr(step, key) is not None)]
         if wrong:
             raise script.wrong(
                 f"a marker goes its own way, so {wrong[0]} means nothing",

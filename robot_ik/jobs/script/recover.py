@@ -2,51 +2,30 @@
 
 from __future__ import annotations
 
-from robot_ik.errors import BusTimeoutError
-from robot_ik.jobs.script.situation import Situation
+from robot_ik.hardware.state import ArmState
+from robot_ik.jobs.script.report import StepResult
+from robot_ik.jobs.script.situation import Situation, StepFailed
+from robot_ik.jobs.script.steps import RecoverStep
 
-RESTART = 1.0
-"""s in which a servo that was restarted must answer again."""
-
-_PAUSE = 0.02
+PATIENCE = 2.0
+"""s to wait for a port that has gone."""
 
 
-def recover(now: Situation) -> None:
-    """Leaves the arm, restarts what has shut down, checks everything anew, and gives torque where it stands.
+def recover(now: Situation, step: RecoverStep, result: StepResult) -> None:
+    """Opens a port that had gone, or restarts what has shut down; then torque where the arm stands.
 
     Raises:
-        HardwareError: The cause is still there; the arm is without torque or was left as far as could be.
+        StepFailed: There is no fault.
+        HardwareError: The cause is still there; the fault stays.
     """
-    now.arm.close()
-    _restart_servos(now)
-    now.arm.connect()
-    now.arm.enable()
+    arm = now.arm
+    if arm.state is not ArmState.FAULT:
+        raise StepFailed(f"there is no fault: the arm is {arm.state.value}")
+    if not arm.bus.is_open:
+        arm.reconnect(PATIENCE if step.time_limit_s is None else step.time_limit_s)
+    else:
+        restarted = arm.reset_fault()
+        result.numbers["restarted"] = list(restarted)
+        result.found = f"restarted: {', '.join(restarted)}" if restarted else ""
+    arm.enable()
     now.stand()
-
-
-def _restart_servos(now: Situation) -> None:
-    bus = now.arm.bus
-    bus.open()
-    try:
-        shut = []
-        for servo in now.config.servos:
-            if bus.read(servo.id, servo.table["hardware_error_status"]).data:
-                bus.reboot(servo.id)
-                shut.append(servo.id)
-        for id in shut:
-            _wait_for(now, id)
-    finally:
-        bus.close()
-
-
-def _wait_for(now: Situation, id: int) -> None:
-    clock = now.limbs.clock
-    end = clock.now() + RESTART
-    while True:
-        try:
-            now.arm.bus.ping(id)
-            return
-        except BusTimeoutError:  # it takes some tenths of a second
-            if clock.now() > end:
-                raise
-        clock.sleep_until(clock.now() + _PAUSE)

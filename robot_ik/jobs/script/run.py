@@ -240,10 +240,6 @@ def _follow(now: Situation, step: FollowStep, result: StepResult) -> None:
     follow_goal(now, step, result)
 
 
-def _recover(now: Situation, step: RecoverStep, result: StepResult) -> None:
-    recover(now)
-
-
 DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyType(
     {
         **dict.fromkeys(("pose", "position", "line", "joints", "keyframe", "marker", "grip"), go),
@@ -252,7 +248,7 @@ DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyTyp
         "hold": _hold,
         "inject": _inject,
         "clear": _clear,
-        "recover": _recover,
+        "recover": recover,
         "expect": _expect,
     }
 )

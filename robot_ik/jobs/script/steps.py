@@ -152,7 +152,7 @@ class HoldStep(Action):
 
 
 class RecoverStep(Action):
-    """Leaves the arm, restarts the servos that have shut down, connects and enables again."""
+    """Out of a fault: port opened, servos restarted, everything verified anew; then torque again."""
 
     do: Literal["recover"]
 
