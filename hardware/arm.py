@@ -1,44 +1,36 @@
 """An arm of servos: takes joint angles, gives joint angles, and is left in the way its owner chose.
 
 ``DISCONNECTED`` → connect → ``CONNECTED`` → enable → ``ENABLED`` ↔ ``HOLD``; ``PARKING`` on the way to a
-pose; ``FAULT`` is latched until the arm is closed.  One thread drives an arm.
+pose; ``FAULT`` is latched until ``reset_fault``, ``reconnect`` or ``close``.  One thread drives an arm.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeVar
+from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import ArmStateError, HardwareError, UnsafeCommandError
-from robot_ik.hardware.bus import ServoBus, Status
-from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.cycle import Cycle, MotionReport
-from robot_ik.hardware.exit_guard import ExitGuard
-from robot_ik.hardware.shutdown import ExitReport, checked_policy, hold, torque_off
-from robot_ik.hardware.startup import check_servos, read_all, set_up_servos, shared_register
+from robot_ik.errors import ArmStateError, HardwareError
+from robot_ik.hardware.arm_base import MOVABLE, ArmBase
+from robot_ik.hardware.currents import set_currents
+from robot_ik.hardware.cycle import Cycle
+from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
+from robot_ik.hardware.registers import read_all
+from robot_ik.hardware.shutdown import torque_off
 from robot_ik.hardware.state import ArmState
 from robot_ik.hardware.switch_on import torque_on
-from robot_ik.ports import Array, Clock, JointReading
-
-if TYPE_CHECKING:
-    from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.ports import JointReading
 
 __all__ = ["Arm", "ArmState"]
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T")
 
-
-_MOVABLE = (ArmState.ENABLED, ArmState.HOLD)
-
-
-class Arm:
+class Arm(ArmBase):
     """Servos of one arm file on one bus: a ``JointSink`` and a ``JointSource``.
 
     Args:
@@ -55,44 +47,6 @@ class Arm:
         exit_report: How the arm was left; None before.
     """
 
-    def __init__(
-        self,
-        config: ArmConfig,
-        bus: ServoBus,
-        clock: Clock,
-        *,
-        virtual_bus: VirtualBus | None = None,
-        on_exit: str | None = None,
-        park_at: ArrayLike | None = None,
-    ) -> None:
-        self.on_exit = checked_policy(on_exit or config.on_exit, config)
-        self.config, self.bus, self.clock, self.virtual_bus = config, bus, clock, virtual_bus
-        self.joints: tuple[str, ...] = config.names
-        self.lower, self.upper, self.resolution = config.lower, config.upper, config.resolution
-        self.state = ArmState.DISCONNECTED
-        self.exit_report: ExitReport | None = None
-        self._cycle = Cycle(config, bus, clock)
-        self._park_at = park_at
-        self._rest: tuple[float, ...] = ()
-        self._fault: HardwareError | None = None
-        self._energised = False  # torque may be on because of us, whatever the state says
-        self._guard = ExitGuard(self._last_resort)
-
-    @property
-    def reports(self) -> MotionReport:
-        """What happened to the commands since ``enable``."""
-        return self._cycle.reports
-
-    @property
-    def ages(self) -> Array:
-        """(n,) s since each joint's last good sample; infinite before the first."""
-        return self.clock.now() - self._cycle.samples.times
-
-    @property
-    def fault(self) -> HardwareError | None:
-        """What put the arm into ``FAULT``."""
-        return self._fault
-
     def connect(self) -> None:
         """Opens the bus, checks that these are the arm file's servos, sets them up.  Torque stays as it is.
 
@@ -105,13 +59,12 @@ class Arm:
         self._require("connect", ArmState.DISCONNECTED)
         try:
             self.bus.open()
-            check_servos(self.bus, self.config)
-            set_up_servos(self.bus, self.config)
+            feedback = verify(self.bus, self.config)
         except BaseException:
             self.bus.close()
             raise
         self._fault = None
-        self._cycle = Cycle(self.config, self.bus, self.clock)
+        self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
         self.state = ArmState.CONNECTED
 
     def enable(self) -> None:
@@ -122,19 +75,22 @@ class Arm:
         """
         self._require("enable", ArmState.CONNECTED)
         self._guard.install()
+        first = not self._energised
         self._energised = True
         try:
             goals = torque_on(self.bus, self.config)
             self._cycle.stand(goals)
-            self._cycle.samples.take({id: Status(id, at) for id, at in goals.items()}, self.clock.now())
+            self._cycle.samples.take(goals, self.clock.now())
         except BaseException:
             with self._guard.shield():
                 self.exit_report = torque_off(self.bus, self.config)
                 self._energised = False
             self._guard.remove()
             raise
-        self._rest = self._cycle.limits.q
+        if first:  # later it is somewhere it never stood without torque
+            self._rest = self._cycle.limits.q
         self.state = ArmState.ENABLED
+        self._start_heartbeat()
 
     def __enter__(self) -> Self:
         if self.state is ArmState.DISCONNECTED:
@@ -154,9 +110,11 @@ class Arm:
             MotorFaultError: A servo shut down or went silent, by joint; the others hold.  Latched.
             BusTimeoutError: All servos went silent.  BusDisconnectedError: The port went away.  Latched.
         """
-        self._require("send", *_MOVABLE)
-        self._latching(lambda: self._cycle.drive(q, now))
-        self.state = ArmState.ENABLED
+        with self._lock:
+            self._require("send", *MOVABLE)
+            self._commanded, self._streaming = self.clock.now(), True
+            self._latching(lambda: self._cycle.drive(q, now))
+            self.state = ArmState.ENABLED
 
     def read(self) -> JointReading:
         """Measured joint angles; those of this cycle's ``send`` cost nothing, otherwise the servos are asked.
@@ -168,15 +126,16 @@ class Arm:
             ArmStateError: Not connected.
             MotorFaultError, BusTimeoutError, BusDisconnectedError: As in ``send``.
         """
-        samples = self._cycle.samples
-        if self.state is ArmState.DISCONNECTED:
-            raise ArmStateError("cannot read: the arm is disconnected", hint="call connect() first")
-        if self.state is ArmState.CONNECTED:
-            ticks = read_all(self.bus, self.config, "present_position")
-            samples.take({id: Status(id, value) for id, value in ticks.items()}, self.clock.now())
-        elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
-            self._latching(self._cycle.measure)
-        return JointReading(samples.q.copy(), float(samples.times.min()))
+        with self._lock:
+            samples = self._cycle.samples
+            if self.state is ArmState.DISCONNECTED:
+                raise ArmStateError("cannot read: the arm is disconnected", hint="call connect() first")
+            if self.state is ArmState.CONNECTED:
+                ticks = read_all(self.bus, self.config, "present_position")
+                samples.take(ticks, self.clock.now())
+            elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
+                self._latching(self._cycle.measure)
+            return JointReading(samples.q.copy(), float(samples.times.min()))
 
     def hold(self) -> None:
         """Stay where you are; the next ``send`` goes on from here, from rest.
@@ -184,9 +143,11 @@ class Arm:
         Raises:
             ArmStateError, MotorFaultError, BusTimeoutError, BusDisconnectedError.
         """
-        self._require("hold", *_MOVABLE)
-        self._latching(self._cycle.hold)
-        self.state = ArmState.HOLD
+        with self._lock:
+            self._require("hold", *MOVABLE)
+            self._streaming = False
+            self._latching(self._cycle.hold)
+            self.state = ArmState.HOLD
 
     def park(self, q: ArrayLike | Mapping[str, float], timeout: float | None = None) -> None:
         """Goes to ``q`` within the caps and holds there; returns when the shafts have arrived.
@@ -198,8 +159,10 @@ class Arm:
         Raises:
             HardwareError: Not arrived in time.  Otherwise as ``send``.
         """
-        self._require("park", *_MOVABLE)
-        off = self._go(q, timeout, stop=lambda: False)
+        with self._lock:
+            self._require("park", *MOVABLE)
+            self._streaming = False
+            off = self._go(q, timeout, stop=lambda: False)
         if off.any():
             worst = int(off.argmax())
             raise HardwareError(
@@ -207,94 +170,59 @@ class Arm:
                 hint="is something in its way?",
             )
 
-    def _go(
-        self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
-    ) -> Array:
-        """(n,) rad still to go."""
-        self.state = ArmState.PARKING
-        try:
-            return self._latching(lambda: self._cycle.go(q, timeout, stop))
-        finally:
-            if self.state is ArmState.PARKING:
-                self.state = ArmState.HOLD
+    def limit_current(self, currents: Mapping[str, float]) -> None:
+        """How hard joints in current-based position mode press from here on: a gripper's grip.
 
-    def close(self) -> None:
-        """Leaves the arm as ``on_exit`` says, then the bus; ``exit_report`` tells.  Call it at any time.
-
-        A signal that arrives meanwhile waits until the arm is safe.  While parking, it ends the parking.
+        Args:
+            currents: Joint name -> mA, positive; more than the arm file's ``current_ma`` is that.
 
         Raises:
-            KeyboardInterrupt, SystemExit: The signal that waited.
+            UnknownJointError, UnsafeCommandError: Not such a joint, no such current; nothing was sent.
+            ArmStateError, bus errors.
         """
-        try:
-            with self._guard.shield():
-                try:
-                    if self._energised:
-                        self.exit_report = self._leave()
-                    elif self.state is not ArmState.DISCONNECTED:
-                        self.exit_report = ExitReport("untouched")
-                finally:
-                    self.bus.close()
-                    self.state = ArmState.DISCONNECTED
-                    self._energised = False
-        finally:
-            self._guard.remove()
-        waiting = self._guard.deferred()
-        if waiting is not None:
-            raise waiting
+        with self._lock:
+            self._require("limit the current", ArmState.CONNECTED, *MOVABLE)
+            set_currents(self.bus, self.config, currents)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            self.close()
-        finally:
-            if self._energised:  # a signal cut in before the shield was up
-                self.close()
+    def reset_fault(self) -> tuple[str, ...]:
+        """Restarts the servos that have shut down and verifies everything; then ``enable`` goes on.
 
-    def _leave(self) -> ExitReport:
-        parked = False
-        if self.on_exit == "park" and self.state in _MOVABLE:
-            before = self._guard.received
-            there = self._rest if self._park_at is None else self._park_at
-            try:
-                parked = not self._go(there, None, stop=lambda: self._guard.received > before).any()
-            except Exception as error:
-                log.error("not parked: %s", error)
-        if self.on_exit == "hold" and self._cycle.goals:
-            return hold(self.bus, self.config, self._cycle.holding_goals())
-        return torque_off(self.bus, self.config, parked=parked)
+        The other joints keep their torque and hold; the restarted ones have none until ``enable``, which
+        starts from where everything stands.
 
-    def _require(self, what: str, *allowed: ArmState) -> None:
-        if self.state in allowed:
-            return
-        if self.state is ArmState.FAULT and self._fault is not None:
-            raise self._fault.with_traceback(None)
-        need = " or ".join(state.value for state in allowed)
-        steps = "connect(), enable(), then send(); after a fault close() and start again"
-        raise ArmStateError(f"cannot {what}: the arm is {self.state.value}, not {need}", hint=steps)
+        Returns:
+            Joints whose servos were restarted.
 
-    def _latching(self, action: Callable[[], T]) -> T:
-        """Runs one step of motion; what the servos or the bus raise becomes the arm's fault."""
-        try:
-            return action()
-        except UnsafeCommandError:
-            raise
-        except HardwareError as error:
-            self.state, self._fault = ArmState.FAULT, error
-            log.error("fault: %s", error)
-            try:  # the others stay where they are; the one in fault cannot hear or will not obey
-                goal = shared_register(self.config, "goal_position")
-                self.bus.sync_write(goal, self._cycle.holding_goals())
-            except HardwareError as second:
-                log.warning("holding the other joints: %s", second)
-            raise
+        Raises:
+            ArmStateError: There is no fault, or the port is gone (``reconnect``).
+            HardwareError: Still not as it should be, e.g. a servo has lost its turns.  The fault stays.
+        """
+        with self._lock:
+            self._require("reset a fault", ArmState.FAULT)
+            if not self.bus.is_open:
+                raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
+            joints = restart_faulty(self.bus, self.config, self.clock)
+            self._begin_anew(verify(self.bus, self.config))
+            return joints
 
-    def _last_resort(self) -> None:
-        """At the end of the interpreter: nobody closed the arm."""
-        if self._energised:
-            log.error("the program ended without closing its arm")
-            try:
-                self.close()
-            except BaseException as error:
-                log.error("closing it failed: %s", error)
+    def reconnect(self, timeout: float = 10.0) -> None:
+        """Opens the port as soon as it is back, and verifies everything.  Never gives torque.
+
+        Args:
+            timeout: s to wait for the port.  Name it by what stays, e.g. ``/dev/serial/by-id/...``.
+
+        Raises:
+            ArmStateError: Nothing was connected, or the arm is in use.
+            BusNotOpenError, BusDisconnectedError: The port did not come back.
+            HardwareError: These are not the servos as they were left.  The fault stays.
+        """
+        with self._lock:
+            self._require("reconnect", ArmState.FAULT, ArmState.CONNECTED)
+            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout))
+
+    def _begin_anew(self, feedback: Feedback) -> None:
+        """From a verified bus to ``CONNECTED``; torque stays as it is."""
+        check_turns_kept(self.bus, self.config, self._cycle.samples)
+        self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
+        self._fault = None
+        self.state = ArmState.CONNECTED

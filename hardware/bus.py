@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from robot_ik.hardware.control_table import Register
@@ -34,8 +34,7 @@ ERROR_REASONS: dict[int, str] = {
 """ERR byte, bits 0-6: a number, not a mask (Protocol 2.0 manual, "Status packet")."""
 
 
-@dataclass(frozen=True)
-class Status:
+class Status(NamedTuple):
     """What one servo answered to one request.
 
     Attributes:
@@ -62,6 +61,7 @@ class Counters:
         answered: … that came; ``refused``: … for which an error number came; ``timeouts``: … that never came.
             Single reads and writes that nobody answered count as ``timeouts`` too.
         corrupt: Answers that came and could not be trusted (checksum, length).
+        late: Answers that came after their question was given up; nothing of them was used.
         retries: Requests repeated because of the above.
         alerts: Answers that carried the alert bit.
         fallbacks: Times fast reads were given up.
@@ -74,6 +74,7 @@ class Counters:
     refused: int = 0
     timeouts: int = 0
     corrupt: int = 0
+    late: int = 0
     retries: int = 0
     alerts: int = 0
     fallbacks: int = 0
@@ -145,7 +146,10 @@ class ServoBus(Protocol):
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, Status]:
-        """A control cycle: ``bulk_write``, then ``bulk_read``, nobody asked again after ``within`` s."""
+        """A control cycle: ``bulk_write``, then ``bulk_read``, nobody asked again after ``within`` s.
+
+        Late answers are told from good ones; for that some bytes behind each register are read at times.
+        """
         ...
 
     def use_fast_reads(self, ids: Collection[int]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError
 from robot_ik.files import write_atomically
+from robot_ik.hardware.config_check import check_arm
 from robot_ik.hardware.config_file import ArmFile, arm_file_text, parse_arm_file
-from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode, control_table
-from robot_ik.hardware.joint_map import MODE_TICKS, MODES, JointMap
+from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.joint_map import MODES, JointMap, Twin
 
-__all__ = ["MAX_SERVOS", "MODES", "ArmConfig", "JointMap"]
+__all__ = ["MAX_SERVOS", "MODES", "ArmConfig", "JointMap", "Twin"]
 
 Array = NDArray[np.float64]
 
@@ -34,6 +36,8 @@ class ArmConfig:
         on_exit: ``torque_off``, ``hold`` or ``park``.
         joints: In the order of q.
         file: Where it was read from; ``None`` when made by a program.
+        stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
+        on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
     """
 
     name: str
@@ -44,9 +48,11 @@ class ArmConfig:
     on_exit: str
     joints: tuple[JointMap, ...]
     file: Path | None = field(default=None, compare=False)
+    stale_ms: int = 250
+    on_stale: str = "hold"
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_arm(self, self.file or self.name)
 
     @classmethod
     def load(cls, path: Path | str) -> ArmConfig:
@@ -95,21 +101,13 @@ class ArmConfig:
             raise ConfigError(f"{n} joints on one bus", file=robot_name, key="joints", allowed="1..252")
         given = (lower, upper, velocity, acceleration)
         columns = [np.broadcast_to(np.asarray(c, dtype=float), n) for c in given]
-        maps = tuple(
-            JointMap(
-                name,
-                k + 1,
-                "XM430-W350",
-                OperatingMode.EXTENDED_POSITION,
-                1,
-                TICKS_PER_TURN // 2,
-                1.0,
-                *(float(column[k]) for column in columns),
-            )
-            for k, name in enumerate(joints)
-        )
+        maps = []
+        for k, name in enumerate(joints):
+            low, high, speed, ramp = (float(column[k]) for column in columns)
+            mode, middle = OperatingMode.EXTENDED_POSITION, TICKS_PER_TURN // 2
+            maps.append(JointMap(name, k + 1, "XM430-W350", mode, 1, middle, 1.0, low, high, speed, ramp))
         title = f"{robot_name} with {n} virtual servos"
-        return cls(title, robot_name, 1_000_000, 100.0, 200, "torque_off", maps)
+        return cls(title, robot_name, 1_000_000, 100.0, 200, "torque_off", tuple(maps))
 
     def save(self, path: Path | str) -> None:
         """Writes the arm file whole or not at all (beside it first, then renamed over it)."""
@@ -126,8 +124,23 @@ class ArmConfig:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """Servo ids in the order of q."""
+        """Ids of the joints' (first) servos in the order of q."""
         return tuple(joint.id for joint in self.joints)
+
+    @cached_property
+    def servos(self) -> tuple[JointMap, ...]:
+        """Every servo as a map of its joint: those of ``joints`` in the order of q, then the second ones."""
+        return self.joints + tuple(other for joint in self.joints for other in joint.servos[1:])
+
+    @cached_property
+    def servo_ids(self) -> tuple[int, ...]:
+        """Ids of ``servos``."""
+        return tuple(servo.id for servo in self.servos)
+
+    def spread(self, q: ArrayLike) -> Array:
+        """(number of servos,) from (n,): what each of ``servos`` has to do with its joint's value."""
+        where = {name: k for k, name in enumerate(self.names)}
+        return np.asarray(q, dtype=float)[[where[servo.name] for servo in self.servos]]
 
     @property
     def lower(self) -> Array:
@@ -180,79 +193,21 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
             upper=math.radians(j.upper_deg),
             velocity=math.radians(j.velocity_deg),
             acceleration=math.radians(j.acceleration_deg),
+            current=j.current_ma,
+            twin=None if j.twin is None else Twin(**j.twin.model_dump()),
         )
         for j in arm.joints
     )
     bus = arm.bus
     return ArmConfig(
-        arm.name, arm.robot, bus.baud, float(bus.rate_hz), bus.watchdog_ms, bus.on_exit, joints, file
+        arm.name,
+        arm.robot,
+        bus.baud,
+        float(bus.rate_hz),
+        bus.watchdog_ms,
+        bus.on_exit,
+        joints,
+        file,
+        bus.stale_ms,
+        bus.on_stale,
     )
-
-
-def _check(config: ArmConfig) -> None:
-    """What no single key can tell: models, modes, rates, duplicates, empty ranges.
-
-    Raises:
-        ConfigError: With file, key and what would be right.
-    """
-    file = config.file or config.name
-    names: dict[str, int] = {}
-    ids: dict[int, int] = {}
-    for k, joint in enumerate(config.joints):
-        at = f"joints[{k}]"
-        try:
-            table = control_table(joint.model)
-        except ConfigError as error:
-            raise ConfigError(
-                f"unknown servo model {joint.model!r}",
-                file=file,
-                key=f"{at}.model",
-                allowed=error.allowed,
-                hint=error.hint,
-            ) from None
-        if joint.mode not in table.modes:
-            raise ConfigError(
-                f"{joint.model} has no mode {joint.mode.name.lower()}",
-                file=file,
-                key=f"{at}.mode",
-                allowed=", ".join(m.name.lower() for m in table.modes),
-            )
-        if config.baud not in table.baud_rates:
-            raise ConfigError(
-                f"{joint.model} ({joint.name}) cannot talk at {config.baud} bits/s",
-                file=file,
-                key="bus.baud",
-                allowed=", ".join(map(str, table.baud_rates)),
-            )
-        if joint.name in names:
-            raise ConfigError(
-                f"joint {joint.name!r} is already joints[{names[joint.name]}]", file=file, key=f"{at}.name"
-            )
-        if joint.id in ids:
-            raise ConfigError(f"id {joint.id} is already joints[{ids[joint.id]}]", file=file, key=f"{at}.id")
-        names[joint.name], ids[joint.id] = k, k
-        _check_range(joint, at, file)
-
-
-def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
-    if not joint.lower < joint.upper:
-        raise ConfigError(
-            f"the range of {joint.name!r} is empty: {math.degrees(joint.lower):g} to "
-            f"{math.degrees(joint.upper):g} deg",
-            file=file,
-            key=f"{at}.lower_deg",
-            allowed="lower_deg < upper_deg",
-        )
-    for key, value in (("velocity_deg", joint.velocity), ("acceleration_deg", joint.acceleration)):
-        if not 0.0 < value < math.inf:
-            raise ConfigError(f"{value} is no cap", file=file, key=f"{at}.{key}", allowed="a number > 0")
-    lower, upper = joint.limits
-    if not lower < upper:
-        ends = sorted(math.degrees(joint.to_radians(t)) for t in MODE_TICKS[joint.mode])
-        raise ConfigError(
-            f"nothing of the range of {joint.name!r} can be reached in mode {joint.mode.name.lower()}",
-            file=file,
-            key=f"{at}.lower_deg",
-            allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg",
-            hint='use mode = "extended_position", or another zero_ticks',
-        )

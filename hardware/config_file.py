@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -38,6 +40,17 @@ class BusFile(_Table):
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 100.0
     watchdog_ms: Annotated[int, Field(ge=0, le=WATCHDOG_MAX_MS, multiple_of=WATCHDOG_STEP_MS)] = 200
     on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
+    stale_ms: Annotated[int, Field(ge=0, le=60_000)] = 250
+    on_stale: Literal["hold", "park", "torque_off"] = "hold"
+
+
+class TwinFile(_Table):
+    """Table ``[joints.twin]``: the other servo of the joint above."""
+
+    id: Annotated[int, Field(ge=0, le=252)]
+    direction: Literal[1, -1] = 1
+    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
+    shadow: bool = False
 
 
 class JointFile(_Table):
@@ -46,7 +59,7 @@ class JointFile(_Table):
     name: _Word
     id: Annotated[int, Field(ge=0, le=252)]
     model: _Word
-    mode: Literal["position", "extended_position"] = "extended_position"
+    mode: Literal["position", "extended_position", "current_based_position"] = "extended_position"
     direction: Literal[1, -1] = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
     ratio: _Positive = 1.0
@@ -54,6 +67,8 @@ class JointFile(_Table):
     upper_deg: _Finite
     velocity_deg: _Positive
     acceleration_deg: _Positive
+    current_ma: _Positive | None = None
+    twin: TwinFile | None = None
 
 
 class ArmFile(_Table):
@@ -119,6 +134,8 @@ def _key(location: tuple[int | str, ...]) -> str:
 
 def _model(location: tuple[int | str, ...]) -> type[_Table]:
     tables: dict[str, type[_Table]] = {"bus": BusFile, "joints": JointFile}
+    if location[2:3] == ("twin",):
+        return TwinFile
     return tables.get(str(location[0]), ArmFile) if location else ArmFile
 
 
@@ -170,6 +187,8 @@ def arm_file_text(config: ArmConfig) -> str:
         f"rate_hz = {config.rate_hz:g}",
         f"watchdog_ms = {config.watchdog_ms}",
         f"on_exit = {json.dumps(config.on_exit)}",
+        f"stale_ms = {config.stale_ms}",
+        f"on_stale = {json.dumps(config.on_stale)}",
     ]
     for joint in config.joints:
         values: dict[str, Any] = {
@@ -185,8 +204,16 @@ def arm_file_text(config: ArmConfig) -> str:
             "velocity_deg": _degrees(joint.velocity),
             "acceleration_deg": _degrees(joint.acceleration),
         }
-        lines += ["", "[[joints]]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]
+        if joint.current is not None:
+            values["current_ma"] = joint.current
+        lines += ["", "[[joints]]", *_rows(values)]
+        if joint.twin is not None:
+            lines += ["", "[joints.twin]", *_rows(asdict(joint.twin))]
     return "\n".join(lines) + "\n"
+
+
+def _rows(values: Mapping[str, Any]) -> list[str]:
+    return [f"{key} = {json.dumps(value)}" for key, value in values.items()]
 
 
 def _degrees(angle: float) -> float:

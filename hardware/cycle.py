@@ -5,18 +5,20 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import BusTimeoutError, HardwareError, MotorFaultError, UnsafeCommandError
+from robot_ik.errors import MotorFaultError, UnsafeCommandError
+from robot_ik.hardware import suspicion
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.control_table import hardware_error_names
-from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
+from robot_ik.hardware.control_table import OperatingMode, Register
+from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
+from robot_ik.hardware.motion_report import MotionReport
+from robot_ik.hardware.registers import read_all, shared_register
 from robot_ik.hardware.samples import Samples
-from robot_ik.hardware.startup import read_all, shared_register
 from robot_ik.hardware.switch_on import WATCHDOG_UNIT_MS, arm_watchdog
 from robot_ik.ports import Array, Clock
 
@@ -40,45 +42,6 @@ GRACE = 2.0
 _ALARM_PERIOD = 0.5  # s; asking costs a cycle
 
 
-@dataclass
-class MotionReport:
-    """What happened to the commands since torque came on.
-
-    Attributes:
-        sent: Commands sent.
-        clipped: Joint -> number of ticks in which its command lay outside the limits.
-        capped: Joint -> number of ticks in which a cap held it back.
-        last: What the limiter did to the last command.
-        tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
-        largest_tracking_error: (n,) rad.
-    """
-
-    tracking_error: Array
-    largest_tracking_error: Array
-    sent: int = 0
-    clipped: dict[str, int] = field(default_factory=dict)
-    capped: dict[str, int] = field(default_factory=dict)
-    last: LimiterReport = field(default_factory=LimiterReport)
-
-    @classmethod
-    def empty(cls, n: int) -> MotionReport:
-        """Before the first command of ``n`` joints."""
-        return cls(np.zeros(n), np.zeros(n))
-
-    def count(self, report: LimiterReport) -> None:
-        """Adds one command."""
-        self.sent += 1
-        self.last = report
-        for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
-            for name in names:
-                counts[name] = counts.get(name, 0) + 1
-
-    def track(self, error: Array) -> None:
-        """Adds (n,) rad, one cycle's tracking error."""
-        self.tracking_error = error
-        self.largest_tracking_error = np.fmax(self.largest_tracking_error, error)
-
-
 class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
 
@@ -87,7 +50,9 @@ class Cycle:
         reports: See ``MotionReport``.
     """
 
-    def __init__(self, config: ArmConfig, bus: ServoBus, clock: Clock) -> None:
+    def __init__(
+        self, config: ArmConfig, bus: ServoBus, clock: Clock, feedback: Feedback | None = None
+    ) -> None:
         n = len(config.joints)
         self.samples = Samples(config)
         self.limits = LimiterState.at_rest(np.zeros(n))
@@ -99,7 +64,9 @@ class Cycle:
             config.lower, config.upper, config.velocity, config.acceleration, joints=config.names
         )
         self._goal = shared_register(config, "goal_position")
-        self._present = shared_register(config, "present_position")
+        self.feedback = feedback or Feedback(config)
+        # A shadow hears what is written to its first servo.
+        self._written = [servo for servo in config.servos if servo.shadow_of is None]
         # A pause of half the bus watchdog: from there on it may have tripped.
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
         self._suspect = False
@@ -114,7 +81,7 @@ class Cycle:
         self._last_traffic = self._clock.now()
 
     def drive(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
-        """Limits and caps, goals to all servos in one packet, positions of all in one read.
+        """Limits and caps, then goals to all servos and positions of all back in one exchange.
 
         Raises:
             UnsafeCommandError: Nothing was sent.
@@ -123,46 +90,56 @@ class Cycle:
         command = self._limiter.command(q, self.limits.command)
         if not math.isfinite(now):
             raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
+        # The time before the packet, and before the last look at the clock: this process may be stalled
+        # anywhere between, and the next look must see that.
+        start = self._clock.now()
         self.stay_alive()
         before = np.array(self.limits.q)
         dt = self._tick(now)
         if dt > 0.0:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
-            joints = self._config.joints
-            self.goals = {j.id: j.to_ticks(angle) for j, angle in zip(joints, out.tolist(), strict=True)}
+            angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)
+            self.goals = {
+                servo.id: servo.to_ticks(angle)
+                for servo, angle in zip(self._config.servos, angles, strict=True)
+            }
             self.reports.count(report)
-        self._bus.sync_write(self._goal, self.goals)
-        self.measure()
+        self._measure(start, {s.id: (self._goal, self.goals[s.id]) for s in self._written})
         # A shaft had one period to reach the goal before this one.
         self.reports.track(np.abs(self.samples.q - before))
         self._check_torque()
 
     def measure(self) -> None:
-        """One sync read.
+        """Positions of all, without new goals.
 
         Raises:
-            MotorFaultError: A servo reports a hardware error, or one is silent for too long.
-            BusTimeoutError: All are.
+            MotorFaultError: A servo reports a hardware error, has lost its torque, stands apart from the
+                other one of its joint, or is silent for too long.
+            BusTimeoutError: All are silent.
             BusDisconnectedError: The port went away.
         """
-        # The time before the packet, and before the last look at the clock: this process may be stalled
-        # anywhere between, and the next look must see that.
         start = self._clock.now()
         self.stay_alive()
-        statuses = self._bus.sync_read(self._config.ids, self._present)
+        self._measure(start, {})
+
+    def _measure(self, start: float, goals: Mapping[int, tuple[Register, int]]) -> None:
+        """``goals`` to the servos, then their measurements; ``start``: since when no packet was sent."""
+        statuses = self._bus.exchange(goals, self.feedback.registers, within=self.period)
         self._last_traffic = start
         now = self._clock.now()
-        self.samples.take(statuses, now)
-        for joint in self._config.joints:
-            if statuses[joint.id].alert:
-                raise MotorFaultError(
-                    joint.name,
-                    self._hardware_errors(joint),
-                    hint="the other joints hold; remove the cause, then power-cycle or reboot the servo",
-                )
+        measured = {id: self.feedback.measurement(status) for id, status in statuses.items()}
+        self.samples.take({id: m.ticks for id, m in measured.items()}, now)
+        for servo in self._config.servos:
+            if statuses[servo.id].alert:
+                raise suspicion.shut_down(self._bus, servo)
+            if measured[servo.id].torque is False:
+                self._confirm_torque(servo)
+        twisted = self.samples.twisted()
+        if twisted is not None:
+            raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
         silent = self.samples.silent(now)
         if silent:
-            raise self._silence(self._config.joint(silent[0]), everyone=len(silent) == len(statuses))
+            self._confirm_silence(silent, everyone=len(silent) == len(statuses))
 
     def go(
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
@@ -206,7 +183,9 @@ class Cycle:
     def holding_goals(self) -> dict[int, int]:
         """Servo id -> ticks.  Taking the present position every time would let a loaded joint creep down."""
         goals = dict(self.goals)
-        for joint in self._config.joints:
+        for joint in self._config.servos:
+            if joint.mode == OperatingMode.CURRENT_BASED_POSITION:
+                continue  # it is meant to press: yielding would let go of what it grips
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG:
                 goals[joint.id] = present
@@ -226,11 +205,11 @@ class Cycle:
         self._suspect, self._last_traffic = False, start
         armed = self._config.watchdog_ms // WATCHDOG_UNIT_MS
         watchdog = shared_register(self._config, "bus_watchdog")
-        statuses = self._bus.sync_read(self._config.ids, watchdog)
+        statuses = self._bus.sync_read(self._config.servo_ids, watchdog)
         if all(status.data in (armed, None) for status in statuses.values()):
             return
         log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
-        self._bus.sync_write(watchdog, dict.fromkeys(self._config.ids, 0))
+        self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
         present = read_all(self._bus, self._config, "present_position")
         self._bus.sync_write(self._goal, present)
         arm_watchdog(self._bus, self._config)
@@ -252,40 +231,34 @@ class Cycle:
         return self.period if spent >= 0.5 * self.period else 0.0
 
     def _check_torque(self) -> None:
-        """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque."""
+        """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque.
+
+        Only for servos whose torque is not in the feedback: asking costs a cycle, so it needs a reason.
+        """
+        if self.feedback.watched:
+            return
         now = self._clock.now()
         if self.reports.tracking_error.max() < FOLLOWING_ALARM or now - self._last_alarm < _ALARM_PERIOD:
             return
         self._last_alarm = now
         self._suspect = True
         torque = shared_register(self._config, "torque_enable")
-        statuses = self._bus.sync_read(self._config.ids, torque)
-        for joint in self._config.joints:
-            if statuses[joint.id].data == 0:
-                raise MotorFaultError(
-                    joint.name,
-                    ("torque_lost",),
-                    hint="the servo has probably restarted: check its supply; the other joints hold",
-                )
+        statuses = self._bus.sync_read(self._config.servo_ids, torque)
+        for servo in self._config.servos:
+            if statuses[servo.id].data == 0:
+                raise suspicion.torque_lost(servo)
 
-    def _hardware_errors(self, joint: JointMap) -> tuple[str, ...]:
-        try:
-            value = self._bus.read(joint.id, joint.table["hardware_error_status"]).data or 0
-        except HardwareError as error:
-            log.warning("hardware error status of %s: %s", joint.name, error)
-            value = 0
-        return hardware_error_names(value) or ("hardware_error",)
+    def _confirm_torque(self, servo: JointMap) -> None:
+        """The feedback of a servo says it has no torque."""
+        if not suspicion.has_torque(self._bus, servo):
+            return  # not heard: if it stays so, it is a silent servo
+        log.warning("servo %d has torque and its feedback denies it: read plainly from here on", servo.id)
+        self.feedback.read_plainly(servo.id)
 
-    def _silence(self, joint: JointMap, everyone: bool) -> HardwareError:
-        age = float(self._clock.now() - self.samples.times[self._config.names.index(joint.name)])
-        if everyone:
-            return BusTimeoutError(
-                id=joint.id,
-                register="present_position",
-                port=self._bus.port,
-                joint=joint.name,
-                last_good=age if math.isfinite(age) else None,
-                hint="no servo answers any more: check their power and the cable",
-            )
-        hint = f"servo id {joint.id} is silent for {age:.2f} s: check its cable and power; the others hold"
-        return MotorFaultError(joint.name, ("no_status",), hint=hint)
+    def _confirm_silence(self, silent: list[JointMap], everyone: bool) -> None:
+        """Who is about to be given up is asked once more, by itself and with all patience."""
+        for servo in silent:
+            age = self.samples.age(servo, self._clock.now())
+            ticks = suspicion.last_word(self._bus, servo, age, everyone=everyone)
+            nobody: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
+            self.samples.take(nobody | {servo.id: ticks}, self._clock.now())

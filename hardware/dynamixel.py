@@ -190,7 +190,7 @@ class DynamixelBus:
             ValueError: A value does not fit its register; nothing is sent.
             BusDisconnectedError, BusNotOpenError.
         """
-        return self._group.read(reads, writes, within)
+        return self._group.read(reads, writes, within, guarded=True)
 
     def use_fast_reads(self, ids: Collection[int]) -> None:
         """Only these servos may be asked to answer together in one packet; at first nobody."""

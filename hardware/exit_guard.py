@@ -48,13 +48,14 @@ class ExitGuard:
         """Takes the signals over.  May be called again after ``remove``."""
         self._deferred = self._raised_at = None
         self.received = 0
+        atexit.unregister(self._last_resort)  # not twice
         atexit.register(self._last_resort)
         if threading.current_thread() is not threading.main_thread():
             log.warning("not in the main thread: SIGINT and SIGTERM cannot be turned into an orderly exit")
             return
         for number in SIGNALS:
             previous = signal.getsignal(number)
-            if previous not in (signal.SIG_IGN, None):
+            if previous not in (signal.SIG_IGN, None, self._handle):
                 self._previous[number] = previous
                 signal.signal(number, self._handle)
 

@@ -3,12 +3,17 @@
 Goals and the question for measurements leave in one piece.  Servos whose firmware allows it answer together
 in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE`` failures in
 a row for good.  Who does not answer is asked again while there is time, and hides nobody.
+
+An answer does not say which question it answers.  So in a control cycle, after an answer was missed, the next
+question asks for a byte more than the last: an answer that comes late has another length, and is known.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 from robot_ik.hardware.bus import Counters, Status
@@ -40,16 +45,35 @@ SHORTEST_WAIT = 0.005
 SLOWNESS = 3.0
 """A servo has so many times the longest recent answer time."""
 
+PHASES = 4
+"""Lengths in turn: an answer is known to be late unless it comes just so many questions after its own."""
+
 _FORGET = 0.98  # share of the longest answer time kept from one cycle to the next
 
 
 class _Plan(NamedTuple):
     """A question to many servos, as bytes."""
 
-    asks: str
     request: bytes
     bytes_back: int
     fast: bool
+
+
+class _Wanted(NamedTuple):
+    """What a question is for: servo id -> register, the same as asked (perhaps longer), what is there."""
+
+    registers: Mapping[int, Register]
+    asked: Mapping[int, Register]
+    found: dict[int, Status]
+
+
+def _question(registers: Mapping[int, Register]) -> str:
+    return "read of " + ", ".join({register.name: None for register in registers.values()})
+
+
+@lru_cache(maxsize=1024)
+def _widened(register: Register, by: int) -> Register:
+    return replace(register, size=register.size + by)
 
 
 class GroupTraffic:
@@ -68,7 +92,6 @@ class GroupTraffic:
         self._wire = wire
         self._counters: Counters = wire.counters
         self._retries = retries
-        self._longest = wire.answer_time
         self._plans: dict[tuple[object, ...], _Plan] = {}
         self.reset()
 
@@ -76,7 +99,8 @@ class GroupTraffic:
         """Forgets what was learned about the servos: the port was opened anew."""
         self._silent: frozenset[int] = frozenset()
         self._fast_misses = 0
-        self._longest = self._wire.answer_time
+        self._phase = 0
+        self._longest: float | None = None
 
     @property
     def fast(self) -> bool:
@@ -101,6 +125,8 @@ class GroupTraffic:
         registers: Mapping[int, Register],
         writes: Mapping[int, tuple[Register, int]] | None = None,
         within: float | None = None,
+        *,
+        guarded: bool = False,
     ) -> dict[int, Status]:
         """One register of each servo, after ``writes`` have left.
 
@@ -108,6 +134,8 @@ class GroupTraffic:
             registers: Servo id -> what is read from it.
             writes: As for ``write``; leave in the same piece as the question.
             within: s; after that nobody is asked again.  The first question always gets its full time.
+            guarded: Late answers are told by their length; ``PHASES`` - 1 bytes behind each register must be
+                readable as well.
 
         Returns:
             A row for every id; ``data`` is None where nothing usable came.
@@ -117,21 +145,23 @@ class GroupTraffic:
             BusDisconnectedError, BusNotOpenError.
         """
         before = write_request(writes) if writes else b""
-        plan = self._plan(registers)
         found: dict[int, Status] = {}
         # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
-        with self._wire.transaction(plan.asks) as port:
+        with self._wire.transaction(_question(registers)) as port:
             end = self._wire.now() + (CYCLE_TIME if within is None else within)
             self._counters.cycles += 1
             self._counters.asked += len(registers)
             for attempt in range(1 + self._retries):
                 self._counters.retries += attempt > 0
-                if attempt or self._silent or (plan.fast and not self.fast):
-                    plan = self._plan({id: registers[id] for id in missing}, plain=True)
-                self._once(port, plan, before, registers, missing, found)
+                extra = self._phase if guarded else 0
+                asked = {id: _widened(registers[id], extra) if extra else registers[id] for id in missing}
+                plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
+                self._once(port, plan, before, _Wanted(registers, asked, found))
                 before = b""
                 missing = [id for id in missing if id not in found]
+                if missing and guarded:
+                    self._phase = (self._phase + 1) % PHASES
                 if not missing or self._silent.issuperset(missing):
                     break
                 if self._wire.now() + self._patience(plan, port) > end:
@@ -162,42 +192,35 @@ class GroupTraffic:
                 if fast
                 else sum(sizes) + SHORTEST_STATUS * len(sizes)
             )
-            names = ", ".join(sorted({register.name for register in registers.values()}))
             if len(self._plans) > 1000:  # questions about changing sets of servos
                 self._plans.clear()
-            plan = _Plan(f"read of {names}", read_request(registers, fast=fast), back, fast)
+            plan = _Plan(read_request(registers, fast=fast), back, fast)
             self._plans[key] = plan
         return plan
 
     def _patience(self, plan: _Plan, port: QuietPortHandler) -> float:
         """s from sending the question to giving up the answers."""
-        wait = min(max(SLOWNESS * self._longest, SHORTEST_WAIT), self._wire.answer_time)
+        wait = self._wire.answer_time
+        if self._longest is not None:
+            wait = min(max(SLOWNESS * self._longest, SHORTEST_WAIT), wait)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
-    def _once(
-        self,
-        port: QuietPortHandler,
-        plan: _Plan,
-        before: bytes,
-        registers: Mapping[int, Register],
-        ids: list[int],
-        found: dict[int, Status],
-    ) -> None:
-        """One request and the answers to it; puts the usable ones into ``found``."""
+    def _once(self, port: QuietPortHandler, plan: _Plan, before: bytes, wanted: _Wanted) -> None:
+        """One request and the answers to it; puts the usable ones into ``wanted.found``."""
         parser: StatusParser | FastParser = (
-            FastParser([(id, registers[id].size) for id in ids]) if plan.fast else StatusParser()
+            FastParser([(id, r.size) for id, r in wanted.asked.items()]) if plan.fast else StatusParser()
         )
         port.clear()
         port.send(before + plan.request)
         sent = self._wire.now()
         deadline = sent + len(before) * port.seconds_per_byte + self._patience(plan, port)
-        waiting = set(ids)
+        waiting = set(wanted.asked)
         # As many damaged packets as servos are missing: nothing more will come, ask again at once.
         damaged = 0
         while len(waiting) > damaged:
             data = port.receive(deadline)
             for answer in parser.feed(data, last=not data):
-                damaged += not self._take(answer, registers, waiting, found)
+                damaged += not self._take(answer, wanted, waiting)
             damaged += parser.damaged
             self._counters.corrupt += parser.damaged
             if not data or (plan.fast and parser.damaged):
@@ -207,28 +230,26 @@ class GroupTraffic:
             self._wire.missed()
         else:
             took = self._wire.now() - sent - (len(before) + plan.bytes_back) * port.seconds_per_byte
-            self._longest = max(took, _FORGET * self._longest)
+            self._longest = max(took, _FORGET * (self._longest or 0.0))
         if plan.fast:
             self._judge_fast(failed=bool(waiting))
 
-    def _take(
-        self,
-        answer: Answer,
-        registers: Mapping[int, Register],
-        waiting: set[int],
-        found: dict[int, Status],
-    ) -> bool:
-        """Whether the answer may be what was asked; puts it into ``found`` if somebody waits for it."""
+    def _take(self, answer: Answer, wanted: _Wanted, waiting: set[int]) -> bool:
+        """Whether the answer may be what was asked; takes it if somebody waits for it."""
         id, code, alert, data = answer
         if id not in waiting:
             return True
-        register = registers[id]
-        if len(data) != register.size and not code:
-            self._counters.corrupt += 1  # a late answer to something else, or short
-            return False
+        register, size = wanted.registers[id], wanted.asked[id].size
+        value = None
+        if not code:
+            if len(data) != size:
+                late = register.size <= len(data) < register.size + PHASES and size > register.size
+                self._counters.late += late
+                self._counters.corrupt += not late
+                return late
+            value = register.decode(data[: register.size])
         self._counters.alerts += alert
-        value = register.decode(data) if len(data) == register.size and not code else None
-        found[id] = Status(id, value, code, alert)
+        wanted.found[id] = Status(id, value, code, alert)
         self._wire.last_good[id] = self._wire.now()
         waiting.discard(id)
         return True

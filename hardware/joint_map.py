@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from robot_ik.hardware.control_table import (
     MULTI_TURN_TICKS,
@@ -16,13 +16,35 @@ from robot_ik.hardware.control_table import (
     control_table,
 )
 
-MODES = {"position": OperatingMode.POSITION, "extended_position": OperatingMode.EXTENDED_POSITION}
+MODES = {
+    "position": OperatingMode.POSITION,
+    "extended_position": OperatingMode.EXTENDED_POSITION,
+    "current_based_position": OperatingMode.CURRENT_BASED_POSITION,
+}
 """Word in the arm file -> operating mode."""
 MODE_TICKS = {
     OperatingMode.POSITION: (0, TICKS_PER_TURN - 1),
     OperatingMode.EXTENDED_POSITION: (-MULTI_TURN_TICKS, MULTI_TURN_TICKS),
+    OperatingMode.CURRENT_BASED_POSITION: (-MULTI_TURN_TICKS, MULTI_TURN_TICKS),
 }
 """Operating mode -> smallest and largest goal, ticks."""
+
+
+@dataclass(frozen=True)
+class Twin:
+    """The other servo of a joint that two of them turn.
+
+    Attributes:
+        id: Its own, also where it listens to the first one's goals.
+        direction, zero_ticks: As of the first one; with ``shadow`` they are the first one's.
+        shadow: Its Secondary ID is the id of the first: it hears what is written to that one.  If it sits
+            the other way round, it is reversed by its own Drive Mode.
+    """
+
+    id: int
+    direction: int = 1
+    zero_ticks: int = TICKS_PER_TURN // 2
+    shadow: bool = False
 
 
 @dataclass(frozen=True)
@@ -34,6 +56,9 @@ class JointMap:
         direction: +1 or -1; ``zero_ticks``: servo position at q = 0; ``ratio``: servo turns per joint turn.
         lower, upper: Range allowed in software, rad at the joint.
         velocity, acceleration: Caps, rad/s and rad/s^2 at the joint.
+        current: Largest motor current, mA, in current-based position mode; None: the servo's own limit.
+        twin: The other servo, where two turn this joint.
+        shadow_of: Id of the first servo, where this row stands for its shadow.
     """
 
     name: str
@@ -47,6 +72,20 @@ class JointMap:
     upper: float
     velocity: float
     acceleration: float
+    current: float | None = None
+    twin: Twin | None = None
+    shadow_of: int | None = None
+
+    @property
+    def servos(self) -> tuple[JointMap, ...]:
+        """This joint by each servo that turns it: itself, and the second one under its own id."""
+        other = self.twin
+        if other is None:
+            return (self,)
+        if other.shadow:
+            return (self, replace(self, id=other.id, twin=None, shadow_of=self.id))
+        own = {"direction": other.direction, "zero_ticks": other.zero_ticks}
+        return (self, replace(self, id=other.id, twin=None, **own))  # type: ignore[arg-type]
 
     @property
     def table(self) -> ControlTable:
@@ -74,8 +113,11 @@ class JointMap:
     @property
     def limits(self) -> tuple[float, float]:
         """Smallest, largest q, rad: software range and what the mode can reach.  Empty if lower > upper."""
-        ends = sorted(self.to_radians(ticks) for ticks in MODE_TICKS[self.mode])
-        return max(self.lower, ends[0]), min(self.upper, ends[1])
+        lower, upper = self.lower, self.upper
+        for servo in self.servos:
+            ends = sorted(servo.to_radians(ticks) for ticks in MODE_TICKS[self.mode])
+            lower, upper = max(lower, ends[0]), min(upper, ends[1])
+        return lower, upper
 
     @property
     def ticks_range(self) -> tuple[int, int]:

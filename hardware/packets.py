@@ -7,8 +7,11 @@ bytes to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those af
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from robot_ik.hardware.bus import ALERT_BIT, BROADCAST_ID
 from robot_ik.hardware.control_table import Register
@@ -41,26 +44,23 @@ class Answer(NamedTuple):
     data: bytes
 
 
-def _crc_table() -> tuple[int, ...]:
-    """CRC-16, polynomial 0x8005, most significant bit first, of every byte."""
-    table = []
-    for byte in range(256):
-        value = byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
-        table.append(value)
-    return tuple(table)
+def _crc_table() -> list[int]:
+    """CRC-16, polynomial 0x8005, most significant bit first, of every pair of bytes."""
+    value = np.arange(65_536)
+    for _ in range(16):
+        value = np.where(value & 0x8000, value << 1 ^ 0x8005, value << 1) & 0xFFFF
+    return value.tolist()
 
 
 _CRC = _crc_table()
 
 
-def crc(data: Iterable[int], value: int = 0) -> int:
+def crc(data: bytes, value: int = 0) -> int:
     """Checksum of bytes that follow bytes with checksum ``value``."""
-    table = _CRC
-    for byte in data:
-        value = (value << 8 & 0xFF00) ^ table[value >> 8 ^ byte]
-    return value
+    table, size = _CRC, len(data)
+    for pair in struct.unpack(f">{size >> 1}H", data[:-1] if size & 1 else data):
+        value = table[value ^ pair]
+    return (value << 8 & 0xFF00) ^ table[value >> 8 ^ data[-1]] if size & 1 else value
 
 
 def build(id: int, instruction: int, params: bytes) -> bytes:
@@ -71,7 +71,9 @@ def build(id: int, instruction: int, params: bytes) -> bytes:
 
 
 def _same_place(registers: Iterable[Register]) -> bool:
-    return len({(r.address, r.size) for r in registers}) == 1
+    rows = iter(registers)
+    first = next(rows)
+    return all(r is first or (r.address, r.size) == (first.address, first.size) for r in rows)
 
 
 def _where(register: Register) -> bytes:

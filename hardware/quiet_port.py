@@ -6,11 +6,13 @@ The SDK opens its port without a timeout and polls it: a whole core is burned wh
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import serial
@@ -165,7 +167,9 @@ def describe_failure(port: str, error: Exception, ports: Sequence[Any] | None = 
     """
     text, number = str(error), getattr(error, "errno", None)
     if "exclusively lock" in text or number in (errno.EBUSY, errno.EWOULDBLOCK):
-        reason, hint = "it is already open, here or in another program", "close the other program first"
+        who = holders(port)
+        reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
+        hint = "close the other program first"
     elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         reason, hint = "there is no such port", ""
     elif number in (errno.EACCES, errno.EPERM):
@@ -180,3 +184,16 @@ def describe_failure(port: str, error: Exception, ports: Sequence[Any] | None = 
     exist = f"serial ports here: {', '.join(names)}" if names else "there is no serial port on this machine"
     lines = [hint, exist, "without servos use the bus 'pty' or 'sim'"]
     return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))
+
+
+def holders(port: str) -> list[str]:
+    """Programs that have a port open, as "name (process 123)"; what this user may see, on Linux only."""
+    target = os.path.realpath(port)
+    found = []
+    for process in sorted(Path("/proc").glob("[0-9]*")):
+        with contextlib.suppress(OSError):  # not ours, or gone
+            if any(os.path.realpath(file) == target for file in (process / "fd").iterdir()):
+                name = (process / "comm").read_text(encoding="utf-8").strip()
+                here = "this program" if int(process.name) == os.getpid() else name
+                found.append(f"{here} (process {process.name})")
+    return found

@@ -1,4 +1,4 @@
-"""The last good sample of every joint, how old it is, and who has been silent for too long."""
+"""The last good sample of every servo, how old it is, and who has been silent for too long."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robot_ik.hardware.bus import Status
-from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.ports import Array
 
-SILENCE = 0.15
-"""s without a sample after which a servo counts as lost; with the cycle in which that shows, under 250 ms."""
+SILENCE = 0.13
+"""s without a sample after which a servo is asked by itself.  With that and the cycle in which it shows it
+is given up within 250 ms."""
 
 SILENT_CYCLES = 3
 """Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""
+
+TWIST = 0.1
+"""rad between the two servos of one joint beyond which they fight each other, or one slips."""
 
 
 class Samples:
@@ -22,33 +25,61 @@ class Samples:
 
     Attributes:
         ticks: Servo id -> last present position.
-        q: (n,) the same in rad at the joints; NaN before the first sample.
-        times: (n,) when each was taken, s on the arm's clock.
+        q: (n,) the same in rad at the joints, by their first servos; NaN before the first sample.
+        times: (n,) when each was taken, s on the arm's clock: of two servos the older one.
     """
 
     def __init__(self, config: ArmConfig) -> None:
-        self._config = config
+        self._servos = config.servos
+        self._joints = len(config.joints)
+        self._twins = [
+            (k, config.names.index(servo.name)) for k, servo in enumerate(self._servos) if k >= self._joints
+        ]
         self.ticks: dict[int, int] = {}
-        self.q: Array = np.full(len(config.joints), np.nan)
-        self.times: Array = np.full(len(config.joints), -np.inf)
-        self._missed = [0] * len(config.joints)
+        self._angles = np.full(len(self._servos), np.nan)
+        self._times = np.full(len(self._servos), -np.inf)
+        self._missed = [0] * len(self._servos)
 
-    def take(self, statuses: Mapping[int, Status], now: float) -> None:
-        """Takes what a cycle brought; who is missing keeps its old sample."""
-        for k, joint in enumerate(self._config.joints):
-            ticks = statuses[joint.id].data
-            if ticks is None:
+    @property
+    def q(self) -> Array:
+        return self._angles[: self._joints]
+
+    @property
+    def times(self) -> Array:
+        times = self._times[: self._joints]
+        if self._twins:
+            times = times.copy()
+            for k, joint in self._twins:
+                times[joint] = min(times[joint], self._times[k])
+        return times
+
+    def take(self, ticks: Mapping[int, int | None], now: float) -> None:
+        """Takes what a cycle brought (servo id -> ticks); who is missing keeps its old sample."""
+        for k, servo in enumerate(self._servos):
+            value = ticks[servo.id]
+            if value is None:
                 self._missed[k] += 1
                 continue
             self._missed[k] = 0
-            self.ticks[joint.id] = ticks
-            self.q[k] = joint.to_radians(ticks)
-            self.times[k] = now
+            self.ticks[servo.id] = value
+            self._angles[k] = servo.to_radians(value)
+            self._times[k] = now
 
-    def silent(self, now: float) -> list[str]:
-        """Joints that have not answered for ``SILENCE`` and ``SILENT_CYCLES``."""
+    def age(self, servo: JointMap, now: float) -> float:
+        """s since the last sample of a servo; infinite before the first."""
+        return float(now - self._times[self._servos.index(servo)])
+
+    def silent(self, now: float) -> list[JointMap]:
+        """Servos that have not answered for ``SILENCE`` and ``SILENT_CYCLES``."""
         return [
-            joint.name
-            for k, joint in enumerate(self._config.joints)
-            if self._missed[k] >= SILENT_CYCLES and now - self.times[k] >= SILENCE
+            servo
+            for k, servo in enumerate(self._servos)
+            if self._missed[k] >= SILENT_CYCLES and now - self._times[k] >= SILENCE
         ]
+
+    def twisted(self) -> JointMap | None:
+        """A servo that stands more than ``TWIST`` apart from the other one of its joint."""
+        for k, joint in self._twins:
+            if abs(self._angles[k] - self._angles[joint]) > TWIST:
+                return self._servos[k]
+        return None

@@ -27,7 +27,7 @@ class ServedBus(DynamixelBus):
         """Makes the pty and opens it."""
         if self._pty is None:
             self._pty = PtyPort(self._servos)
-            self.port = self._wire.port = self._pty.path
+        self.port = self._wire.port = self._pty.path  # another one after it was unplugged
         super().open()
 
     def close(self) -> None:

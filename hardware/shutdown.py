@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.startup import shared_register
+from robot_ik.hardware.registers import shared_register
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +75,7 @@ def torque_off(bus: ServoBus, config: ArmConfig, *, parked: bool = False) -> Exi
     """
     begin = time.monotonic()
     register = shared_register(config, "torque_enable")
-    left = dict(zip(config.ids, config.names, strict=True))
+    left = {servo.id: servo.name for servo in config.servos}
     # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
     # and the torn head of that one can swallow the first.
     for _ in range(2):
@@ -106,7 +106,7 @@ def hold(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> ExitRepo
     """
     begin = time.monotonic()
     goal, watchdog = (shared_register(config, name) for name in ("goal_position", "bus_watchdog"))
-    left = dict(zip(config.ids, config.names, strict=True))
+    left = {servo.id: servo.name for servo in config.servos}
     while left and bus.is_open and time.monotonic() - begin < PATIENCE:
         with _tolerant("hold"):
             bus.sync_write(watchdog, dict.fromkeys(left, 0))
@@ -124,9 +124,9 @@ def _report(
     if left:
         log.error("%s not confirmed by %s: torque may be ON, cut the power", done, ", ".join(left.values()))
     else:
-        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.joints), seconds)
+        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
     verified = tuple(name for name in config.names if name not in left.values())
-    return ExitReport(done, verified, tuple(left.values()), parked, seconds)
+    return ExitReport(done, verified, tuple(dict.fromkeys(left.values())), parked, seconds)
 
 
 @contextmanager

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 from robot_ik.errors import (
     ArmStateError,
@@ -26,12 +25,18 @@ from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
     OperatingMode,
-    Register,
     hardware_error_names,
     model_by_number,
 )
+from robot_ik.hardware.currents import set_currents
+from robot_ik.hardware.registers import joint_named, read_all, shared_register
+
+__all__ = ["check_servos", "joint_named", "read_all", "set_up_servos", "shared_register"]
 
 log = logging.getLogger(__name__)
+
+NO_SECONDARY_ID = 255
+"""Secondary ID of a servo that hears nobody else's packets."""
 
 ALL_ANSWERS = 2
 """Status Return Level: answer everything."""
@@ -46,65 +51,6 @@ _REVERSE = 0b0001  # Drive Mode bit 0
 _LARGEST_PROFILE = 32767  # of both profile registers
 
 
-def shared_register(config: ArmConfig, name: str) -> Register:
-    """The register all servos of the arm have at one address: what sync read and write need.
-
-    Raises:
-        ConfigError: The models of the arm differ in it.
-    """
-    first = config.joints[0].table[name]
-    for joint in config.joints:
-        other = joint.table[name]
-        if (other.address, other.size, other.signed) != (first.address, first.size, first.signed):
-            raise ConfigError(
-                f"{name} lies elsewhere in {joint.model} than in {config.joints[0].model}",
-                file=config.file or config.name,
-                key="joints",
-                allowed="models with one layout on one bus",
-            )
-    return first
-
-
-@contextmanager
-def joint_named(config: ArmConfig) -> Iterator[None]:
-    """Adds the joint's name to errors of the bus, which knows ids only."""
-    names = dict(zip(config.ids, config.names, strict=True))
-    try:
-        yield
-    except BusTimeoutError as error:
-        raise BusTimeoutError(
-            id=error.id,
-            register=error.register,
-            port=error.port,
-            joint=names.get(error.id, ""),
-            last_good=error.last_good,
-        ) from error
-    except ServoRefusedError as error:
-        raise ServoRefusedError(
-            id=error.id,
-            register=error.register,
-            code=error.code,
-            reason=error.reason,
-            joint=names.get(error.id, ""),
-        ) from error
-
-
-def read_all(bus: ServoBus, config: ArmConfig, name: str) -> dict[int, int]:
-    """One register of every servo; who misses the common read is asked alone.
-
-    Raises:
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
-    """
-    register = shared_register(config, name)
-    values: dict[int, int] = {}
-    with joint_named(config):
-        for id, status in bus.sync_read(config.ids, register).items():
-            value = status.data if status.data is not None else bus.read(id, register).data
-            assert value is not None  # read() answers or raises
-            values[id] = value
-    return values
-
-
 def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     """Every servo is there, is the right model and healthy, and answers as expected; torque is not touched.
 
@@ -115,7 +61,7 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     """
     _check_models(bus, config)
     with joint_named(config):
-        for joint in config.joints:
+        for joint in config.servos:
             _answer_everything(bus, joint)
     for joint, value in _by_joint(config, read_all(bus, config, "hardware_error_status")):
         if value:
@@ -125,11 +71,23 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
                 hint="remove the cause, then power-cycle or reboot the servo",
             )
     _check_voltage(bus, config)
-    watchdog = shared_register(config, "bus_watchdog")
     with joint_named(config):
-        for joint, value in _by_joint(config, read_all(bus, config, "bus_watchdog")):
-            if value != 0:  # armed, or tripped: then goals are refused until it is cleared
-                bus.write(joint.id, watchdog, 0)
+        for joint in config.servos:
+            _clear_watchdog(bus, config, joint)
+
+
+def _clear_watchdog(bus: ServoBus, config: ArmConfig, joint: JointMap) -> None:
+    """One that is armed, or has tripped: then goals are refused until it is cleared."""
+    watchdog = joint.table["bus_watchdog"]
+    try:
+        if bus.read(joint.id, watchdog).data != 0:
+            bus.write(joint.id, watchdog, 0)
+    except ServoRefusedError:
+        if config.watchdog_ms:
+            raise HardwareError(
+                f"servo id {joint.id} (joint {joint.name!r}) has no bus watchdog; nothing was switched on",
+                hint="firmware before 38 has none: update it, or set watchdog_ms = 0 and stay beside the arm",
+            ) from None
 
 
 def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
@@ -142,41 +100,43 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     torque = read_all(bus, config, "torque_enable")
-    drive = read_all(bus, config, "drive_mode")
+    drive = read_all(bus, config, "drive_mode", absent=0)
     for joint, value in _by_joint(config, drive):
-        if value & _REVERSE:
+        if value & _REVERSE and joint.shadow_of is None:
             raise HardwareError(
                 f"joint {joint.name!r} (servo id {joint.id}) is set to turn in reverse (Drive Mode bit 0)",
                 hint="clear it in the servo, and set `direction` in the arm file instead",
             )
     wanted = {
-        "return_delay_time": dict.fromkeys(config.ids, 0),
-        "drive_mode": dict.fromkeys(config.ids, 0),
-        "operating_mode": {joint.id: int(joint.mode) for joint in config.joints},
+        "return_delay_time": dict.fromkeys(config.servo_ids, 0),
+        "drive_mode": {s.id: drive[s.id] & _REVERSE if s.shadow_of is not None else 0 for s in config.servos},
+        "operating_mode": {joint.id: int(joint.mode) for joint in config.servos},
     }
     for name, values in wanted.items():
         _set_eeprom(bus, config, name, values, torque)
+    _check_shadows(bus, config)
     _check_servo_limits(bus, config)
+    set_currents(bus, config, {})
     _write_verified(bus, config, "profile_acceleration", _profile(config)[1])
     _write_verified(bus, config, "profile_velocity", _profile(config)[0])
 
 
 def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointMap, int]]:
-    return [(joint, values[joint.id]) for joint in config.joints]
+    return [(joint, values[joint.id]) for joint in config.servos]
 
 
 def _check_models(bus: ServoBus, config: ArmConfig) -> None:
     found: dict[int, int] = {}
-    for joint in config.joints:
+    for joint in config.servos:
         try:
             found[joint.id] = bus.ping(joint.id)
         except (BusTimeoutError, BusCorruptError) as error:
             log.debug("ping %d: %s", joint.id, error)
-    if all(found.get(joint.id) == joint.table.number for joint in config.joints):
+    if all(found.get(joint.id) == joint.table.number for joint in config.servos):
         return
-    if len(found) < len(config.joints):
+    if len(found) < len(config.servos):
         found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
-    expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.joints}
+    expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.servos}
     models = {id: _model_name(number) for id, number in found.items()}
     hint = ""
     if not found:
@@ -221,8 +181,8 @@ def _set_eeprom(
     bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
 ) -> None:
     register = shared_register(config, name)
-    present = read_all(bus, config, name)
-    wrong = [joint for joint in config.joints if present[joint.id] != wanted[joint.id]]
+    present = read_all(bus, config, name, absent=0)
+    wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
         if torque[joint.id]:
             raise ArmStateError(
@@ -233,14 +193,29 @@ def _set_eeprom(
         for joint in wrong:
             log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
             bus.write(joint.id, register, wanted[joint.id])
-    if wrong and read_all(bus, config, name) != dict(wanted):
+    if wrong and read_all(bus, config, name, absent=0) != dict(wanted):
         raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
+
+
+def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
+    """Who is to hear another servo's goals must, and nobody else may: it would move along."""
+    heard = read_all(bus, config, "secondary_id", absent=NO_SECONDARY_ID)
+    for joint, value in _by_joint(config, heard):
+        wanted = joint.shadow_of
+        if value != wanted and (wanted is not None or value in config.servo_ids):
+            raise HardwareError(
+                f"servo id {joint.id} (joint {joint.name!r}) has secondary id {value}, "
+                + (
+                    "which is no shadow's" if wanted is None else f"the arm file says a shadow of id {wanted}"
+                ),
+                hint=f"set its Secondary ID to {255 if wanted is None else wanted}, or correct the arm file",
+            )
 
 
 def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
     """A one-turn servo refuses goals outside its own limits, and a sync write has no answer to say so."""
     lowest, highest = (read_all(bus, config, f"{end}_position_limit") for end in ("min", "max"))
-    for index, joint in enumerate(config.joints):
+    for joint in config.servos:
         first, last = joint.ticks_range
         low, high = lowest[joint.id], highest[joint.id]
         if joint.mode == OperatingMode.POSITION and not low <= first <= last <= high:
@@ -248,7 +223,7 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
             raise ConfigError(
                 f"the servo's own limits (ticks {low} to {high}) are narrower than lower_deg .. upper_deg",
                 file=config.file or config.name,
-                key=f"joints[{index}]",
+                key=f"joints[{config.names.index(joint.name)}]",
                 allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg, or other limits in the servo",
             )
 
@@ -256,7 +231,7 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
 def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
     """Profile velocity and acceleration by servo id, in register units."""
     velocity, acceleration = {}, {}
-    for joint in config.joints:
+    for joint in config.servos:
         speed = SPEED_HEADROOM * joint.velocity * joint.ratio  # rad/s at the servo
         ramp = speed * config.rate_hz / RAMP_SHARE
         velocity[joint.id] = min(max(math.ceil(speed / VELOCITY_UNIT), 1), _LARGEST_PROFILE)
@@ -267,7 +242,7 @@ def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
 def _write_verified(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> None:
     register = shared_register(config, name)
     with joint_named(config):
-        for joint in config.joints:
+        for joint in config.servos:
             bus.write(joint.id, register, values[joint.id])
     if read_all(bus, config, name) != dict(values):
         raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")

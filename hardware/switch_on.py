@@ -6,9 +6,10 @@ import math
 
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
-from robot_ik.hardware.startup import read_all, shared_register
+from robot_ik.hardware.registers import read_all, shared_register
+from robot_ik.hardware.samples import TWIST
 
 WATCHDOG_UNIT_MS = 20
 
@@ -30,20 +31,21 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
     """
     goals = read_all(bus, config, "present_position")
     _check_turns(config, goals)
+    _check_twins(config, goals)
     missing = _sync_set(bus, config, "goal_position", goals)
     if missing:
         raise HardwareError(
-            f"{', '.join(missing)} did not take the present position as goal; nothing was switched on",
+            f"{_names(missing)} did not take the present position as goal; nothing was switched on",
             hint="is the shaft outside the servo's own position limits? turn it back inside by hand",
         )
-    missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.ids, 1))
+    missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
     if missing:
         errors = read_all(bus, config, "hardware_error_status")
-        names = hardware_error_names(errors[config.joint(missing[0]).id])
-        raise MotorFaultError(missing[0], names or ("torque_refused",))
+        names = hardware_error_names(errors[missing[0].id])
+        raise MotorFaultError(missing[0].name, names or ("torque_refused",))
     arm_watchdog(bus, config)
     present = read_all(bus, config, "present_position")
-    for joint in config.joints:
+    for joint in config.servos:
         after = present[joint.id]
         if abs(after - goals[joint.id]) > _REBASE_TICKS:
             raise HardwareError(
@@ -59,31 +61,37 @@ def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
     Raises:
         HardwareError: A servo did not take it.
     """
+    if not config.watchdog_ms:
+        return  # cleared when the arm was connected, where there is one
     value = config.watchdog_ms // WATCHDOG_UNIT_MS
-    missing = _sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.ids, value))
+    missing = _sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.servo_ids, value))
     if missing:
         raise HardwareError(
-            f"{', '.join(missing)} did not take the bus watchdog",
-            hint="firmware before 38 has none: set watchdog_ms = 0 in the arm file and stay beside the arm",
+            f"{_names(missing)} did not take the bus watchdog",
+            hint="power-cycle the servos and try again",
         )
 
 
-def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[str]:
-    """Joints that do not read back what was written."""
+def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[JointMap]:
+    """Servos that do not read back what was written."""
     register = shared_register(config, name)
-    wrong = list(config.joints)
+    wrong = list(config.servos)
     for _ in range(_ATTEMPTS):
         bus.sync_write(register, {joint.id: values[joint.id] for joint in wrong})
         present = read_all(bus, config, name)
-        wrong = [joint for joint in config.joints if present[joint.id] != values[joint.id]]
+        wrong = [joint for joint in config.servos if present[joint.id] != values[joint.id]]
         if not wrong:
             break
-    return [joint.name for joint in wrong]
+    return wrong
+
+
+def _names(servos: list[JointMap]) -> str:
+    return ", ".join(dict.fromkeys(servo.name for servo in servos))
 
 
 def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
     """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
-    for joint in config.joints:
+    for joint in config.servos:
         q = joint.to_radians(present[joint.id])
         lower, upper = joint.limits
         outside = max(lower - q, q - upper, 0.0)
@@ -93,4 +101,16 @@ def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
                 f"{math.degrees(lower):.1f} .. {math.degrees(upper):.1f} deg; nothing was switched on",
                 hint="the servo has probably lost count of its turns: turn the joint by hand, or correct "
                 "zero_ticks in the arm file",
+            )
+
+
+def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
+    """Two servos of one joint that do not agree where it is would fight each other."""
+    for joint in config.joints:
+        angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
+        if abs(angles[-1] - angles[0]) > TWIST:
+            raise HardwareError(
+                f"the two servos of joint {joint.name!r} read {math.degrees(angles[0]):.1f} and "
+                f"{math.degrees(angles[-1]):.1f} deg; nothing was switched on",
+                hint="correct direction or zero_ticks of joints.twin in the arm file",
             )

@@ -34,7 +34,7 @@ START_TOLERANCE = 0.02
 """rad or m: how far the arm may be from a trajectory's first sample; a servo holding a load sags by less."""
 
 # Steps a tick may take: a few are enough from the last command; the rest is for restarts out of a dead end.
-_TICK_ITERATIONS = 1000
+_TICK_ITERATIONS, _TICK_RESTARTS = 1000, 100
 
 
 def execute(
@@ -242,7 +242,7 @@ class _Chase:
         goals = [goal] if isinstance(goal, Goal) else list(goal)
         problem = self._problem
         if problem is None or [_kind(g) for g in goals] != [_kind(g) for g in problem.goals]:
-            budget = Budget(iterations=_TICK_ITERATIONS)
+            budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
             self._problem = problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
         for index, one in enumerate(goals):
             problem.retarget(one, index)

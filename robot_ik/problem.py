@@ -148,7 +148,8 @@ class Problem:
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
+            "best": (nq,), "nearby": (nq,), "rival": (nq,),
+            "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
             "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
             "normal": (nu, nu), "damped": (nu, nu),
@@ -157,6 +158,7 @@ class Problem:
             "wanted": (m,), "left": (p, m), "sigma": (p,), "right": (p, nu), "aim": (nu,),
             "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,), "level_best": (levels,),
             "basis": (min(dense, nu), nu), "own": (dense, nu), "gram": (dense, dense),
+            "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)

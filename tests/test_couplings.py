@@ -168,7 +168,7 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
     place = soft.forward(start).position
     near = PositionGoal(None, place + np.array([0.0, 1e-4, 1e-4]))
-    for name in ("lm", "dls", "pseudoinverse"):
+    for name in ("lm", "dls", "pseudoinverse", "bfgs"):
         method = make_solver(name)
         moved = {
             robot.stiffness[0]: method.solve(Problem(robot, near, tolerance=_EXACT), start).q - start

@@ -109,7 +109,7 @@ class VirtualBus:
                 mode=joint.mode,
                 baud=config.baud,
             )
-            for joint, angle in zip(config.joints, q, strict=True)
+            for joint, angle in zip(config.servos, config.spread(q), strict=True)
         ]
         return cls(servos, clock, faults)
 

@@ -58,10 +58,19 @@ COMMANDS: dict[str, Command] = {
     "bench": Command(
         "robot_ik.cli.bench", "BenchOptions", "methods on seeded problems: success, time, plots"
     ),
+    "run": Command(
+        "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
+    ),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",
         "serve simulated servos on a port that any client can open",
+        mujoco=False,
+    ),
+    "servo": Command(
+        "robot_ik.cli.servo",
+        "ServoOptions",
+        "servos by hand: find, set up, calibrate, watch, move, record, save",
         mujoco=False,
     ),
     "doctor": Command(

@@ -15,9 +15,10 @@ from robot_ik.kernels.levels import (
     restore,
     stacked_step,
 )
-from robot_ik.kernels.loop import begin, copy, judge, measure, record
+from robot_ik.kernels.loop import begin, copy, judge, measure
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.room import apply_step
+from robot_ik.kernels.trace import record
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import (
     BEST_COST,
@@ -124,7 +125,11 @@ def lm_levels(run):
             continue
         if level_met(goal, work, stage) or state[STALLS] >= _LEVEL_PATIENCE:
             leave_level(goal, work, stage)
-            restore(tree, goal, work, stage + 1)
+            copy(work.q, work.accepted)
+            if not restore(tree, goal, work, stage + 1):
+                copy(work.accepted, work.q)
+                measure(tree, goal, work)
+                level_costs(goal, work, work.level_cost)
             state[STAGE], state[STALLS] = stage + 1, 0
             work.value[DAMPING] = options[1]
             continue

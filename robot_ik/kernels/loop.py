@@ -20,16 +20,17 @@ from robot_ik.kernels.draws import draw
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward
 from robot_ik.kernels.residuals import evaluate
-from robot_ik.kernels.room import apply_step
+from robot_ik.kernels.room import apply_step, finite, out_of_reach
+from robot_ik.kernels.trace import record
 from robot_ik.kernels.work import (
     ACCEPTED,
     AWAITED,
+    BACK,
     BEST_COST,
     BEYOND,
     BLOCKED,
     CONVERGED,
     COST,
-    DAMPING,
     DRAW,
     DRAWN,
     DRAWS,
@@ -48,14 +49,15 @@ from robot_ik.kernels.work import (
     PRESSED,
     PROGRESS,
     RESTARTS,
+    RIVAL,
     RUNNING,
+    SHARE,
     SLICE_END,
     STALLED,
     STALLS,
     STATUS,
     STEP,
     STEP_NORM,
-    TRACE_ROWS,
     TRY,
     TRY_COST,
     TRY_LIMIT,
@@ -65,9 +67,11 @@ from robot_ik.kernels.work import (
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its answer from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
-# The last, polishing descent from the best point found: steps granted, and the share of the cost that
-# counts as progress.  Far finer than in a try: an answer that still creeps would move at every tick.
-_POLISH_STEPS = 100
+# The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
+# it, and the share of the cost that counts as progress.  Far finer than in a try: an answer that still
+# creeps would move at every tick.
+_POLISH_STEPS = 2000
+_KEPT = 200
 _POLISH_PROGRESS = 1e-9
 
 
@@ -104,25 +108,6 @@ def begin_try(work):
     value[ACCEPTED] = math.inf
 
 
-@pure
-def out_of_reach(target, reach):
-    """Whether some goal is proven unreachable: its place is outside the ball that its frame stays in."""
-    beyond = False
-    for g in range(reach.shape[0]):
-        x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
-        beyond = beyond or x * x + y * y + z * z > reach[g, 3] * reach[g, 3]
-    return beyond
-
-
-@pure
-def finite(q):
-    """Whether all numbers are."""
-    size = 0.0
-    for i in range(q.shape[0]):
-        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
-    return size < math.inf
-
-
 @outlined
 def begin(tree, goal, work):
     """First call of a solve: put the start inside the limits.  Later calls go on."""
@@ -140,23 +125,54 @@ def begin(tree, goal, work):
     state[STATUS], state[AWAITED] = RUNNING, TRY
 
 
+@pure
+def kept_for_polish(state):
+    """Steps of the budget that no random try may use, so that the answer is a local minimum."""
+    return min(_KEPT, state[MAX_ITERATIONS] // 4)
+
+
+@pure
+def rival_wins(work):
+    """Whether the best of the random tries clearly beats the answer near the start; it is then polished."""
+    value = work.value
+    if not value[RIVAL] < value[BEST_COST] * (1.0 - _CLEARLY_BETTER):
+        return False
+    value[RIVAL], value[BEST_COST] = math.inf, math.inf
+    copy(work.rival, work.best)
+    copy(work.rival, work.q)
+    return True
+
+
 @outlined
 def next_try(tree, work):
     """Ends a descent: random starts come next, then a polish of the best; False when there is no more."""
     state, value = work.state, work.value
-    if state[POLISHING] == 1:
-        # Out of tries: limits hold the best point, or nothing does but its own slope.
-        state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
-        return False
-    if state[RESTARTS] < state[MAX_RESTARTS]:
+    more = state[RESTARTS] < state[MAX_RESTARTS]
+    if state[POLISHING] == 0 and more and state[ITERATIONS] + kept_for_polish(state) < state[MAX_ITERATIONS]:
+        if state[RESTARTS] == 0:
+            copy(work.best, work.nearby)
         state[RESTARTS] += 1
         state[DRAWN] = 0
         value[LOWEST] = math.inf
         draw_next(tree, work)
-    else:
-        state[POLISHING] = 1
+        return True
+    if state[POLISHING] == 0:
+        value[RIVAL] = math.inf
+        if state[RESTARTS] > 0:  # what was found near the start first: it keeps the arm where it is
+            value[RIVAL] = value[BEST_COST]
+            copy(work.best, work.rival)
+            copy(work.nearby, work.best)
         copy(work.best, work.q)
-        state[AWAITED] = TRY
+        value[BEST_COST] = math.inf
+    elif not rival_wins(work):
+        if more:  # it was steps that ran out, not tries
+            state[STATUS] = ITERATION_LIMIT
+        else:  # limits hold the best point, or nothing does but its own slope
+            state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
+        return False
+    state[POLISHING] += 1
+    value[SHARE] = min(2.0 * value[SHARE], 1.0)
+    state[AWAITED] = TRY
     return True
 
 
@@ -169,24 +185,16 @@ def draw_next(tree, work):
     work.state[AWAITED] = DRAW
 
 
-@outlined
-def record(state, value, miss, trace):
-    """One trace row, if there is room."""
-    row = state[TRACE_ROWS]
-    if row >= trace.shape[0]:
+@pure
+def shorten(work, better):
+    """Makes a method that takes its steps unseen go downhill only: a step that did not help is taken back."""
+    state, value = work.state, work.value
+    if better:
+        value[SHARE] = min(2.0 * value[SHARE], 1.0)
         return
-    position, angle = 0.0, 0.0
-    for g in range(miss.shape[0]):
-        position = max(position, miss[g, 0])
-        angle = max(angle, miss[g, 1])
-    trace[row, 0] = state[ITERATIONS]
-    trace[row, 1] = state[RESTARTS]
-    trace[row, 2] = value[COST]
-    trace[row, 3] = position
-    trace[row, 4] = angle
-    trace[row, 5] = value[DAMPING]
-    trace[row, 6] = value[STEP_NORM]
-    state[TRACE_ROWS] = row + 1
+    value[SHARE] *= 0.25
+    copy(work.best, work.q)
+    state[AWAITED] = BACK
 
 
 @outlined
@@ -195,6 +203,8 @@ def judge(tree, work, within):
     state, value = work.state, work.value
     awaited, cost = state[AWAITED], value[COST]
     state[AWAITED] = NOTHING
+    if awaited == BACK:
+        return
     if awaited == STEP:
         state[ITERATIONS] += 1
         state[TRY_STEPS] += 1
@@ -218,15 +228,18 @@ def judge(tree, work, within):
             copy(work.candidate, work.q)
             state[AWAITED] = TRY
             return
-    same_try = state[RESTARTS] == 0 or state[POLISHING] == 1
+    same_try = state[RESTARTS] == 0 or state[POLISHING] > 0
     first = awaited != STEP and same_try and state[POLISHING] == 0
     bar = value[BEST_COST] if awaited == STEP and same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
-    if first or cost < bar:
+    better = first or cost < bar
+    if better:
         keep_best(work)
     if awaited != STEP:
         begin_try(work)
         return
-    progress = _POLISH_PROGRESS if state[POLISHING] == 1 else value[PROGRESS]
+    if state[POLISHING] > 0 and value[SHARE] > 0.0:
+        shorten(work, better)
+    progress = _POLISH_PROGRESS if state[POLISHING] > 0 else value[PROGRESS]
     if cost < value[TRY_COST] * (1.0 - progress):
         value[TRY_COST] = cost
         state[STALLS] = 0
@@ -249,9 +262,11 @@ def proceed(tree, goal, work):
         if state[ITERATIONS] >= state[SLICE_END]:
             return False
         if state[ITERATIONS] >= state[MAX_ITERATIONS]:
+            if state[POLISHING] > 0:
+                rival_wins(work)
             state[STATUS] = ITERATION_LIMIT
             return False
-        if state[POLISHING] == 1:
+        if state[POLISHING] > 0:
             limit = _POLISH_STEPS
         elif state[RESTARTS] == 0:
             limit = state[FIRST_STEPS]
@@ -267,8 +282,10 @@ def proceed(tree, goal, work):
 @outlined
 def advance(tree, goal, work):
     """Takes work.step, inside the limits; ``proceed`` then measures where that has led."""
-    norm = 0.0
+    norm, share = 0.0, work.value[SHARE]
     for u in range(work.step.shape[0]):
+        if work.state[POLISHING] > 0 and share > 0.0:
+            work.step[u] *= share
         norm += work.step[u] * work.step[u]
     work.value[STEP_NORM] = math.sqrt(norm)
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)

@@ -1,5 +1,7 @@
-"""Taking a step inside the joint limits, and how far it may go."""
+"""Taking a step inside the joint limits, how far it may go, and what is beyond all of it."""
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
 
 from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.jit import outlined, pure
@@ -60,3 +62,22 @@ def room(tree, goal, work):
             # A ball's cone is kept by projection after the step; here a step stays below half a turn.
             low[u] = -3.0
             high[u] = 3.0
+
+
+@pure
+def out_of_reach(target, reach):
+    """Whether some goal is proven unreachable: its place is outside the ball that its frame stays in."""
+    beyond = False
+    for g in range(reach.shape[0]):
+        x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
+        beyond = beyond or x * x + y * y + z * z > reach[g, 3] * reach[g, 3]
+    return beyond
+
+
+@pure
+def finite(q):
+    """Whether all numbers are."""
+    size = 0.0
+    for i in range(q.shape[0]):
+        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
+    return size < math.inf

@@ -11,16 +11,19 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 (
     STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
     MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
-    STAGE, STATE_SIZE,
-) = range(21)  # fmt: skip
+    STAGE, UPDATES, STATE_SIZE,
+) = range(22)  # fmt: skip
 # What Python asks for after a solve: the first five.
 OUTCOME = slice(STATUS, BEYOND + 1)
 
 # Entries of work.value (float64).
-COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, LOWEST, VALUE_SIZE = range(9)
+(
+    COST, BEST_COST, TRY_COST, STEP_NORM, DAMPING, ACCEPTED, PROGRESS, LOWEST, SCALE, SHARE, RIVAL,
+    VALUE_SIZE,
+) = range(12)  # fmt: skip
 
 # What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
-NOTHING, STEP, DRAW, TRY = range(4)
+NOTHING, STEP, DRAW, TRY, BACK = range(5)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
@@ -35,6 +38,8 @@ WORK = Layout(
     start="floats",  # (nq,)
     q="floats",  # (nq,) where the solver is
     best="floats",  # (nq,) best so far
+    nearby="floats",  # (nq,) best of the try from the start
+    rival="floats",  # (nq,) best of all tries, while the one from the start is polished
     accepted="floats",  # (nq,) free for a solver that may reject a step
     candidate="floats",  # (nq,) the best of several random starts
     reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
@@ -69,6 +74,11 @@ WORK = Layout(
     basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
     own="table",  # (m, nu) rows of a level less their part in the basis
     gram="table",  # (m, m)
+    metric="table",  # (nu, nu) what steps along the slope are multiplied by, where they learn it
+    way="floats",  # (nu,) the direction that is searched
+    before="floats",  # (nu,) gradient before the step
+    moved="floats",  # (nu,) how far the joints have really gone
+    outward="floats",  # (nu,) axis along which a ball would leave its cone
     trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open

@@ -21,6 +21,7 @@ _ROWS: dict[str, tuple[str, str]] = {
     "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
     "dls": ("damped_least_squares", "DampedLeastSquares"),
     "sdls": ("selectively_damped", "SelectivelyDamped"),
+    "bfgs": ("minimization", "Minimization"),
     "pseudoinverse": ("pseudoinverse", "Pseudoinverse"),
     "transpose": ("jacobian_transpose", "JacobianTranspose"),
     "ccd": ("ccd", "CyclicCoordinateDescent"),

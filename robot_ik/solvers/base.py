@@ -154,6 +154,9 @@ class IterativeSolver(Solver):
     try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    # Whether its steps are taken without a look at the cost; the last descent then looks for it.
+    unseen: ClassVar[bool] = False
+
     draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
 
     @abstractmethod
@@ -231,6 +234,7 @@ class IterativeSolver(Solver):
         state[work.SLICE_END] = work.NO_LIMIT
         value[:] = 0.0
         value[work.PROGRESS] = self.progress
+        value[work.SHARE] = 1.0 if self.unseen else 0.0
         # Any seed, zero included, becomes a nonzero state of the generator.
         state[work.SEED] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
 
@@ -256,6 +260,7 @@ class JacobianSolver(IterativeSolver):
     """A method whose step is made from the Jacobian and the residual: options that all of them share."""
 
     parts: ClassVar[bool] = True
+    unseen: ClassVar[bool] = True
     honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)

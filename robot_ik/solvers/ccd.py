@@ -6,6 +6,10 @@ a shift has a parabola.  Wang & Chen (A combined optimization method for solving
 problem of mechanical manipulators, IEEE T-RA 7(4), 1991) give the position and orientation terms.
 Unlike the textbook form it turns joints about their real axes, keeps limits exactly and cannot divide
 by a vanishing cross product: where no angle matters, the joint stays.
+
+``axis="free"`` is the textbook form: each bone turns about (s − p) × (t − p) by the angle between the two
+(Pađen 2011; Šimunić 2012, section 3.5), and is put back inside its limits.  A hinge takes the part of that
+turn that is about its own axis, so that three hinges through one point are a bone, too.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -22,9 +26,14 @@ from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.loop import advance, begin, measure, proceed
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
 from robot_ik.kernels.room import apply_step, room
-from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import IterativeSolver, option
+
+ORDERS = ("tip_to_root", "root_to_tip")
+AXES = ("joint", "free")
+# Σ w² (s − p) × (t − p) shorter than this has no direction: the vectors are collinear, and the bone stays.
+_COLLINEAR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,9 @@ class CyclicCoordinateDescent(IterativeSolver):
     patience: int = option(20, "sweeps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
 
+    order: str = option("tip_to_root", "which joint is turned first", choices=ORDERS)
+    axis: str = option("joint", "real axes, or the one that a free bone would take", choices=AXES)
+
     name: ClassVar[str] = "ccd"
     title: ClassVar[str] = "cyclic coordinate descent, exact optimum of one joint at a time"
     source: ClassVar[str] = "Wang & Chen, IEEE T-RA 1991"
@@ -47,10 +59,10 @@ class CyclicCoordinateDescent(IterativeSolver):
         return ccd
 
     def parameters(self) -> tuple[float, ...]:
-        return ()
+        return (float(ORDERS.index(self.order)), float(AXES.index(self.axis)))
 
 
-@pure
+@outlined
 def turn_terms(world, k, x, y, z, goal, frames, u):
     """A, B of the cost const − A cos φ − B sin φ when all that hangs on a turn about (x, y, z) moves."""
     a, b = 0.0, 0.0
@@ -114,33 +126,74 @@ def best_shift(x, y, z, goal, frames, u, low, high):
 
 
 @outlined
-def sweep(tree, goal, work):
-    """Every degree of freedom once, the tip's first; leaves q moved and work.step zero."""
+def free_turn(world, k, goal, frames, u):
+    """Unit axis x, y, z and angle of the turn about node ``k`` that is best where any axis may be chosen.
+
+    For one position the axis is (s − p) × (t − p) and the angle that between the two.
+    """
+    _, x = turn_terms(world, k, 1.0, 0.0, 0.0, goal, frames, u)
+    _, y = turn_terms(world, k, 0.0, 1.0, 0.0, goal, frames, u)
+    _, z = turn_terms(world, k, 0.0, 0.0, 1.0, goal, frames, u)
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < _COLLINEAR:
+        return 0.0, 0.0, 0.0, 0.0
+    x, y, z = x / length, y / length, z / length
+    a, b = turn_terms(world, k, x, y, z, goal, frames, u)
+    return x, y, z, math.atan2(b, a)
+
+
+@outlined
+def turn_freely(tree, goal, work, u):
+    """work.step of a hinge, or of all three coordinates of a ball, for ``free_turn``."""
+    v = goal.dofs[u]
+    k = tree.dof_node[v]
+    x, y, z, angle = free_turn(work.world, k, goal, work.frames, u)
+    ax, ay, az, _ = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
+    if tree.kind[k] < BALL:
+        # The twist of the turn about the hinge (swing-twist decomposition), as far as there is room.
+        along = x * ax + y * ay + z * az
+        twist = 2.0 * math.atan2(math.sin(0.5 * angle) * along, math.cos(0.5 * angle))
+        work.step[u] = min(max(twist, work.low[u]), work.high[u])
+        return
+    for i in range(3):
+        ax, ay, az, _ = dof_axis(tree.kind, work.world, k, v - tree.vadr[k] + i)
+        work.step[u + i] = angle * (x * ax + y * ay + z * az)
+
+
+@outlined
+def sweep(tree, goal, work, from_root, freely):
+    """Every degree of freedom once; leaves q moved and work.step zero."""
     dofs, step, low, high, world, frames = goal.dofs, work.step, work.low, work.high, work.world, work.frames
     n = dofs.shape[0]
     for u in range(n):
         step[u] = 0.0
-    for back in range(n):
-        u = n - 1 - back
+    for turn_number in range(n):
+        u = turn_number if from_root else n - 1 - turn_number
         v = dofs[u]
         k = tree.dof_node[v]
         room(tree, goal, work)
         x, y, z, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
-        if turn:
+        if turn and freely:
+            if tree.kind[k] >= BALL and (v - tree.vadr[k]) % 3 != 0:
+                continue  # turned with the first of its three coordinates
+            turn_freely(tree, goal, work, u)
+        elif turn:
             a, b = turn_terms(world, k, x, y, z, goal, frames, u)
             step[u] = best_turn(a, b, low[u], high[u])
         else:
             step[u] = best_shift(x, y, z, goal, frames, u, low[u], high[u])
         apply_step(tree, goal, work.nodes, step, work.dq, work.q)
-        step[u] = 0.0
+        for i in range(u, min(u + 3, n)):
+            step[i] = 0.0
         measure(tree, goal, work)
 
 
 @kernel
 def ccd(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; a step is a sweep over all joints."""
+    """Runs until ``proceed`` says stop; options: whether from the root, whether about free axes."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    from_root, freely = options[0] > 0.0, options[1] > 0.0
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        sweep(tree, goal, work)
+        sweep(tree, goal, work, from_root, freely)
         advance(tree, goal, work)

@@ -32,15 +32,15 @@ def test_a_stall_inside_a_cycle_is_noticed_as_well(arm, stream, smooth, register
     """The process is suspended after the arm has looked at the time and before its packet is out."""
     arm.enable()
     stream(arm, [start] * 3)
-    original = arm.bus.sync_write
+    original = arm.bus.exchange
 
-    def stalled(register, values):
+    def stalled(writes, reads, within=None):
         arm.clock.sleep_until(arm.clock.now() + 0.3)
-        original(register, values)
+        return original(writes, reads, within)
 
-    arm.bus.sync_write = stalled
+    arm.bus.exchange = stalled
     stream(arm, [start])
-    arm.bus.sync_write = original
+    arm.bus.exchange = original
     stream(arm, [start])
     assert registers(arm, "bus_watchdog") == [10] * 6
     stream(arm, smooth(start, start + 0.1, 0.3))

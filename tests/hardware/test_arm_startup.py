@@ -20,9 +20,10 @@ from robot_ik.errors import (
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
-from robot_ik.hardware.startup import shared_register
+from robot_ik.hardware.registers import shared_register
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import JointSink, JointSource, RealClock, VirtualClock
 
 
@@ -130,6 +131,21 @@ def test_a_servo_that_reverses_by_itself_is_refused(arm_config):
         open_arm(arm_config, "sim", virtual_bus=servos).connect()
 
 
+def test_firmware_without_a_watchdog_is_taken_only_by_those_who_say_so(arm_config, stream, smooth):
+    clock = VirtualClock()
+    servos = VirtualBus(
+        [VirtualServo(j.model, j.id, clock, firmware=37, mode=j.mode) for j in arm_config.joints], clock
+    )
+    with pytest.raises(HardwareError, match="no bus watchdog"):
+        open_arm(arm_config, "sim", virtual_bus=servos).connect()
+    with open_arm(dataclasses.replace(arm_config, watchdog_ms=0), "sim", virtual_bus=servos) as arm:
+        arm.enable()
+        here = arm.read().q
+        arm.clock.sleep_until(arm.clock.now() + 5.0)
+        stream(arm, smooth(here, here + 0.1, 0.4))
+        assert np.allclose(arm.read().q, here + 0.1, atol=0.01)
+
+
 def test_lost_turns_are_refused_before_torque(arm_config):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
     servos.servo(1).turn_by_hand(2 * 4096)
@@ -178,7 +194,7 @@ def test_models_with_another_layout_cannot_share_a_cycle():
     there = dataclasses.replace(here, address=30)
     joints = [SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))]
     with pytest.raises(ConfigError, match="elsewhere in B than in A"):
-        shared_register(SimpleNamespace(joints=joints, file=None, name="arm"), "goal_position")
+        shared_register(SimpleNamespace(servos=joints, file=None, name="arm"), "goal_position")
 
 
 def test_an_unknown_policy_and_servos_for_a_real_port_are_refused(arm_config):

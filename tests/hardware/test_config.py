@@ -71,7 +71,7 @@ WRONG = [
     ("id = 2", 'id = "2"', "joints[1].id", "0..252"),
     ("id = 2", "id = true", "joints[1].id", "0..252"),
     ("XL430-W250", "XL430W250", "joints[3].model", "did you mean XL430-W250"),
-    ('"extended_position"', '"velocity"', "joints[0].mode", "'position' or 'extended_position'"),
+    ('"extended_position"', '"velocity"', "joints[0].mode", "'position', 'extended_position' or"),
     ("direction = -1", "direction = 0", "joints[1].direction", "1 or -1"),
     ("ratio = 2.0", "ratio = 0.0", "joints[2].ratio", "> 0"),
     ("ratio = 2.0", "ratio = nan", "joints[2].ratio", "> 0"),

@@ -132,9 +132,15 @@ from robot_ik.hardware.dynamixel import DynamixelBus
 try:
     DynamixelBus(sys.argv[1]).open()
 except BusNotOpenError as error:
+    print(error)
     sys.exit(7 if "already open" in str(error) else 1)
 """
-    assert subprocess.run([sys.executable, "-c", code, served.path], timeout=60).returncode == 7
+    done = subprocess.run(
+        [sys.executable, "-c", code, served.path], timeout=60, capture_output=True, text=True
+    )
+    assert done.returncode == 7
+    if sys.platform == "linux":
+        assert f"(process {os.getpid()})" in done.stdout  # by name: which program to close
 
 
 def test_permission_is_explained_and_the_ports_there_are_listed():

@@ -17,6 +17,7 @@ import pytest
 
 from robot_ik.hardware.exit_guard import ExitGuard
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.fault_kinds import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 
@@ -48,7 +49,7 @@ if end == "forgotten":  # no `with`, no close
     raise RuntimeError("forgotten")
 if end == "rounds":
     # A second signal may come after the arm has given the handlers back.
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, frame: None)
     for line in sys.stdin:
         try:
@@ -71,8 +72,9 @@ print("handlers", signal.getsignal(signal.SIGINT) is signal.default_int_handler,
 
 
 @pytest.fixture
-def served(arm_config):
+def served(arm_config, goal_recorder):
     with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=START)) as port:
+        goal_recorder.watch(port.bus, arm_config)
         yield port
 
 
@@ -168,36 +170,66 @@ def test_after_sigkill_the_bus_watchdog_stops_the_arm(served, child, arm_config)
     assert (served.bus.true_angles(arm_config) == here).all()
 
 
-def kill_at_random(served, child, rounds: int, seed: int) -> None:
+def kill_at_random(served, child, config, policy: str, rounds: int, seed: int) -> None:
     """Signals at random points of transactions; in every other round an impatient second one."""
     rng = random.Random(seed)
-    process = child("torque_off", "rounds")
+    process = child(policy, "rounds")
     for k in range(rounds):
+        stood = served.bus.true_angles(config)  # where this round is enabled
         print("go", file=process.stdin, flush=True)
         wait_for(process, "moving")
         time.sleep(rng.uniform(0.0, 0.02))
-        number = rng.choice([signal.SIGINT, signal.SIGTERM])
+        number = rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
         process.send_signal(number)
         if k % 2:
             time.sleep(rng.uniform(0.0, 0.004))
             process.send_signal(number)
         said = process.stdout.readline().split()
         # Torque first, words later: look at the servos before believing the child.
-        assert torque(served) == [False] * 6, (k, said, process.stderr.read() if not said else "")
-        assert said in (["interrupted", "True"], ["exit", "143", "True"]), said
+        left_on = policy == "hold"
+        assert torque(served) == [left_on] * 6, (k, said, process.stderr.read() if not said else "")
+        code = {signal.SIGTERM: "143", signal.SIGHUP: "129"}.get(number)
+        assert said == (["interrupted", "True"] if code is None else ["exit", code, "True"]), said
+        here = served.bus.true_angles(config)
+        if policy == "hold":
+            assert [servo.memory.get("bus_watchdog") for servo in served.bus.servos] == [0] * 6
+        if policy == "park" and not k % 2:  # an impatient second signal ends the parking
+            assert np.abs(here - stood).max() < 0.02
     process.stdin.close()
     assert process.wait(timeout=30) == 0
 
 
-def test_a_signal_at_any_point_of_a_transaction_ends_in_torque_off(served, child):
-    kill_at_random(served, child, rounds=20, seed=19)
+@pytest.mark.parametrize(("policy", "rounds"), [("torque_off", 10), ("park", 4), ("hold", 4)])
+def test_a_signal_at_any_point_of_a_transaction_ends_as_the_policy_says(
+    served, child, arm_config, policy, rounds
+):
+    kill_at_random(served, child, arm_config, policy, rounds, seed=19)
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize("seed", range(4))
-def test_a_signal_at_any_point_of_a_transaction_many_times(served, child, seed):
-    kill_at_random(served, child, rounds=200, seed=seed)
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("policy", ["torque_off", "park", "hold"])
+def test_a_signal_at_any_point_of_a_transaction_two_hundred_times(served, child, arm_config, policy):
+    kill_at_random(served, child, arm_config, policy, rounds=200, seed=1)
+
+
+@pytest.mark.parametrize("policy", ["torque_off", "park"])
+def test_a_servo_that_dies_with_the_signal_keeps_nobody_else_on(served, child, policy):
+    process = child(policy, "signal")
+    wait_for(process, "moving")
+    served.bus.servo(3).silent = True
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert torque(served) == [False, False, True, False, False, False]
+
+
+def test_a_cable_pulled_with_the_signal_does_not_hang_the_program(served, child):
+    process = child("park", "signal")
+    wait_for(process, "moving")
+    served.bus.inject(Fault("port_unplugged"))
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode in (1, 143), err
 
 
 # ------------------------------------------------------------------------- the guard by itself

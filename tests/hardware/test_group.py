@@ -155,6 +155,22 @@ def test_the_stuffed_bytes_of_a_fast_answer_are_not_trusted(sim):
     assert values(sim.sync_read(IDS, GOAL))[1] == -131_073
 
 
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
+    """Every servo is turned between two cycles: an answer of the cycle before would be another number."""
+    sim.use_fast_reads(IDS if fast else [])
+    sim.virtual_bus.set_faults(Faults(late=0.1, seed=3))
+    taken = 0
+    for k in range(300):
+        for servo in sim.virtual_bus.servos:
+            servo.turn_by_hand(1)
+        right = [value + k + 1 for value in RIGHT]
+        seen = values(sim.exchange({}, dict.fromkeys(IDS, PRESENT)))
+        assert all(v in (None, r) for v, r in zip(seen, right, strict=True)), (k, seen)
+        taken += sum(v is not None for v in seen)
+    assert taken > 0.95 * 1800 and sim.counters.late > (0 if fast else 20)
+
+
 # ---------------------------------------------------------------------------------- on real time
 
 

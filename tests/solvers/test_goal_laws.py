@@ -49,7 +49,7 @@ def _serving():
 NAMES_OF = _serving()
 cases = pytest.mark.parametrize(("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]])
 # Methods that reach every goal near home; others may stall at limits or saddles, and say so.
-SURE = ("auto", "lm", "combined", "sdls")
+SURE = ("auto", "lm", "combined", "sdls", "bfgs")
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def outcome(solution):
 
 def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
     assert {type(goal) for goal in goals_near(robots["puma560"], 0).values()} == set(GOALS)
-    general = {"auto", "lm", "dls", "sdls", "pseudoinverse", "transpose", "combined"}
+    general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}
     for kind in KINDS:
         assert general <= set(NAMES_OF[kind]), kind
 
@@ -189,7 +189,7 @@ def test_two_goals_each_by_its_own_tolerance(robots):
     made = goals_near(robot, 1)
     rough = dataclasses.replace(made["position"], tolerance=Tolerance(position=0.05))
     exact = dataclasses.replace(made["plane"], tolerance=Tolerance(position=1e-8))
-    for name in ("lm", "dls", "sdls", "pseudoinverse", "transpose"):
+    for name in ("lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose"):
         solution = solve(robot, [rough, exact], solver=name)
         assert solution.converged
         assert solution.misses[0].position <= 0.05 and solution.misses[1].position <= 1e-8

@@ -128,7 +128,7 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
 
 
 @unreachable
-@pytest.mark.parametrize("name", ["auto", "lm", "dls", "sdls"])
+@pytest.mark.parametrize("name", ["auto", "lm", "dls", "sdls", "bfgs"])
 def test_law_6_tracking_comes_to_rest(tied, name, kind):
     for robot in tied.values():
         budget = Budget(restarts=0)

@@ -112,6 +112,26 @@ def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
         assert not figure.outside(found.q)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_figure_at_full_stretch_keeps_its_feet(seed):
+    """Restoring a level may fail where nearly all joints are at their stops; then the step back is taken."""
+    figure = load_robot("humanoid")
+    home, ball = figure.home, (0.2, 0.2, 2.5)  # 0.3 m too high
+    rng = np.random.default_rng(seed)
+    goals = [
+        PoseGoal.at("left_foot", figure.forward(home, "left_foot")),
+        PoseGoal.at("right_foot", figure.forward(home, "right_foot")),
+        CenterOfMassGoal(None, figure.center_of_mass(home), axes="xy", priority=1),
+        PositionGoal("right_hand", ball, priority=2),
+        AimGoal("gaze", ball, axis="x", priority=3),
+        PostureGoal(q=home, joints={"root": 0.0}, priority=4),
+    ]
+    start = figure.integrate(home, np.concatenate([np.zeros(6), rng.uniform(-0.3, 0.3, 34)]))
+    misses = solve(figure, goals, start=start, solver="lm").misses
+    assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
+    assert misses[3].position == pytest.approx(0.283, abs=0.002)
+
+
 def test_laws_hold_with_priorities_too(arm):
     rng = np.random.default_rng(4)
     q = arm.sample(rng)

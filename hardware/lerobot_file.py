@@ -1,0 +1,128 @@
+"""LeRobot's calibration JSON: ``{joint: {id, drive_mode, homing_offset, range_min, range_max}}``.
+
+Positions in it are Present Position, as here, with the homing offset of the servo's register 20 in them.
+LeRobot's zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
+``MotorCalibration``, and ``_normalize`` for degrees.)
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from robot_ik.errors import ConfigError
+from robot_ik.files import write_atomically
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN
+
+KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+
+
+def save_lerobot(path: Path, calibration: Calibration) -> None:
+    """Writes a calibration as LeRobot reads it.
+
+    Raises:
+        ConfigError: A range beyond one turn: LeRobot writes it into registers that take 0 to 4095.
+        OutputError: The file cannot be written.
+    """
+    for joint in calibration.joints:
+        if not 0 <= joint.range_min < joint.range_max < TICKS_PER_TURN:
+            raise ConfigError(
+                f"ticks {joint.range_min} to {joint.range_max} of {joint.name!r} are not within a turn",
+                file=calibration.file or calibration.arm,
+                key=joint.name,
+                allowed=f"0 to {TICKS_PER_TURN - 1} (LeRobot writes it into the servo's position limits)",
+            )
+    content = {joint.name: {key: getattr(joint, key) for key in KEYS} for joint in calibration.joints}
+    write_atomically(path, json.dumps(content, indent=4) + "\n")
+
+
+def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
+    """A calibration out of LeRobot's file, for the joints of an arm file.
+
+    Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
+    middle of the range.  Directions are those of the arm file.
+
+    Raises:
+        ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
+    """
+    rows = _rows(path)
+    by_id = {row["id"]: row for row in rows.values()}
+    joints = []
+    for joint in config.joints:
+        row = rows.get(joint.name) or by_id.get(joint.id)
+        if row is None:
+            allowed = ", ".join(f"{name} (id {row['id']})" for name, row in rows.items())
+            raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
+        joints.append(
+            JointCalibration(
+                name=joint.name,
+                model=joint.model,
+                firmware=0,
+                direction=joint.direction,
+                zero_ticks=(row["range_min"] + row["range_max"]) // 2,
+                urdf_lower=0.0,
+                urdf_upper=0.0,
+                present_at_save=(row["range_min"] + row["range_max"]) // 2,
+                **row,
+            )
+        )
+    return Calibration(config.name, config.robot, created, config.baud, tuple(joints), path)
+
+
+def _rows(path: Path) -> dict[str, dict[str, int]]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise ConfigError(f"LeRobot's calibration cannot be read: {error}", file=path) from error
+    if not isinstance(content, dict) or not content:
+        raise ConfigError(
+            "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
+        )
+    return {str(name): _row(name, row, path) for name, row in content.items()}
+
+
+def _row(name: str, row: Any, path: Path) -> dict[str, int]:
+    limits = {"id": (0, 252), "drive_mode": (0, 255)}
+    found = {}
+    for key in KEYS:
+        value = row.get(key) if isinstance(row, dict) else None
+        low, high = limits.get(key, (-MULTI_TURN_TICKS, MULTI_TURN_TICKS))
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise ConfigError(
+                f"{value!r} is not right", file=path, key=f"{name}.{key}", allowed=f"{low}..{high}"
+            )
+        found[key] = value
+    if found["range_min"] >= found["range_max"]:
+        raise ConfigError("the range is empty", file=path, key=name, allowed="range_min < range_max")
+    return found
+
+
+def completed(
+    calibration: Calibration,
+    firmware: dict[int, int],
+    present: dict[int, int],
+    limits: dict[str, tuple[float, float]],
+) -> Calibration:
+    """What LeRobot's file does not say, from servos and model.
+
+    Args:
+        calibration: Of ``load_lerobot``.
+        firmware: Servo id -> version.
+        present: Servo id -> Present Position, ticks.
+        limits: Joint -> limits of the model, deg.
+    """
+    joints = (
+        replace(
+            joint,
+            firmware=firmware[joint.id],
+            present_at_save=present[joint.id],
+            urdf_lower=limits[joint.name][0],
+            urdf_upper=limits[joint.name][1],
+        )
+        for joint in calibration.joints
+    )
+    return replace(calibration, joints=tuple(joints))

@@ -1,0 +1,220 @@
+"""Who is on a wire: every id at every rate, with what it says of itself, and ids that two servos share.
+
+Answers of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
+looks as if nobody with that id were there.  So a scan counts damaged bytes, and where it saw some it asks
+every id alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from robot_ik.errors import HardwareError
+from robot_ik.hardware.bus import BROADCAST_ID
+from robot_ik.hardware.control_table import (
+    BAUD_RATES,
+    ControlTable,
+    control_table,
+    hardware_error_names,
+    model_by_number,
+)
+from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.packets import StatusParser, build
+from robot_ik.hardware.quiet_port import ANSWER_TIME
+
+LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
+"""Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
+
+IDS = range(253)
+
+KNOCK = ANSWER_TIME
+"""s for one id to answer a ping of its own."""
+
+_SLOT = 0.003  # s that each id may take to answer a ping to all (as the Dynamixel SDK waits)
+_PING_BYTES = 14
+_LATENESS = 0.016  # s, a USB adapter as it comes
+_PING, _PING_DATA = 0x01, 3  # instruction; bytes of data: model number 2, firmware 1
+_LOOKS = 4  # reads of changing registers that two servos with one id would have to answer alike
+
+
+@dataclass(frozen=True)
+class FoundServo:
+    """One id that answers at one rate.
+
+    Attributes:
+        id, baud: Where; ``number``: Model Number, None where answers were too damaged to tell.
+        firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
+            each None if it could not be read.
+        errors: Latched hardware errors by name.
+        shared: Answers collide: two servos seem to have this id.
+    """
+
+    id: int
+    baud: int
+    number: int | None = None
+    firmware: int | None = None
+    voltage: float | None = None
+    temperature: int | None = None
+    return_delay: int | None = None
+    torque: bool | None = None
+    errors: tuple[str, ...] = ()
+    shared: bool = False
+
+    @property
+    def table(self) -> ControlTable | None:
+        """Its registers; None for a model that is not known here."""
+        known = None if self.number is None else model_by_number(self.number)
+        return known and control_table(known.model, self.firmware or None)
+
+    @property
+    def model(self) -> str:
+        """Its model's name, or what is known of it."""
+        known = None if self.number is None else model_by_number(self.number)
+        if known is not None:
+            return known.model
+        return "?" if self.number is None else f"model number {self.number}"
+
+
+class ScanBus(DynamixelBus):
+    """A driver that also tells what it could not understand."""
+
+    def shout(self, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        """A ping to everybody.
+
+        Args:
+            listen: s.
+
+        Returns:
+            Servo id -> (model number, firmware), and how much came that nobody can understand.
+
+        Raises:
+            BusDisconnectedError, BusNotOpenError.
+        """
+        return self._ping(BROADCAST_ID, listen)
+
+    def knock(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        """A ping to one id; late answers of others are told under theirs.  Otherwise as ``shout``."""
+        return self._ping(id, listen)
+
+    def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        parser, found, useful, received = StatusParser(), {}, 0, 0
+        with self._wire.transaction("scan") as port:
+            port.writePort(build(id, _PING, b""))
+            end = time.monotonic() + listen
+            while data := port.receive(end):
+                received += len(data)
+                for answer in parser.feed(data):
+                    useful += _PING_BYTES
+                    if len(answer.data) == _PING_DATA:
+                        found[answer.id] = (answer.data[0] | answer.data[1] << 8, answer.data[2])
+                if id in found:
+                    return found, received - useful
+            self._wire.missed()
+        return found, received - useful
+
+
+def listening_time(baud: int) -> float:
+    """s in which all 253 ids could have answered a ping at this rate."""
+    return len(IDS) * (_SLOT + 10.0 * _PING_BYTES / baud) + _LATENESS
+
+
+def scan(
+    port: str,
+    bauds: Sequence[int] = LIKELY,
+    *,
+    make_bus: Callable[..., ScanBus] = ScanBus,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[FoundServo]:
+    """Asks at every rate who is there, and each of them how it is.  Writes nothing to any servo.
+
+    Args:
+        port: Of the adapter.
+        bauds: Rates to try, bits/s.
+        make_bus: Makes the driver: (port, baud, retries).
+        progress: Told (what is going on, share done).
+
+    Returns:
+        Servos by rate, then by id.
+
+    Raises:
+        BusNotOpenError, BusDisconnectedError.
+        ConfigError: No servo talks at such a rate.
+    """
+    found: list[FoundServo] = []
+    for k, baud in enumerate(bauds):
+        progress(f"{baud} baud", k / len(bauds))
+        bus = make_bus(port, baud, retries=0)
+        bus.open()
+        try:
+            heard, damaged = bus.shout(listening_time(baud))
+            servos = [_look(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
+            if damaged:
+                rest = [id for id in IDS if id not in heard]
+                servos += _one_by_one(bus, baud, rest, progress)
+            found += sorted(servos, key=lambda servo: servo.id)
+        finally:
+            bus.close()
+    progress("done", 1.0)
+    return found
+
+
+def nobody_hint(bauds: Iterable[int]) -> str:
+    """What to look at when no servo answered."""
+    rates = set(bauds)
+    text = "check: is the servos' supply on? the cable, and its direction? is it the right port?"
+    left = [rate for rate in BAUD_RATES.values() if rate not in rates]
+    return text + (f" rates not tried: {', '.join(map(str, left))}" if left else "")
+
+
+def _one_by_one(
+    bus: ScanBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
+) -> list[FoundServo]:
+    """Servos that the ping to all did not find, and ids from which only damaged answers come."""
+    found: dict[int, FoundServo] = {}
+    for k, id in enumerate(ids):
+        progress(f"{baud} baud, id {id}", k / len(ids))
+        heard, damaged = bus.knock(id, KNOCK)
+        if damaged and id not in heard:
+            heard, damaged = bus.knock(id, KNOCK)  # noise can hit one answer
+        for other, who in heard.items():
+            found[other] = _look(bus, FoundServo(other, baud, *who))
+        if damaged and id not in heard:
+            found[id] = FoundServo(id, baud, shared=True)
+    return list(found.values())
+
+
+def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
+    """The same servo with its state, and whether its answers collide with another's."""
+    table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
+    before = bus.counters.corrupt
+    values: dict[str, int] = {}
+    names = (
+        "firmware_version",
+        "return_delay_time",
+        "torque_enable",
+        "hardware_error_status",
+        "present_input_voltage",
+        "present_temperature",
+        *("present_position", "realtime_tick") * (_LOOKS // 2),
+    )
+    for name in names:
+        try:
+            values[name] = bus.read(servo.id, table[name]).data or 0
+        except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
+            continue
+    if "firmware_version" not in values:
+        return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=True)
+    return FoundServo(
+        servo.id,
+        servo.baud,
+        servo.number,
+        values["firmware_version"],
+        values["present_input_voltage"] / 10.0 if "present_input_voltage" in values else None,
+        values.get("present_temperature"),
+        values["return_delay_time"] * 2 if "return_delay_time" in values else None,
+        bool(values["torque_enable"]) if "torque_enable" in values else None,
+        hardware_error_names(values.get("hardware_error_status", 0)),
+        shared=bus.counters.corrupt - before > 1,
+    )

@@ -1,0 +1,137 @@
+"""``robot-ik run``: a scripted test run, and its report as table, JSON and JUnit XML."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import OutputError
+
+if TYPE_CHECKING:
+    from robot_ik.jobs.script import ScriptReport
+
+_STYLE = {"passed": "green", "failed": "bold red", "not run": "dim"}
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Runs a script of steps on an arm: moves, waits, faults, and what must be true then.
+
+    On simulated servos (sim) time is virtual: as fast as the machine allows, and equal runs give equal
+    reports. The same script runs behind a real pty (pty) and on your servos (a port); there nothing can be
+    broken on purpose. Without a script: those that come along.
+
+    Exit code 0: every step passed. 1: one failed. 2: wrong script or environment. 130: interrupted.
+    """
+
+    script: Positional[Annotated[str, arg(metavar="[FILE.toml|NAME]", help_behavior_hint="")]] = ""
+    """The script, or the name of one that comes along."""
+    bus: Annotated[str, arg(metavar="sim|pty|PORT")] = "sim"
+    """sim: servos in process, virtual time; pty: behind a serial line of this machine; else a port."""
+    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: the script's)")] = ""
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: the script's)")] = ""
+    """Servo ids, signs, zeros and limits."""
+    seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the script's)")] = None
+    """Of the dice of faults, of restarts and of the synthetic camera's noise."""
+    junit: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write the report as JUnit XML, for build servers."""
+    json: Annotated[Path | None, arg(metavar="FILE|-", help_behavior_hint="(default: none)")] = None
+    """Write the report as JSON; with - it goes to stdout instead of the table."""
+
+
+def run(options: RunOptions) -> int:
+    """Runs the script; 0 passed, 1 not."""
+    import_mujoco()
+    from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script
+
+    if not options.script:
+        return _list()
+    script = load_script(find_script(options.script))
+    for file in (options.junit, options.json):
+        if file is not None and str(file) != "-" and not file.parent.is_dir():
+            raise OutputError(f"cannot write {file}: no such folder", hint="give a folder that exists")
+    arm = Path(options.arm) if options.arm else None
+    this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed))
+    try:
+        with console.progress() as bar, _quiet(options.bus):
+            task = bar.add_task("getting ready", total=1.0, note="")
+
+            def progress(name: str, share: float) -> None:
+                bar.update(task, description=name, completed=share)
+
+            this.run(progress)
+    finally:
+        if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
+            _tell(this.report, options)
+    return console.DONE if this.report.passed else console.NOT_ACHIEVED
+
+
+@contextlib.contextmanager
+def _quiet(bus: str) -> Iterator[None]:
+    """Keeps what simulated servos complain of off the screen: it was ordered, and the report tells it."""
+    from robot_ik.hardware import bus_row
+
+    log = logging.getLogger("robot_ik.hardware")
+    before = log.level
+    if bus_row(bus).virtual and not log.isEnabledFor(logging.DEBUG):
+        log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def _list() -> int:
+    from robot_ik.jobs.script import load_script, shipped
+
+    rows = console.table("script", "what it does")
+    for name, file in shipped().items():
+        rows.add_row(name, load_script(file).content.about)
+    console.out().print(rows)
+    return console.DONE
+
+
+def _tell(report: ScriptReport, options: RunOptions) -> None:
+    from robot_ik.files import plain, write_atomically
+    from robot_ik.jobs.script import json_report
+    from robot_ik.jobs.script.report import junit_report
+
+    text = console.json_text(plain(json_report(report))) + "\n"
+    if options.junit is not None:
+        write_atomically(options.junit, junit_report(report))
+    if options.json is not None and str(options.json) != "-":
+        write_atomically(options.json, text)
+    if str(options.json) == "-":
+        console.print_json(json_report(report))
+        return
+    _print_table(report)
+
+
+def _print_table(report: ScriptReport) -> None:
+    rows = console.table("step", "what", "result", "s", "found")
+    for number, step in enumerate(report.steps, start=1):
+        result = Text(step.outcome, style=_STYLE[step.outcome])
+        seconds = "" if step.outcome == "not run" else f"{step.seconds:.2f}"
+        rows.add_row(str(number), Text(step.name), result, seconds, Text(step.found))
+    out = console.out()
+    out.print(rows)
+    kind = "virtual " if report.virtual_time else ""
+    verdict = "interrupted" if report.interrupted else "PASSED" if report.passed else "FAILED"
+    out.print(
+        Text(
+            f"{report.script}: {verdict}  {report.count('passed')} of {len(report.steps)} steps, "
+            f"{report.seconds:.2f} s of {kind}time, {report.robot} on {report.bus}, seed {report.seed}",
+            style="bold green" if report.passed else "bold red",
+        ),
+        soft_wrap=True,
+    )

@@ -1,0 +1,241 @@
+"""``robot-ik servo calibrate``: a hand shows ranges, zeros and directions; the files say so afterwards."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.cli.servo_backup import new_file
+from robot_ik.cli.servo_link import BusOptions, arm_on, tried, wrong
+from robot_ik.cli.servo_move import parse_angles
+from robot_ik.cli.servo_prompt import Prompts
+from robot_ik.errors import ArmStateError, ConfigError, HardwareError, RobotIkError
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.calibration import Sweep
+    from robot_ik.hardware.calibration_file import Calibration
+    from robot_ik.hardware.config import ArmConfig
+
+STILL_SAMPLES = 10
+"""At 20 Hz: a hand that only passes through the pose is noticed."""
+
+Limits = dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class CalibrateOptions(BusOptions):
+    """Calibrates an arm by hand, torque off: sweep every joint, hold the zero pose, turn each joint a little.
+
+    --arm gives names, ids, models, modes and limits. OUT.toml becomes the calibrated arm file, and
+    OUT.calibration.toml beside it what was measured; from then on: --arm OUT.toml. The commands that move
+    the arm compare the two with the servos and refuse an arm that is another.
+    """
+
+    out: Positional[Annotated[Path, arg(metavar="OUT.toml")]]
+    """The calibrated arm file."""
+    pose: Annotated[
+        tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="(default: all joints at 0)")
+    ] = ()
+    """Another pose than zero in which the zeros are taken."""
+    seconds: Annotated[
+        float | None, arg(metavar="S", help_behavior_hint="(default: each step until Enter)")
+    ] = None
+    """Each step takes so long, without Enter."""
+    from_lerobot: Annotated[Path | None, arg(metavar="FILE.json", help_behavior_hint="")] = None
+    """Take LeRobot's calibration instead of a hand; 0 degrees are the middle of each range, as there."""
+    to_lerobot: Annotated[Path | None, arg(metavar="FILE.json", help_behavior_hint="")] = None
+    """Also write LeRobot's calibration."""
+    check: bool = False
+    """Only compare an OUT.toml that exists, and its calibration, with the servos."""
+    overwrite: bool = False
+    """Older files of these names may go."""
+
+
+def run_calibrate(options: CalibrateOptions) -> int:
+    """Measures, checks, writes; 1 when a step was not done as asked."""
+    from robot_ik.cli.sim_bus import load_arm
+    from robot_ik.hardware.calibration_file import calibration_beside
+
+    if options.seconds is not None and not 0.0 < options.seconds <= 3600.0:
+        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 3600")
+    if options.out.suffix != ".toml" or options.out.name.endswith(".calibration.toml"):
+        raise wrong("OUT.toml", f"{options.out}", "a name that ends in .toml")
+    if options.check:
+        return _check(options)
+    config = load_arm(options.arm)
+    pose = dict.fromkeys(config.names, 0.0)
+    if options.pose:
+        pose |= parse_angles(options.pose, config)
+    _require_single_servos(config)
+    beside = calibration_beside(options.out)
+    for path in (options.out, beside, *([options.to_lerobot] if options.to_lerobot else [])):
+        new_file(path, options.overwrite)
+    limits = model_limits(config)
+    arm = arm_on(options, config)
+
+    def measure() -> int:
+        if options.from_lerobot is not None:
+            found = _imported(arm, options.from_lerobot, limits)
+        else:
+            found = _by_hand(arm, Prompts(arm.clock, options.seconds), pose, limits)
+        _write(options, arm, replace(found, file=beside), limits)
+        return console.DONE
+
+    with arm:
+        require_limp(arm)
+        return tried(measure)
+
+
+def _require_single_servos(config: ArmConfig) -> None:
+    for joint in config.joints:
+        if len(joint.servos) > 1:
+            raise ConfigError(
+                f"two servos turn {joint.name!r}; this calibrates joints of one servo",
+                file=config.file or config.name,
+                key=joint.name,
+                hint="set their zero_ticks in the arm file by hand",
+            )
+
+
+def model_limits(config: ArmConfig) -> Limits:
+    """Joint -> limits of the model, rad; the arm file's where the model is not at hand (then it says so)."""
+    from robot_ik.robot import load_robot
+
+    try:
+        robot = load_robot(config.robot, joints=config.names)
+    except RobotIkError as error:
+        console.say(f"without the model ({error.args[0]}): limits are the arm file's", "yellow")
+        return {joint.name: (joint.lower, joint.upper) for joint in config.joints}
+    pairs = zip(robot.joints, robot.lower.tolist(), robot.upper.tolist(), strict=True)
+    found = {name: (lower, upper) for name, lower, upper in pairs}
+    return {
+        j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
+        for j in config.joints
+    }
+
+
+def require_limp(arm: Arm) -> None:
+    """Raises ``ArmStateError`` where torque is on: nobody could move the arm by hand."""
+    from robot_ik.hardware.startup import read_all
+
+    torque = read_all(arm.bus, arm.config, "torque_enable")
+    if on := [servo.name for servo in arm.config.servos if torque.get(servo.id)]:
+        raise ArmStateError(
+            f"torque of {', '.join(on)} is on: the arm cannot be moved by hand",
+            hint="support the arm, then: robot-ik servo torque off",
+        )
+
+
+def _by_hand(arm: Arm, prompts: Prompts, pose: Mapping[str, float], limits: Limits) -> Calibration:
+    from robot_ik.hardware import calibration
+    from robot_ik.hardware.startup import read_all, shared_register
+
+    config, bus = arm.config, arm.bus
+    present = shared_register(config, "present_position")
+    sweep = calibration.Sweep(config, read_all(bus, config, "present_position"))
+
+    def sample(into: Sweep) -> None:
+        into.take({id: status.data for id, status in bus.sync_read(config.ids, present).items()})
+
+    prompts.step("1. sweep: turn every joint from one stop to the other", lambda: sample(sweep))
+    calibration.check_sweep(config, sweep)
+    _show_sweep(config, sweep)
+    where = ", ".join(f"{name} {math.degrees(q):g}" for name, q in pose.items())
+    prompts.step(f"2. zero: put the arm into the pose {where} (degrees) and hold it", lambda: sample(sweep))
+    zero = dict(sweep.now)
+    for _ in range(STILL_SAMPLES):
+        arm.clock.sleep_until(arm.clock.now() + 0.05)
+        sample(sweep)
+        for joint in config.joints:
+            if abs(sweep.now[joint.id] - zero[joint.id]) > calibration.STILL_TICKS:
+                raise HardwareError(
+                    f"joint {joint.name!r} moved while its zero was taken", hint="hold it still"
+                )
+    calibration.check_sweep(config, sweep)
+    directions = {}
+    for k, joint in enumerate(config.joints, 1):
+        before = dict(sweep.now)
+        text = f"3.{k} direction: turn {joint.name} alone by about 10 degrees in its positive direction"
+        prompts.step(text, lambda: sample(sweep))
+        directions[joint.name] = calibration.wiggled(config, joint, before, sweep.now)
+    measured = calibration.Measured(sweep, zero, pose, directions, limits)
+    return calibration.measured_calibration(bus, config, measured, sweep.now, _now())
+
+
+def _imported(arm: Arm, path: Path, limits: Limits) -> Calibration:
+    from robot_ik.hardware.lerobot_file import completed, load_lerobot
+    from robot_ik.hardware.startup import read_all
+
+    found = load_lerobot(path, arm.config, _now())
+    firmware = read_all(arm.bus, arm.config, "firmware_version")
+    present = read_all(arm.bus, arm.config, "present_position")
+    degrees = {name: (math.degrees(low), math.degrees(high)) for name, (low, high) in limits.items()}
+    return completed(found, firmware, present, degrees)
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def _write(options: CalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
+    """Checks against the servos first; then both files, the arm file last: it is the one that is used."""
+    from robot_ik.hardware.calibration import calibrated, check_calibration
+    from robot_ik.hardware.lerobot_file import save_lerobot
+
+    config = calibrated(arm.config, found)
+    check_calibration(arm.bus, config, found, limits)
+    if options.to_lerobot is not None:
+        save_lerobot(options.to_lerobot, found)
+    assert found.file is not None
+    found.save(found.file)
+    config.save(options.out)
+    _show(arm.config, config, found)
+    console.say(f"wrote {options.out} and {found.file}; from here on: --arm {options.out}", "green")
+
+
+def _check(options: CalibrateOptions) -> int:
+    from robot_ik.cli.servo_link import check_beside
+    from robot_ik.cli.sim_bus import load_arm
+    from robot_ik.hardware.calibration_file import Calibration, calibration_beside
+    from robot_ik.hardware.lerobot_file import save_lerobot
+
+    found = Calibration.load(calibration_beside(options.out))
+    config = load_arm(str(options.out))
+    limits = model_limits(config)
+    with arm_on(replace(options, arm=str(options.out)), config) as arm:
+        check_beside(arm, limits)
+    if options.to_lerobot is not None:
+        new_file(options.to_lerobot, options.overwrite)
+        save_lerobot(options.to_lerobot, found)
+    console.out().print(
+        f"{options.out}, its calibration, model and servos agree", markup=False, soft_wrap=True
+    )
+    return console.DONE
+
+
+def _show_sweep(config: ArmConfig, sweep: Sweep) -> None:
+    for joint in config.joints:
+        low, high = sweep.low[joint.id], sweep.high[joint.id]
+        way = math.degrees((high - low) * joint.resolution)
+        console.say(f"   {joint.name}: ticks {low} to {high}, {way:.0f} degrees")
+
+
+def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
+    shown = console.table("joint", "id", "swept ticks", "zero", "direction", "limits", "limits before")
+    for old, new, row in zip(before.joints, after.joints, found.joints, strict=True):
+        limits, formerly = (
+            f"{math.degrees(j.lower):.1f} .. {math.degrees(j.upper):.1f}°" for j in (new, old)
+        )
+        swept = f"{row.range_min} .. {row.range_max}"
+        shown.add_row(
+            row.name, str(row.id), swept, str(row.zero_ticks), f"{row.direction:+d}", limits, formerly
+        )
+    console.out().print(shown)

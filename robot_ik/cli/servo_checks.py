@@ -1,0 +1,105 @@
+"""The doctor at the servos of a port: who is there, how they are, what to do about it.  Writes nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+from robot_ik.cli.checks import NOTE, OK, PROBLEM, Row
+from robot_ik.cli.device_checks import serial_row
+from robot_ik.errors import HardwareError
+from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.scan import LIKELY, FoundServo, nobody_hint, scan
+
+WATCHDOG_FIRMWARE = 38
+"""First firmware of X servos with a Bus Watchdog."""
+
+_WARM = 10  # C below its limit, a servo is worth a word
+
+
+def servo_rows(port: str, config: ArmConfig) -> list[Row]:
+    """The port, then every servo of the arm file, then those that nobody expects.
+
+    All rates are tried only when a servo is missing at the arm file's.
+    """
+    port = os.path.expanduser(port)
+    rows = [serial_row(port, "servos")]
+    try:
+        found = scan(port, [config.baud])
+        seen = {servo.id for servo in found}
+        if not seen.issuperset(config.servo_ids):
+            found += scan(port, [rate for rate in LIKELY if rate != config.baud])
+    except HardwareError as error:
+        return [*rows, Row("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
+    if not found:
+        return [*rows, Row("servos", PROBLEM, f"nobody answers on {port}", nobody_hint(LIKELY))]
+    for servo in config.servos:
+        rows.append(_joint_row(servo, [f for f in found if f.id == servo.id], config))
+    known = set(config.servo_ids)
+    rows += [
+        Row(
+            f"servo {f.id}",
+            NOTE,
+            f"{f.model} at {f.baud}: not in the arm file",
+            "unplug it, or add its joint",
+        )
+        for f in found
+        if f.id not in known
+    ]
+    return rows
+
+
+def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) -> Row:
+    what = f"servo {servo.id} {servo.name}"
+    if not found:
+        do = (
+            "check its cable and power; a servo as bought has id 1: robot-ik servo setup --joint "
+            + servo.name
+        )
+        return Row(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
+    if len(found) > 1 or found[0].shared:
+        do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
+        return Row(what, PROBLEM, "answers collide: two servos with this id", do)
+    one = found[0]
+    for status, problem, do in _findings(servo, one, config):
+        return Row(what, status, f"{_about(one)}: {problem}", do)
+    return Row(what, OK, _about(one))
+
+
+def _about(f: FoundServo) -> str:
+    supply = "" if f.voltage is None else f", {f.voltage:.1f} V"
+    warm = "" if f.temperature is None else f", {f.temperature} C"
+    return f"{f.model}, firmware {f.firmware}{supply}{warm}"
+
+
+def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[str, str, str]]:
+    """(status, problem, what to do), the worst first."""
+    rows: list[tuple[str, str, str]] = []
+    setup = f"connect it alone: robot-ik servo setup --joint {servo.name}"
+    if f.model != servo.model:
+        rows.append((PROBLEM, f"the arm file says {servo.model}", "correct the arm file, or the servo's id"))
+    if f.baud != config.baud:
+        rows.append((PROBLEM, f"it talks at {f.baud}, the arm file says {config.baud}", setup))
+    low, high = (servo.table[f"{end}_voltage_limit"].initial or 0 for end in ("min", "max"))
+    if f.voltage is not None and not low <= 10.0 * f.voltage <= high:
+        text = f"its supply must be {low / 10:.1f} to {high / 10:.1f} V"
+        rows.append((PROBLEM, text, "check the power supply and the voltage drop along the cables"))
+    if f.errors:
+        do = "remove the cause, support the arm, then: robot-ik servo reset-fault"
+        rows.append((PROBLEM, f"it has shut down or warns: {', '.join(f.errors)}", do))
+    if f.firmware is not None and "bus_watchdog" not in (f.table or servo.table):
+        text = f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it runs on when the cable is pulled"
+        rows.append(
+            (PROBLEM, text, "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near")
+        )
+    hottest = servo.table["temperature_limit"].initial or 0
+    if f.temperature is not None and f.temperature > hottest - _WARM:
+        rows.append((NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"))
+    if f.torque:
+        rows.append((NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"))
+    if f.table is not None and "fast_read" not in f.table.abilities:
+        rows.append((NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"))
+    if f.return_delay:
+        text = f"it waits {f.return_delay} us before each answer"
+        rows.append((NOTE, text, "nothing: every start of the arm sets 0"))
+    return rows

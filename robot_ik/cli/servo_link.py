@@ -1,0 +1,181 @@
+"""What the subcommands of ``robot-ik servo`` share: which port, which arm, who is asked, how it ends."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+
+from robot_ik.catalogue import SERVO_ROBOT
+from robot_ik.cli import console
+from robot_ik.errors import BusNotOpenError, ConfigError, HardwareError, UnsafeCommandError
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.bus import ServoBus
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.ports import Clock
+
+#: Ports that only a machine's own board has; no adapter of servos is behind them.
+_ONBOARD = ("ttyS", "ttyAMA", "Bluetooth")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusOptions:
+    """Where the servos are."""
+
+    bus: Annotated[
+        str, arg(metavar="PORT|pty|sim", help_behavior_hint="(default: the only USB serial port)")
+    ] = ""
+    """Serial port of the servos; pty and sim: virtual ones."""
+    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
+    """Arm file (TOML), or a robot of the catalogue that has one."""
+
+
+def serial_ports() -> list[Any]:
+    """Serial ports of this machine behind which servos may be, as pyserial lists them."""
+    from serial.tools import list_ports
+
+    ports = [port for port in list_ports.comports() if not any(word in port.device for word in _ONBOARD)]
+    return sorted(ports, key=lambda port: str(port.device))
+
+
+def port_name(bus: str) -> str:
+    """The port meant: the one named, else the only one there is.
+
+    Raises:
+        BusNotOpenError: None is named and there is none, or more than one.
+    """
+    if bus:
+        return os.path.expanduser(bus)
+    ports = [str(port.device) for port in serial_ports()]
+    if len(ports) == 1:
+        return ports[0]
+    found = f"{len(ports)} serial ports are there: {', '.join(ports)}" if ports else "there is no serial port"
+    raise BusNotOpenError(
+        f"which port are the servos on? {found}",
+        hint="name one with --bus PORT; without servos: --bus pty" + ("" if ports else ", or plug one in"),
+    )
+
+
+@contextmanager
+def served_or_real(bus: str, arm: str) -> Iterator[str]:
+    """A port by name; for ``pty`` and ``sim`` one that serves the arm's virtual servos at their rate."""
+    name = port_name(bus)
+    if name not in ("pty", "sim"):
+        yield name
+        return
+    from robot_ik.cli.sim_bus import load_arm
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.pty import PtyPort
+    from robot_ik.ports import RealClock
+
+    with PtyPort(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
+        yield port.path
+
+
+def wrong(key: str, problem: str, allowed: str, hint: str = "") -> ConfigError:
+    """A wrong option."""
+    return ConfigError(problem, file="command line", key=key, allowed=allowed, hint=hint)
+
+
+def tried(action: Callable[[], int]) -> int:
+    """Runs what may fail on the way: an error of the hardware then means "tried, not achieved"."""
+    try:
+        return action()
+    except UnsafeCommandError:
+        raise
+    except HardwareError as error:
+        console.show_error(error)
+        return console.NOT_ACHIEVED
+
+
+@dataclass(frozen=True)
+class Link:
+    """An open bus, the arm on it, and the clock on which both run."""
+
+    bus: ServoBus
+    config: ArmConfig
+    clock: Clock
+
+
+@contextmanager
+def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Link]:
+    """The bus, open, and the arm file; nothing is asked of any servo yet.
+
+    Args:
+        options: From the command line.
+        config: Instead of the arm file.
+
+    Raises:
+        BusNotOpenError, ConfigError, UnknownRobotError.
+    """
+    from robot_ik.cli.sim_bus import load_arm
+    from robot_ik.hardware import bus_row, open_bus
+    from robot_ik.hardware.virtual.bus import VirtualBus
+
+    config = config or load_arm(options.arm)
+    name = port_name(options.bus)
+    clock = bus_row(name).clock()
+    servos = VirtualBus.from_config(config, clock) if bus_row(name).virtual else None
+    bus = open_bus(name, config, virtual_bus=servos)
+    try:
+        yield Link(bus, config, clock)
+    finally:
+        bus.close()
+
+
+def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
+    """The arm with these joints only; all where none is named.
+
+    Raises:
+        UnknownJointError: No such joint; close ones are named.
+    """
+    wanted = {config.joint(name).name for name in names}
+    kept = tuple(joint for joint in config.joints if not wanted or joint.name in wanted)
+    return replace(config, joints=kept)
+
+
+def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
+    """The arm of these options, still disconnected.
+
+    Raises:
+        BusNotOpenError: No port is named and there is not exactly one.
+        ConfigError: No such way to leave an arm.
+    """
+    from robot_ik.hardware import open_arm
+
+    return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
+
+
+def check_beside(arm: Arm, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
+    """Compares a connected arm with the calibration beside its arm file, where there is one.
+
+    Args:
+        arm: Connected.
+        limits: Joint -> limits of the model, rad; None: the model is not compared.
+
+    Raises:
+        CalibrationMismatchError: With a table of what differs.
+        ConfigError: The calibration cannot be read, or is of another arm.
+    """
+    from robot_ik.hardware.calibration import check_calibration
+    from robot_ik.hardware.calibration_file import Calibration, calibration_beside
+
+    file = arm.config.file
+    if file is not None and calibration_beside(file).exists():
+        check_calibration(arm.bus, arm.config, Calibration.load(calibration_beside(file)), limits or {})
+
+
+def left(arm: Arm) -> str:
+    """How an arm was left, in words."""
+    report = arm.exit_report
+    if report is None:
+        return ""
+    words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
+    text = words[report.done] + (" (parked first)" if report.parked else "")
+    return text if report.ok else f"{text}, NOT confirmed by {', '.join(report.unverified)}: cut the power"

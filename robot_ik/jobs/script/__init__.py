@@ -1,0 +1,22 @@
+"""Scripted test runs: a TOML file says what an arm shall do, what goes wrong, and what must be true.
+
+``load_script`` reads one, ``ScriptRun`` runs it; ``shipped`` names those that come along.
+"""
+
+from robot_ik.jobs.script.file import Script, find_script, load_script, parse_script, shipped
+from robot_ik.jobs.script.report import ScriptReport, StepResult, json_report
+from robot_ik.jobs.script.run import ScriptRequest, ScriptRun, run_script
+
+__all__ = [
+    "Script",
+    "ScriptReport",
+    "ScriptRequest",
+    "ScriptRun",
+    "StepResult",
+    "find_script",
+    "json_report",
+    "load_script",
+    "parse_script",
+    "run_script",
+    "shipped",
+]

@@ -1,0 +1,108 @@
+"""What a script asks of this robot, this arm and this bus, looked at before anything is opened or moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_ik.errors import UnknownFrameError
+from robot_ik.jobs.limbs import Limbs
+from robot_ik.jobs.script.faults import fault_for
+from robot_ik.jobs.script.file import Script
+from robot_ik.jobs.script.moves import gripper_joints, keyframes
+from robot_ik.jobs.script.steps import (
+    AnyStep,
+    ClearStep,
+    ExpectStep,
+    FollowStep,
+    GripStep,
+    InjectStep,
+    MarkerStep,
+    RecoverStep,
+)
+from robot_ik.solution import Status
+
+
+def looks(step: AnyStep) -> bool:
+    """Whether a step needs the camera."""
+    return isinstance(step, MarkerStep) or (isinstance(step, FollowStep) and step.path == "marker")
+
+
+def check_script(script: Script, limbs: Limbs) -> None:
+    """Names, ranges and kinds of every step.
+
+    Raises:
+        ConfigError: With the key of the first step that cannot be run here.
+    """
+    metal = limbs.arm is None or limbs.arm.virtual_bus is None
+    if metal and script.content.physics:
+        raise script.wrong(
+            "servos on a real port move by themselves", "physics", "false, or --bus sim or pty"
+        )
+    for k, step in enumerate(script.steps):
+        at = f"steps[{k}]"
+        if metal:
+            _check_metal(script, step, at)
+        _check_names(script, limbs, step, at)
+        if isinstance(step, GripStep) and not gripper_joints(limbs.robot):
+            raise script.wrong(
+                f"the arm of {limbs.robot.name!r} has no gripper",
+                f"{at}.do",
+                "an arm file with a servo for a joint of the group gripper (robot.toml)",
+            )
+        if isinstance(step, InjectStep):
+            _fault(script, limbs, step, at)
+
+
+def _check_metal(script: Script, step: AnyStep, at: str) -> None:
+    """On a real port nothing is broken on purpose, and nothing shut down is switched on again by itself."""
+    if isinstance(step, InjectStep | ClearStep | RecoverStep):
+        raise script.wrong(
+            f"{step.do!r} is for simulated servos, and this is a real port", f"{at}.do", "--bus sim or pty"
+        )
+    if isinstance(step, ExpectStep) and step.shafts:
+        raise script.wrong("nobody knows where real shafts are", f"{at}.shafts", "false, or --bus sim or pty")
+    if looks(step):
+        raise script.wrong(
+            "the synthetic camera does not see a real desk", f"{at}.do", "other steps, or robot-ik reach"
+        )
+
+
+def _check_names(script: Script, limbs: Limbs, step: AnyStep, at: str) -> None:
+    robot = limbs.robot
+    frame = getattr(step, "frame", None)
+    if frame is not None:
+        try:
+            robot.frame(frame)
+        except UnknownFrameError:
+            raise script.unknown("frame", frame, list(robot.frames), f"{at}.frame") from None
+    for joint, degrees in (getattr(step, "joints_deg", None) or {}).items():
+        if joint not in robot.joints:
+            raise script.unknown("joint", joint, list(robot.joints), f"{at}.joints_deg.{joint}")
+        k = robot.joints.index(joint)
+        low, high = float(np.degrees(robot.lower[k])), float(np.degrees(robot.upper[k]))
+        if not isinstance(step, ExpectStep) and not low - 1e-9 <= degrees <= high + 1e-9:
+            raise script.wrong(
+                f"{degrees:g}° is outside the limits", f"{at}.joints_deg.{joint}", f"{low:.1f} … {high:.1f}"
+            )
+    keyframe = getattr(step, "keyframe", None)
+    if keyframe is not None and keyframe not in (known := keyframes(robot)):
+        raise script.unknown("keyframe", keyframe, list(known), f"{at}.keyframe")
+    status = getattr(step, "status", None)
+    if status is not None and status not in (names := [s.name for s in Status]):
+        raise script.unknown("status", status, names, f"{at}.status")
+    joint = getattr(step, "joint", None)
+    if isinstance(step, ExpectStep) and joint is not None and joint not in robot.joints:
+        raise script.unknown("joint", joint, list(robot.joints), f"{at}.joint")
+
+
+def _fault(script: Script, limbs: Limbs, step: InjectStep, at: str) -> None:
+    assert limbs.config is not None
+    fault_for(
+        limbs.config,
+        step.kind,
+        joint=step.joint,
+        id=step.id,
+        value=step.value,
+        file=script.file,
+        key=at,
+    )

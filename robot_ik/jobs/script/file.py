@@ -1,0 +1,224 @@
+"""Reading a script, and what is said of a slip in it."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from robot_ik import errors
+from robot_ik.errors import ConfigError, RobotIkError, close_matches
+from robot_ik.jobs.script.steps import (
+    STEPS,
+    Action,
+    AnyStep,
+    ExpectStep,
+    FollowStep,
+    LineStep,
+    ScriptFile,
+    Table,
+)
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+
+@dataclass(frozen=True)
+class Script:
+    """A script and where it came from.
+
+    Attributes:
+        content: What it says.
+        file: For messages.
+        folder: From where paths in it are seen; None: the current one.
+    """
+
+    content: ScriptFile
+    file: str
+    folder: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self.content.name
+
+    @property
+    def steps(self) -> list[AnyStep]:
+        """In order."""
+        return self.content.steps
+
+    def wrong(self, problem: str, key: str, allowed: str = "", hint: str = "") -> ConfigError:
+        """The error for something in this script."""
+        return ConfigError(problem, file=self.file, key=key, allowed=allowed, hint=hint)
+
+    def unknown(self, what: str, name: str, known: list[str], key: str) -> ConfigError:
+        """The error for a name that does not exist; the close ones are named."""
+        return self.wrong(f"no {what} is called {name!r}", key, ", ".join(known), _did_you_mean(name, known))
+
+
+def shipped() -> dict[str, Path]:
+    """Name -> file of the scripts that come along."""
+    folder = Path(str(resources.files("robot_ik.jobs.script") / "shipped"))
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def find_script(name: str) -> Path:
+    """The file of that path, or the script of that name that comes along.
+
+    Raises:
+        ConfigError: Neither.
+    """
+    path = Path(name).expanduser()
+    known = shipped()
+    if path.is_file() or path.suffix or path.name != name:
+        return path
+    if name not in known:
+        hint = _did_you_mean(name, list(known))
+        raise ConfigError("there is no such script", file=name, allowed=", ".join(known), hint=hint)
+    return known[name]
+
+
+def load_script(path: Path | str) -> Script:
+    """Reads a script.
+
+    Raises:
+        ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        hint = f"scripts that come along: {', '.join(shipped())}"
+        raise ConfigError(f"the script cannot be read: {error}", file=path, hint=hint) from error
+    return parse_script(text, path)
+
+
+def parse_script(text: str, file: Path | str = "<text>") -> Script:
+    """The same from text; ``file`` appears in errors, and its folder is where paths are seen from."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not valid TOML: {error}", file=file) from None
+    try:
+        content = ScriptFile.model_validate(raw)
+    except ValidationError as error:
+        raise _explain(error.errors(include_url=False)[0], file) from None
+    script = Script(content, str(file), file.parent if isinstance(file, Path) else None)
+    for k, step in enumerate(content.steps):
+        _check_step(script, step, f"steps[{k}]")
+    return script
+
+
+def error_classes() -> Mapping[str, type[RobotIkError]]:
+    """Name -> class of every error that ``raises`` and ``error`` may name."""
+    found = {name: getattr(errors, name) for name in errors.__all__}
+    return {
+        name: kind
+        for name, kind in found.items()
+        if isinstance(kind, type) and issubclass(kind, RobotIkError)
+    }
+
+
+def _check_step(script: Script, step: AnyStep, at: str) -> None:
+    """What no single key can tell."""
+    classes = error_classes()
+    for key in ("raises", "error"):
+        name = getattr(step, key, None)
+        if name is not None and name not in classes:
+            raise script.unknown("error", name, list(classes), f"{at}.{key}")
+    if isinstance(step, LineStep) and (step.position is None) == (step.by is None):
+        raise script.wrong("a line goes to a position or by a vector", f"{at}.position", "position or by")
+    if isinstance(step, FollowStep):
+        _check_follow(script, step, at)
+    if isinstance(step, ExpectStep):
+        _check_expect(script, step, at)
+    turn = getattr(step, "wxyz", None)
+    if turn is not None and not any(turn):
+        raise script.wrong("a quaternion of zeros is no orientation", f"{at}.wxyz", "w x y z, not all zero")
+
+
+def _check_follow(script: Script, step: FollowStep, at: str) -> None:
+    given = [key for key in ("center", "radius", "period") if getattr(step, key) is not None]
+    if step.path == "marker":
+        wrong = [*given, *(key for key in ("normal", "wxyz") if getattr(step, key) is not None)]
+        if wrong:
+            raise script.wrong(
+                f"a marker goes its own way, so {wrong[0]} means nothing",
+                f"{at}.{wrong[0]}",
+                'nothing, or path = "circle" or "eight"',
+            )
+        return
+    for key in ("center", "radius", "period"):
+        if key not in given:
+            raise script.wrong("this key is missing", f"{at}.{key}", f'a value, for path = "{step.path}"')
+
+
+def _check_expect(script: Script, step: ExpectStep, at: str) -> None:
+    places = ("position", "wxyz", "joints_deg", "keyframe")
+    wanted = (*places, "state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
+    if all(getattr(step, key) is None for key in wanted):
+        raise script.wrong("nothing is expected", at, f"one or more of {', '.join(wanted)}")
+    for key in ("step_seconds", "run_seconds"):
+        span = getattr(step, key)
+        if span is not None and span[0] > span[1]:
+            raise script.wrong(f"{span} is empty", f"{at}.{key}", "[from, to]")
+
+
+# ------------------------------------------------------------------------------------- slips of pydantic
+
+
+def _did_you_mean(name: str, known: list[str]) -> str:
+    close = close_matches(name, known)
+    return f"did you mean {' or '.join(close)}?" if close else ""
+
+
+def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
+    where = detail["loc"]
+    model: type[Table] = ScriptFile
+    if where[:1] == ("steps",) and len(where) > 2:  # pydantic puts the kind of step behind its number
+        model = STEPS[str(where[2])]
+        where = (*where[:2], *where[3:])
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where).lstrip(".")
+    if detail["type"] == "extra_forbidden":
+        name = str(where[-1])
+        known = [info.alias or field for field, info in model.model_fields.items()]
+        return ConfigError(
+            f"unknown key {name!r}",
+            file=file,
+            key=key,
+            allowed=", ".join(known),
+            hint=_did_you_mean(name, known),
+        )
+    if detail["type"] == "missing":
+        return ConfigError("this key is missing", file=file, key=key, allowed="a value")
+    if detail["type"].startswith("union_tag"):
+        return _explain_kind(detail, file, key)
+    allowed = detail["msg"].removeprefix("Input should be a valid ").removeprefix("Input should be ")
+    return ConfigError(f"{_short(detail['input'])} is not right", file=file, key=key, allowed=allowed)
+
+
+def _explain_kind(detail: ErrorDetails, file: Path | str, key: str) -> ConfigError:
+    allowed = ", ".join(STEPS)
+    if detail["type"] == "union_tag_not_found":
+        return ConfigError("this key is missing", file=file, key=f"{key}.do", allowed=allowed)
+    name = str(detail["ctx"]["tag"])
+    return ConfigError(
+        f"no step is called {name!r}",
+        file=file,
+        key=f"{key}.do",
+        allowed=allowed,
+        hint=_did_you_mean(name, list(STEPS)),
+    )
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:59] + "…"
+
+
+__all__ = ["Action", "Script", "error_classes", "find_script", "load_script", "parse_script", "shipped"]

@@ -1,0 +1,200 @@
+"""The steps that move the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.jobs.reach_report import SOLVE_TOLERANCE
+from robot_ik.jobs.script.report import StepResult
+from robot_ik.jobs.script.situation import Situation, StepFailed
+from robot_ik.jobs.script.steps import (
+    GripStep,
+    JointsStep,
+    KeyframeStep,
+    LineStep,
+    MarkerStep,
+    PoseStep,
+    PositionStep,
+)
+from robot_ik.motion.line import line_move
+from robot_ik.motion.trajectory import joint_move
+from robot_ik.problem import Problem
+from robot_ik.solvers import make_solver
+
+if TYPE_CHECKING:
+    from robot_ik.ports import Array
+    from robot_ik.robot import Robot
+
+Move = PoseStep | PositionStep | LineStep | JointsStep | KeyframeStep | MarkerStep | GripStep
+
+
+# -------------------------------------------------------------------------------------- where to
+
+
+def keyframes(robot: Robot) -> dict[str, Array]:
+    """Name -> (nq,) of the model's keyframes, and ``home``."""
+    model = robot.model
+    places = model.jnt_qposadr[list(robot.tree.joint_ids)]  # a servo's joint is a hinge: one number
+    found = {model.key(k).name: np.array(model.key_qpos[k][places]) for k in range(model.nkey)}
+    return {**found, "home": robot.home}
+
+
+def with_joints(robot: Robot, q: Array, joints_deg: Mapping[str, float]) -> Array:
+    """``q`` (nq,) with these joints at these degrees."""
+    wanted = q.copy()
+    for name, degrees in joints_deg.items():
+        wanted[robot.joints.index(name)] = np.radians(degrees)
+    return wanted
+
+
+def gripper_joints(robot: Robot) -> list[str]:
+    """The joints of the group ``gripper`` that have servos."""
+    return [name for name in robot.file.groups.get("gripper", ()) if name in robot.joints]
+
+
+def gripper_angles(robot: Robot, q: Array, opening: float) -> Array:
+    """``q`` (nq,) with the gripper at a share of its range: 0 at the lower limits, 1 at the upper."""
+    wanted = q.copy()
+    for name in gripper_joints(robot):
+        k = robot.joints.index(name)
+        wanted[k] = robot.lower[k] + opening * (robot.upper[k] - robot.lower[k])
+    return wanted
+
+
+# --------------------------------------------------------------------------------------- how far
+
+
+def away_text(millimetres: float, degrees: float | None) -> str:
+    """One line for people."""
+    return f"{millimetres:.2f} mm" + ("" if degrees is None else f", {degrees:.2f}°")
+
+
+def pose_miss(
+    robot: Robot, q: Array, frame: str | None, position: Any, wxyz: Any
+) -> tuple[float | None, float | None]:
+    """Millimetres and degrees by which the frame at ``q`` misses, by MuJoCo; None where nothing was asked."""
+    at = robot.measure(q, frame)
+    metres = None if position is None else float(np.linalg.norm(at.position - np.asarray(position)))
+    angle = None if wxyz is None else at.distance(Pose(at.position, wxyz))[1]
+    return None if metres is None else 1e3 * metres, None if angle is None else float(np.degrees(angle))
+
+
+def joints_miss(robot: Robot, q: Array, wanted: Array) -> tuple[str, float]:
+    """The joint that is farthest off, and by how many degrees."""
+    off = np.degrees(np.abs(q - wanted))
+    worst = int(off.argmax())
+    return robot.joints[worst], float(off[worst])
+
+
+# --------------------------------------------------------------------------------------- the steps
+
+
+def go(now: Situation, step: Move, result: StepResult) -> None:
+    """Plans, sends, and waits until the servos have arrived.
+
+    Raises:
+        StepFailed: They did not, or not in time.
+        NotConvergedError, TrajectoryError: There is no way; nothing was sent.
+        RobotIkError: Of the arm or the camera.
+    """
+    start = now.start()
+    caps: dict[str, Any] = {
+        "velocity": now.config.velocity,
+        "acceleration": now.config.acceleration,
+        "rate": now.config.rate_hz,
+        "speed": step.speed or now.script.content.speed,
+    }
+    if isinstance(step, LineStep):
+        target = line_target(now.robot, start, step)
+        trajectory = line_move(
+            now.robot, start, target, frame=step.frame, linear_speed=step.linear_speed, **caps
+        )
+        judge = _by_pose(now, step, step.frame, target.position, target.wxyz)
+    elif isinstance(step, PoseStep | PositionStep | MarkerStep):
+        goal, frame, position, wxyz = _goal(now, step, result)
+        trajectory = joint_move(now.robot, start, solve_for(now, goal, start), **caps)
+        judge = _by_pose(now, step, frame, position, wxyz)
+    else:
+        wanted = _angles(now.robot, start, step)
+        trajectory = joint_move(now.robot, start, wanted, **caps)
+        judge = _by_joints(now, step, wanted)
+    now.play(trajectory, step.time_limit_s, lambda: judge()[0], result)
+    there, result.found, numbers = judge()
+    result.numbers.update(numbers)
+    if not there:
+        raise StepFailed(f"not arrived: {result.found}")
+
+
+def line_target(robot: Robot, start: Array, step: LineStep) -> Pose:
+    """Where the line ends, world."""
+    begin = robot.forward(start, step.frame)
+    position = begin.position + np.asarray(step.by) if step.position is None else np.asarray(step.position)
+    return Pose(position, begin.wxyz if step.wxyz is None else step.wxyz)
+
+
+def solve_for(now: Situation, goal: Goal, start: Array) -> Array:
+    """(nq,) that meets the goal.
+
+    Raises:
+        NotConvergedError: None was found.
+    """
+    problem = Problem(now.robot, goal, tolerance=SOLVE_TOLERANCE, seed=now.seed)
+    solution = make_solver(now.solver).solve(problem, start)
+    now.status = solution.status.name
+    return solution.require().q
+
+
+def _goal(
+    now: Situation, step: PoseStep | PositionStep | MarkerStep, result: StepResult
+) -> tuple[Goal, str | None, Any, Any]:
+    """Goal, frame, and the position and orientation by which it is judged."""
+    if isinstance(step, PoseStep):
+        frame = step.frame or now.robot.tool
+        return PoseGoal(frame, step.position, step.wxyz), frame, step.position, step.wxyz
+    if isinstance(step, PositionStep):
+        frame = step.frame or now.robot.tool
+        return PositionGoal(frame, step.position), frame, step.position, None
+    assert now.eyes is not None
+    seen = now.eyes.find_target()
+    assert seen.true_pose is not None  # the camera is synthetic
+    true = seen.true_pose.compose(now.eyes.stage.pose_marker_tool)
+    off = float(np.linalg.norm(seen.goal.target.position - true.position))
+    result.numbers["seen_off_mm"] = round(1e3 * off, 4)
+    return seen.goal, now.limbs.frame, true.position, true.wxyz if seen.goal.has_angle else None
+
+
+def _angles(robot: Robot, start: Array, step: JointsStep | KeyframeStep | GripStep) -> Array:
+    if isinstance(step, JointsStep):
+        return with_joints(robot, start, step.joints_deg)
+    if isinstance(step, KeyframeStep):
+        return keyframes(robot)[step.keyframe]
+    return gripper_angles(robot, start, step.opening)
+
+
+Judge = Callable[[], tuple[bool, str, dict[str, float]]]
+
+
+def _by_pose(now: Situation, step: Move, frame: str | None, position: Any, wxyz: Any) -> Judge:
+    def judge() -> tuple[bool, str, dict[str, float]]:
+        mm, deg = pose_miss(now.robot, now.arm.read().q, frame, position, wxyz)
+        assert mm is not None
+        numbers = {"off_mm": round(mm, 4)} | ({} if deg is None else {"off_deg": round(deg, 4)})
+        inside = mm <= step.tolerance_mm and (deg is None or deg <= step.tolerance_deg)
+        allowed = away_text(step.tolerance_mm, None if deg is None else step.tolerance_deg)
+        return inside, f"{away_text(mm, deg)} off; allowed {allowed}", numbers
+
+    return judge
+
+
+def _by_joints(now: Situation, step: Move, wanted: Array) -> Judge:
+    def judge() -> tuple[bool, str, dict[str, float]]:
+        joint, deg = joints_miss(now.robot, now.arm.read().q, wanted)
+        text = f"{joint} {deg:.2f}° off; allowed {step.tolerance_deg:.2f}°"
+        return deg <= step.tolerance_deg, text, {"off_deg": round(deg, 4)}
+
+    return judge

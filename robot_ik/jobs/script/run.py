@@ -1,0 +1,280 @@
+"""Runs a script: step after step on one arm, until one fails or all have passed."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from robot_ik.catalogue import catalogue, find_robot
+from robot_ik.errors import RobotIkError
+from robot_ik.goals import PoseGoal
+from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.jobs.limbs import prepare_limbs
+from robot_ik.jobs.reach_request import ReachRequest
+from robot_ik.jobs.script.check import check_script, looks
+from robot_ik.jobs.script.expect import expect
+from robot_ik.jobs.script.faults import Mischief, fault_for
+from robot_ik.jobs.script.file import Script, error_classes
+from robot_ik.jobs.script.follow import follow_goal
+from robot_ik.jobs.script.looking import open_camera
+from robot_ik.jobs.script.moves import go
+from robot_ik.jobs.script.recover import recover
+from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
+from robot_ik.jobs.script.situation import Situation, StepFailed
+from robot_ik.jobs.script.steps import (
+    Action,
+    AnyStep,
+    ClearStep,
+    ExpectStep,
+    FollowStep,
+    HoldStep,
+    InjectStep,
+    RecoverStep,
+    WaitStep,
+)
+from robot_ik.solve import solve
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class ScriptRequest:
+    """On what a script shall run.
+
+    Attributes:
+        bus: ``sim``, ``pty`` or a serial port.
+        robot: Instead of the script's: catalogue name or path; empty: the script's.
+        arm_file: Instead of the script's, or of the one beside the model.
+        seed: Instead of the script's.
+    """
+
+    bus: str = "sim"
+    robot: str = ""
+    arm_file: Path | None = None
+    seed: int | None = None
+
+
+def run_script(
+    script: Script, request: ScriptRequest | None = None, progress: Progress = lambda name, share: None
+) -> ScriptReport:
+    """Runs a script; whether it passed is in the report, never an exception.
+
+    Raises:
+        RobotIkError: Wrong script or environment: no step was run.
+    """
+    return ScriptRun(script, request or ScriptRequest()).run(progress)
+
+
+class ScriptRun:
+    """One run of one script.
+
+    Attributes:
+        report: Grows while it runs, and is whole as far as it goes whenever the run ends.
+    """
+
+    def __init__(self, script: Script, request: ScriptRequest) -> None:
+        """Loads robot and arm and checks every step against them; nothing is opened.
+
+        Raises:
+            ConfigError, ModelError: The script asks for what is not there.
+        """
+        content = script.content
+        self._script = script
+        self._seed = content.seed if request.seed is None else request.seed
+        robot = request.robot or _seen_from(script, content.robot)
+        arm_file = request.arm_file
+        if arm_file is None and content.arm is not None and not request.robot:
+            arm_file = Path(_seen_from(script, content.arm))
+        self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
+        self._limbs = prepare_limbs(self._request)
+        check_script(script, self._limbs)
+        rows = [StepResult(step.name or describe(step), step.do) for step in script.steps]
+        virtual = request.bus == "sim"
+        self.report = ScriptReport(
+            script.name, script.file, self._limbs.robot.name, request.bus, self._seed, virtual,
+            [*rows, StepResult("leave the arm", "leave")],
+        )  # fmt: skip
+
+    def run(self, progress: Progress = lambda name, share: None) -> ScriptReport:
+        """Runs all steps, or up to the first that fails, and leaves the arm as its file says.
+
+        Raises:
+            RobotIkError: The arm cannot be connected or switched on: no step was run.
+        """
+        limbs, report = self._limbs, self.report
+        method = find_robot(self._request.robot)[1].solver or "auto"
+        now = Situation(self._script, limbs, method, self._seed)
+        try:
+            with contextlib.ExitStack() as stack:
+                self._prepare(now, stack, progress)
+                stack.enter_context(limbs.connected())
+                limbs.energise()
+                now.stand()
+                now.begin = limbs.clock.now()
+                try:
+                    self._steps(now, progress)
+                except BaseException:
+                    report.interrupted = True
+                    raise
+                finally:
+                    report.seconds = now.now()
+        finally:
+            _tell_leaving(now, report.steps[-1])
+        return report
+
+    def _prepare(self, now: Situation, stack: contextlib.ExitStack, progress: Progress) -> None:
+        """Does what takes long while no servo has torque: compiles the solver, paints the scene."""
+        limbs, robot = now.limbs, now.robot
+        servos = now.arm.virtual_bus
+        if servos is not None:
+            servos.set_faults(Faults(seed=self._seed))
+            now.mischief = Mischief(servos)
+            if self._script.content.physics:
+                from robot_ik.hardware.virtual.world import World
+
+                World(robot.model, now.config, servos)
+        progress("getting ready", 0.0)
+        solve(robot, PoseGoal.at(limbs.frame, robot.forward(robot.home, limbs.frame)), solver=now.solver)
+        if any(looks(step) for step in self._script.steps):
+            now.eyes = open_camera(limbs, self._script.content.marker_at, self._seed, stack)
+            if any(isinstance(step, FollowStep) for step in self._script.steps):
+                now.eyes.get_ready_to_follow()
+
+    def _steps(self, now: Situation, progress: Progress) -> None:
+        counters: Counter[str] = Counter()
+        for k, (step, result) in enumerate(zip(self._script.steps, self.report.steps, strict=False)):
+            progress(result.name, k / len(self._script.steps))
+            before = Counter(now.limbs.counters())
+            run_step(now, step, result)
+            if not isinstance(
+                step, RecoverStep
+            ):  # how often a dead servo is asked while leaving is real time
+                counters.update({key: n - before[key] for key, n in now.limbs.counters().items()})
+            self.report.counters = dict(counters)
+            if result.outcome == FAILED:
+                return
+
+
+def _tell_leaving(now: Situation, row: StepResult) -> None:
+    left = now.arm.exit_report
+    if left is None:  # it was never connected
+        return
+    row.outcome = PASSED if left.ok else FAILED
+    row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'nobody'}"
+    if left.unverified:
+        row.found += f"; not by {', '.join(left.unverified)}: torque may be on"
+
+
+def run_step(now: Situation, step: AnyStep, result: StepResult) -> None:
+    """One step; how it went is in ``result``."""
+    begin = now.limbs.clock.now()
+    wanted = step.raises if isinstance(step, Action) else None
+    result.outcome, result.found = FAILED, "interrupted"
+    try:
+        result.found = ""
+        DO[step.do](now, step, result)
+        result.outcome = PASSED
+        if wanted is not None:
+            result.outcome, result.found = FAILED, f"no error came; {wanted} was expected"
+    except StepFailed as failure:
+        result.found = str(failure)
+    except RobotIkError as error:
+        now.error = error
+        name, text = type(error).__name__, str(error.args[0]) if error.args else ""
+        result.found = f"{name}: {text}".replace("\n", " ")
+        result.numbers["error"] = name
+        if wanted is not None and isinstance(error, error_classes()[wanted]):
+            result.outcome = PASSED
+        elif wanted is not None:
+            result.found += f" ({wanted} was expected)"
+    except BaseException:
+        result.found = "interrupted"
+        raise
+    finally:
+        result.seconds = now.limbs.clock.now() - begin
+    if isinstance(step, Action):
+        _take_time(now, step, result)
+
+
+def _take_time(now: Situation, step: Action, result: StepResult) -> None:
+    now.seconds = result.seconds
+    over = step.time_limit_s is not None and result.seconds > step.time_limit_s + 0.5 / now.config.rate_hz
+    if over and result.outcome == PASSED:
+        result.outcome = FAILED
+        result.found = f"took {result.seconds:.2f} s, allowed {step.time_limit_s:g} s; {result.found}"
+
+
+def _wait(now: Situation, step: WaitStep, result: StepResult) -> None:
+    if now.movable:
+        now.repeat(step.seconds)
+    else:
+        now.limbs.clock.sleep_until(now.limbs.clock.now() + step.seconds)
+
+
+def _hold(now: Situation, step: HoldStep, result: StepResult) -> None:
+    now.arm.hold()
+    now.stand()
+
+
+def _inject(now: Situation, step: InjectStep, result: StepResult) -> None:
+    assert now.mischief is not None
+    fault = fault_for(now.config, step.kind, joint=step.joint, id=step.id, value=step.value)
+    now.mischief.inject(fault, step.in_s, step.for_s)
+
+
+def _clear(now: Situation, step: ClearStep, result: StepResult) -> None:
+    assert now.mischief is not None
+    result.numbers["cleared"] = now.mischief.clear(step.kind)
+
+
+def _expect(now: Situation, step: ExpectStep, result: StepResult) -> None:
+    expect(now, step, result)
+
+
+def _follow(now: Situation, step: FollowStep, result: StepResult) -> None:
+    follow_goal(now, step, result)
+
+
+def _recover(now: Situation, step: RecoverStep, result: StepResult) -> None:
+    recover(now)
+
+
+DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyType(
+    {
+        **dict.fromkeys(("pose", "position", "line", "joints", "keyframe", "marker", "grip"), go),
+        "follow": _follow,
+        "wait": _wait,
+        "hold": _hold,
+        "inject": _inject,
+        "clear": _clear,
+        "recover": _recover,
+        "expect": _expect,
+    }
+)
+"""What does each kind of step; as many as there are in ``STEPS``."""
+
+
+def describe(step: AnyStep) -> str:
+    """What a step without a name is called: its kind and its first word or numbers."""
+    words: list[str] = [step.do]
+    for key in ("keyframe", "path", "kind", "joint", "position", "by", "joints_deg", "seconds", "opening"):
+        value = getattr(step, key, None)
+        if isinstance(value, dict):
+            words += [f"{joint} {degrees:g}°" for joint, degrees in value.items()]
+        elif isinstance(value, list):
+            words += [f"{number:g}" for number in value]
+        elif value is not None:
+            words.append(f"{value:g} s" if key == "seconds" else str(value))
+    return " ".join(words)
+
+
+def _seen_from(script: Script, name: str) -> str:
+    """A robot of the catalogue, or a path seen from the script's folder."""
+    if name in catalogue() or script.folder is None:
+        return name
+    return str(script.folder / Path(name).expanduser())

@@ -1,0 +1,143 @@
+"""Fixtures with which people test their own robot programs: an arm, its servos, and what goes wrong.
+
+pytest finds this module by itself wherever robot_ik is installed (entry point ``pytest11``).  Nothing is
+imported before a test asks for one of the fixtures.  Another arm: define ``virtual_arm_config`` anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.fault_file import FaultScript
+    from robot_ik.ports import Array
+
+
+@pytest.fixture
+def virtual_arm_config() -> ArmConfig:
+    """The arm file: that of the desk arm.  Define a fixture of this name for another one."""
+    from robot_ik.catalogue import SERVO_ROBOT, catalogue
+    from robot_ik.hardware.config import ArmConfig
+
+    return ArmConfig.load(catalogue()[SERVO_ROBOT] / "arm.toml")
+
+
+@pytest.fixture
+def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
+    """(n,) rad where the arm stands at first: the robot's home, or zeros where its model is not at hand."""
+    from robot_ik.errors import RobotIkError
+    from robot_ik.robot import load_robot
+
+    try:
+        robot = load_robot(virtual_arm_config.robot, joints=virtual_arm_config.names)
+    except RobotIkError:
+        return None
+    return robot.home if robot.joints == virtual_arm_config.names else None
+
+
+@pytest.fixture
+def virtual_bus(
+    request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_arm_start: Array | None
+) -> VirtualBus:
+    """The simulated servos: registers, shafts, faults.
+
+    On virtual time, which passes only when somebody sleeps on ``virtual_bus.clock``; on real time in a test
+    that uses ``virtual_port``.
+    """
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.ports import RealClock, VirtualClock
+
+    clock = RealClock() if "virtual_port" in request.fixturenames else VirtualClock()
+    return VirtualBus.from_config(virtual_arm_config, clock, virtual_arm_start)
+
+
+@pytest.fixture
+def virtual_arm(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Iterator[Arm]:
+    """An arm on these servos, connected and enabled; left as its file says when the test ends."""
+    from robot_ik.hardware import open_arm
+
+    with open_arm(virtual_arm_config, "sim", virtual_bus=virtual_bus) as arm:
+        arm.enable()
+        yield arm
+
+
+@pytest.fixture
+def virtual_port(virtual_bus: VirtualBus) -> Iterator[str]:
+    """Path of a serial port behind which these servos are: for programs that open one, in any language.
+
+    Skips the test where there are no pseudo terminals (Windows).
+    """
+    try:
+        from robot_ik.hardware.virtual.pty import PtyPort
+    except ImportError as reason:
+        pytest.skip(f"this system has no pseudo terminals ({reason})")
+    with PtyPort(virtual_bus) as port:
+        yield str(port.path)
+
+
+class FaultPlayer:
+    """Lets faults happen on the servos of a test; times count from the call.
+
+    Args:
+        config: Of the arm.
+        bus: Its servos.
+    """
+
+    def __init__(self, config: ArmConfig, bus: VirtualBus) -> None:
+        from robot_ik.jobs.script.faults import Mischief
+
+        self._config, self._bus, self._mischief = config, bus, Mischief(bus)
+
+    def __call__(self, source: str | Path) -> FaultScript:
+        """Plays a file of faults, or the text of one.
+
+        Raises:
+            ConfigError: It cannot be read, or a key is unknown, missing or out of range.
+        """
+        import dataclasses
+
+        from robot_ik.hardware.virtual.fault_file import load_faults, parse_faults
+
+        text = isinstance(source, str) and "\n" in source
+        script = parse_faults(str(source), self._config) if text else load_faults(source, self._config)
+        self._bus.set_faults(dataclasses.replace(self._bus.faults, seed=script.seed))
+        for fault in script.faults:
+            self._mischief.inject(fault, fault.at or 0.0, fault.lasts)
+        return script
+
+    def inject(
+        self,
+        kind: str,
+        joint: str | None = None,
+        *,
+        id: int | None = None,
+        value: float | None = None,
+        in_s: float = 0.0,
+        for_s: float | None = None,
+    ) -> None:
+        """Lets one fault happen: a kind of the virtual bus, in ``in_s`` seconds, for ``for_s`` or for good.
+
+        Raises:
+            ConfigError: No such kind, joint or value.
+        """
+        from robot_ik.jobs.script.faults import fault_for
+
+        fault = fault_for(self._config, kind, joint=joint, id=id, value=value, file="fault_script")
+        self._mischief.inject(fault, in_s, for_s)
+
+    def clear(self, kind: str | None = None) -> int:
+        """Takes faults back, all or of one kind; servos that shut down restart.  How many there were."""
+        return self._mischief.clear(kind)
+
+
+@pytest.fixture
+def fault_script(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> FaultPlayer:
+    """``fault_script(file or text)`` plays a file of faults, ``.inject(kind, joint)`` one; ``.clear()``."""
+    return FaultPlayer(virtual_arm_config, virtual_bus)

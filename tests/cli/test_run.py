@@ -1,0 +1,105 @@
+"""``robot-ik run``: what it prints and writes, and its exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from robot_ik.jobs.script import shipped
+from robot_ik.jobs.script.situation import Situation
+
+WAIT = 'schema = 1\nname = "wait a little"\n[[steps]]\ndo = "wait"\nseconds = 0.2\n'
+FAIL = WAIT + '[[steps]]\ndo = "expect"\nstate = "fault"\n[[steps]]\ndo = "hold"\n'
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    path = tmp_path / "wait.toml"
+    path.write_text(WAIT)
+    return path
+
+
+def test_passed_is_0_and_leaves_reports(tmp_path: Path, script: Path, robot_ik: Any) -> None:
+    run = robot_ik("run", script, "--json", tmp_path / "r.json", "--junit", tmp_path / "r.xml", "--seed", 5)
+    assert (run.code, run.err) == (0, "")
+    assert (
+        "wait a little: PASSED  2 of 2 steps, 0.20 s of virtual time, tabletop_puma on sim, seed 5" in run.out
+    )
+    said = json.loads((tmp_path / "r.json").read_text())
+    assert said["passed"] and said["seed"] == 5 and len(said["steps"]) == 2
+    suite = ElementTree.parse(tmp_path / "r.xml").getroot()[0]
+    assert (suite.get("tests"), suite.get("failures")) == ("2", "0")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "r.json",
+        "r.xml",
+        "wait.toml",
+    ]  # nothing half
+
+
+def test_failed_is_1_and_json_may_go_to_stdout(script: Path, robot_ik: Any) -> None:
+    script.write_text(FAIL)
+    run = robot_ik("run", script, "--json", "-")
+    assert run.code == 1
+    assert [step["outcome"] for step in json.loads(run.out)["steps"]] == [
+        "passed",
+        "failed",
+        "not run",
+        "passed",
+    ]
+    run = robot_ik("run", script)
+    assert run.code == 1
+    assert "state enabled instead of fault" in run.out and "FAILED" in run.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["overlaod"], "did you mean overload"),
+        (["missing.toml"], "cannot be read"),
+        (["{script}", "--robot", "pma560"], "puma560"),
+        (["{script}", "--bus", "/dev/nowhere"], "/dev/nowhere"),
+        (["{script}", "--json", "no/such/folder/r.json"], "no such folder"),
+        (["{script}", "--arm", "no.toml"], "no.toml"),
+        (["overload", "--bus", "/dev/nowhere"], "steps[0].do"),
+    ],
+)
+def test_wrong_input_is_2(arguments: list[str], said: str, script: Path, robot_ik: Any) -> None:
+    run = robot_ik("run", *(word.format(script=script) for word in arguments))
+    run.assert_one_screen_error()
+    assert said in run.err
+
+
+def test_interrupted_is_130_and_leaves_its_report(
+    tmp_path: Path, script: Path, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(self: Situation, *rest: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
+
+    monkeypatch.setattr(Situation, "repeat", interrupted)
+    script.write_text(FAIL)
+    run = robot_ik("run", script, "--json", tmp_path / "r.json")
+    assert run.code == 130 and run.err == "interrupted\n"
+    said = json.loads((tmp_path / "r.json").read_text())
+    assert said["interrupted"] and not said["passed"]
+    assert [step["outcome"] for step in said["steps"]] == ["failed", "not run", "not run", "passed"]
+    assert "torque_off" in said["steps"][-1]["found"]
+
+
+def test_another_robot_and_a_pty(script: Path, robot_ik: Any) -> None:
+    run = robot_ik("run", script, "--robot", "puma560", "--bus", "pty")
+    assert run.code == 0 and "puma560 on pty" in run.out
+
+
+def test_without_a_script_those_that_come_along(robot_ik: Any) -> None:
+    run = robot_ik("run")
+    assert run.code == 0
+    for name in shipped():
+        assert name in run.out

@@ -1,0 +1,86 @@
+"""The doctor at the servos' bedside: each illness is named with its cure, nothing is written."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from robot_ik.cli import checks, doctor
+from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.ports import RealClock
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch, desk: Any) -> None:
+    from robot_ik.hardware import scan
+
+    monkeypatch.setattr(scan, "listening_time", lambda baud: 0.03)
+    monkeypatch.setattr(scan, "KNOCK", 0.006)
+    monkeypatch.setattr(scan, "IDS", range(8))
+    monkeypatch.setattr(doctor, "CHECKS", [])
+    for servo in desk.bus.servos:
+        servo.memory.set("return_delay_time", 0)
+
+
+@pytest.fixture
+def rows(robot_ik: Any, desk: Any) -> Callable[[], Any]:
+    """``rows()``: the exit code, and what was said of each servo by id."""
+
+    def look() -> tuple[int, dict[int, dict[str, str]]]:
+        run = robot_ik("doctor", *desk.at, "--json")
+        said = [row for row in json.loads(run.out)["rows"] if row["what"].startswith("servo ")]
+        return run.code, {int(row["what"].split()[1]): row for row in said}
+
+    return look
+
+
+def test_healthy_servos(rows: Any) -> None:
+    code, found = rows()
+    assert code == 0 and [row["status"] for row in found.values()] == [checks.OK] * 3
+    assert "12.0 V" in found[1]["found"] and "firmware 48" in found[1]["found"]
+
+
+def memory(name: str, value: int) -> Callable[[Any], object]:
+    return lambda desk: desk.servo(2).memory.set(name, value)
+
+
+@pytest.mark.parametrize(
+    ("illness", "status", "found", "cure"),
+    [
+        (lambda d: setattr(d.servo(2), "silent", True), checks.PROBLEM, "no XL430-W250 answers", "cable"),
+        (memory("baud_rate", 1), checks.PROBLEM, "talks at 57600", "setup --joint joint2"),
+        (memory("model_number", 1020), checks.PROBLEM, "says XL430-W250", "arm file"),
+        (lambda d: d.servo(2).set_supply(5.0), checks.PROBLEM, "6.0 to 14.0 V", "power supply"),
+        (lambda d: d.servo(2).inject_error("overload"), checks.PROBLEM, "overload", "reset-fault"),
+        (memory("firmware_version", 37), checks.PROBLEM, "Bus Watchdog", "Wizard"),
+        (memory("firmware_version", 42), checks.NOTE, "fast reads", "update"),
+        (memory("return_delay_time", 250), checks.NOTE, "500 us", "sets 0"),
+        (memory("torque_enable", 1), checks.NOTE, "torque is on", "torque off"),
+        (lambda d: d.bus.add(VirtualServo("XL430-W250", 2, RealClock())), checks.PROBLEM, "two", "--id N"),
+    ],
+)
+def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: Any, desk: Any) -> None:
+    illness(desk)
+    code, seen = rows()
+    row = seen[2]
+    assert row["status"] == status and found in row["found"] and cure in row["do"], row
+    assert code == (2 if status == checks.PROBLEM else 0)
+    assert seen[1]["status"] == seen[3]["status"] == checks.OK
+
+
+def test_a_stranger_on_the_bus(rows: Any, desk: Any) -> None:
+    desk.bus.add(VirtualServo("XM540-W270", 7, RealClock()))
+    code, found = rows()
+    assert code == 0 and "XM540-W270" in found[7]["found"] and found[7]["status"] == checks.NOTE
+
+
+def test_no_such_port_and_no_such_arm(robot_ik: Any, tmp_path: Any) -> None:
+    run = robot_ik("doctor", "--bus", tmp_path / "no")
+    assert run.code == 2 and "no such port" in run.out
+    robot_ik("doctor", "--bus", "x", "--arm", "pmua560").assert_one_screen_error()

@@ -1,0 +1,187 @@
+"""Finding servos and giving them an address, over a real port with servos at rates of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.ports import RealClock
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
+
+
+@pytest.fixture(autouse=True)
+def _servos_answer_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    from robot_ik.hardware import scan
+
+    monkeypatch.setattr(scan, "listening_time", lambda baud: 0.03)
+    monkeypatch.setattr(scan, "KNOCK", 0.006)
+    monkeypatch.setattr(scan, "IDS", range(20))
+
+
+@pytest.fixture
+def ports(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """``ports("/dev/…", …)``: the serial ports that this machine has."""
+    from serial.tools import list_ports
+
+    def having(*names: str) -> None:
+        found = [
+            SimpleNamespace(device=n, description="U2D2", vid=0x0403, pid=0x6014, serial_number="FT1")
+            for n in names
+        ]
+        monkeypatch.setattr(list_ports, "comports", lambda: found)
+
+    return having
+
+
+def test_ports_without_any(robot_ik: Any, ports: Any) -> None:
+    ports("/dev/ttyS0")
+    run = robot_ik("servo", "ports")
+    run.assert_one_screen_error(code=1)
+
+
+def test_ports_name_the_adapter_and_who_uses_it(robot_ik: Any, ports: Any, desk: Any) -> None:
+    ports(desk.port)
+    (row,) = json.loads(robot_ik("servo", "ports", "--json").out)["ports"]
+    assert (row["port"], row["usb"], row["adapter"], row["serial"]) == (desk.port, "0403:6014", "U2D2", "FT1")
+    assert any(f"({os.getpid()})" in user for user in row["used_by"])  # this process serves it
+    run = robot_ik("servo", "ports")
+    assert run.code == 0 and "0403:6014" in run.out
+
+
+def test_a_name_that_survives_replugging(tmp_path: Any) -> None:
+    from robot_ik.cli.servo_ports import stable_name
+
+    names = tmp_path / "by-id"
+    names.mkdir()
+    (tmp_path / "ttyUSB0").write_text("")
+    (names / "usb-FTDI-if00").symlink_to("../ttyUSB0")
+    assert stable_name(str(tmp_path / "ttyUSB0"), str(names)) == str(names / "usb-FTDI-if00")
+    assert stable_name(str(tmp_path / "ttyUSB1"), str(names)) == ""
+
+
+def test_the_only_port_needs_no_name(robot_ik: Any, ports: Any, desk: Any) -> None:
+    ports(desk.port)
+    assert robot_ik("servo", "scan", "--baud", "1000000").code == 0
+    ports(desk.port, "/dev/ttyUSB9")
+    run = robot_ik("servo", "scan")
+    run.assert_one_screen_error()
+    assert "/dev/ttyUSB9" in run.err
+    ports()
+    robot_ik("servo", "scan").assert_one_screen_error()
+
+
+def test_every_rate_is_tried(robot_ik: Any, desk: Any) -> None:
+    desk.servo(2).memory.set("baud_rate", 7)  # 4.5 M, which the SDK alone cannot open
+    desk.servo(3).memory.set("baud_rate", 1)
+    desk.servo(3).set_supply(9.0)
+    report = json.loads(robot_ik("servo", "scan", *desk.at, "--json").out)
+    assert len(report["bauds"]) == 8
+    seen = {s["id"]: s for s in report["servos"]}
+    assert {id: s["baud"] for id, s in seen.items()} == {1: 1_000_000, 2: 4_500_000, 3: 57_600}
+    assert {id: s["model"] for id, s in seen.items()} == {1: "XM430-W350", 2: "XL430-W250", 3: "XL330-M288"}
+    assert seen[3]["errors"] == ["input_voltage"] and seen[3]["voltage"] == 9.0
+    assert seen[1]["firmware"] == 48 and seen[1]["torque"] is False and not seen[1]["shared"]
+
+
+def test_two_servos_with_one_id_are_suspected(robot_ik: Any, desk: Any) -> None:
+    desk.bus.add(VirtualServo("XL430-W250", 2, RealClock()))
+    run = robot_ik("servo", "scan", *desk.at, "--baud", "1000000", "--json")
+    seen = {s["id"]: s["shared"] for s in json.loads(run.out)["servos"]}
+    assert seen == {1: False, 2: True, 3: False}
+    assert "id 2" in run.err and "another" in run.err
+
+
+def test_nobody_answers(robot_ik: Any, desk: Any) -> None:
+    run = robot_ik("servo", "scan", *desk.at, "--baud", "2000000")
+    run.assert_one_screen_error(code=1)
+    assert "supply" in run.err and "57600" in run.err  # what to look at, and what was not tried
+
+
+def test_scan_in_process(robot_ik: Any) -> None:
+    run = robot_ik("servo", "scan", "--bus", "sim", "--baud", "1000000")
+    assert run.code == 0 and run.out.count("XM430-W350") == 2
+
+
+@pytest.mark.parametrize("rate", ["1234", "0", "x"])
+def test_a_rate_that_no_servo_has(rate: str, robot_ik: Any, desk: Any) -> None:
+    run = robot_ik("servo", "scan", *desk.at, "--baud", rate)
+    assert run.code == 2 and run.out == "" and "Traceback" not in run.err
+
+
+# ----------------------------------------------------------------------------------------- setup
+
+
+def alone(desk: Any, *, baud_code: int = 1, id: int = 1) -> VirtualServo:
+    """Only the servo of joint3 is connected, as bought."""
+    for other in (1, 2):
+        desk.bus.remove(desk.servo(other))
+    servo = desk.servo(3)
+    servo.memory.set("baud_rate", baud_code)
+    servo.memory.set("id", id)
+    return servo
+
+
+def test_setup_by_joint(robot_ik: Any, desk: Any) -> None:
+    servo = alone(desk)
+    run = robot_ik("servo", "setup", *desk.at, "--joint", "joint3")
+    assert run.code == 0, run.err
+    assert (servo.id, servo.baud, servo.return_delay) == (3, 1_000_000, 0.0)
+
+
+def test_setup_by_number(robot_ik: Any, desk: Any) -> None:
+    servo = alone(desk, baud_code=3, id=9)
+    run = robot_ik("servo", "setup", *desk.at, "--id", 17, "--baud", 57_600, "--from-baud", 1_000_000)
+    assert run.code == 0 and (servo.id, servo.baud) == (17, 57_600)
+
+
+def test_setup_refuses_company(robot_ik: Any, desk: Any) -> None:
+    run = robot_ik("servo", "setup", *desk.at, "--id", 9, "--from-baud", 1_000_000)
+    run.assert_one_screen_error()
+    assert "3 servos" in run.err
+    assert sorted(servo.id for servo in desk.bus.servos) == [1, 2, 3]
+
+
+def test_setup_refuses_two_of_one_id(robot_ik: Any, desk: Any) -> None:
+    alone(desk)
+    other = VirtualServo("XL330-M288", 1, RealClock(), baud=57_600)
+    desk.bus.add(other)
+    robot_ik("servo", "setup", *desk.at, "--id", 9, "--from-baud", 57_600).assert_one_screen_error()
+    assert other.id == 1
+
+
+def test_setup_refuses_a_servo_with_torque(robot_ik: Any, desk: Any) -> None:
+    servo = alone(desk)
+    servo.memory.set("torque_enable", 1)
+    run = robot_ik("servo", "setup", *desk.at, "--id", 9, "--from-baud", 57_600)
+    run.assert_one_screen_error()
+    assert servo.id == 1 and "torque off" in run.err
+
+
+def test_setup_refuses_another_model(robot_ik: Any, desk: Any) -> None:
+    servo = alone(desk)
+    run = robot_ik("servo", "setup", *desk.at, "--joint", "joint1", "--from-baud", 57_600)
+    assert run.code == 2 and "XM430-W350" in run.err and servo.id == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [(), ("--id", 3, "--joint", "joint1"), ("--id", 253), ("--joint", "joitn1"), ("--id", 3, "--baud", 7)],
+)
+def test_setup_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -> None:
+    robot_ik("servo", "setup", *desk.at, *options).assert_one_screen_error()
+
+
+def test_setup_of_a_rate_that_the_model_has_not(robot_ik: Any, desk: Any) -> None:
+    servo = alone(desk)
+    run = robot_ik("servo", "setup", *desk.at, "--id", 3, "--baud", 4_500_000, "--from-baud", 57_600)
+    assert run.code == 2 and "4000000" in run.err and servo.id == 1
+
+
+def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
+    robot_ik("servo", "setup", *desk.at, "--id", 3, "--from-baud", 9600).assert_one_screen_error(code=1)

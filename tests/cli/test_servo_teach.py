@@ -1,0 +1,206 @@
+"""Guiding by hand and playing back, over a real port with the real SDK."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_ik.cli import servo_teach
+from robot_ik.motion import Trajectory
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
+
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+def guide(desk: Any, seconds: float, done: threading.Event) -> threading.Thread:
+    """A hand moves joint1 up by 30 degrees and joint3 down by 15, evenly."""
+
+    def move() -> None:
+        for _ in range(30):
+            desk.turn("joint1", 1.0)
+            desk.turn("joint3", -0.5)
+            time.sleep(seconds / 30)
+        done.set()
+
+    thread = threading.Thread(target=move, name="hand")
+    thread.start()
+    return thread
+
+
+def true_degrees(desk: Any) -> list[float]:
+    return np.degrees(desk.bus.true_angles(desk.config)).tolist()
+
+
+def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    file, done = tmp_path / "wave.csv", threading.Event()
+    hand = guide(desk, 0.15, done)
+    run = robot_ik("servo", "teach", file, *desk.at, "--seconds", 0.4, "--rate", 100)
+    hand.join()
+    assert run.code == 0 and done.is_set(), run.err
+    motion = servo_teach.load_motion(file, JOINTS)
+    assert np.degrees(motion.q[0] - motion.q[-1])[1] == pytest.approx(0.0, abs=0.1)
+    assert np.degrees(motion.q[-1]) == pytest.approx([30.0, 0.0, -15.0], abs=0.3)
+    assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
+    for joint, degrees in zip(JOINTS, (-26.0, 4.0, 11.0), strict=True):  # somewhere else, as after a pause
+        desk.turn(joint, degrees)
+    run = robot_ik("servo", "play", file, *desk.at, "--on-exit", "hold")
+    assert run.code == 0, run.err
+    assert true_degrees(desk) == pytest.approx([30.0, 0.0, -15.0], abs=0.4)
+    assert desk.torque() == [True] * 3
+
+
+def record(path: Path, degrees: list[list[float]], seconds: float) -> Path:
+    times = np.linspace(0.0, seconds, len(degrees))
+    servo_teach.save_motion(path, Trajectory(times, np.radians(degrees), JOINTS))
+    return path
+
+
+def test_what_is_too_fast_is_played_slower(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    file = record(tmp_path / "fast.csv", [[0, 0, 0], [90, 0, 0]], 0.1)  # 900 deg/s; the cap is 300
+    run = robot_ik("servo", "play", file, *desk.at)
+    assert run.code == 0 and "3.00 x" in run.out, run.err
+    assert true_degrees(desk)[0] == pytest.approx(90.0, abs=0.4) and desk.torque() == [False] * 3
+
+
+def test_what_leaves_the_limits_is_refused(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    file = record(tmp_path / "far.csv", [[0, 0, 0], [0, 105, 0]], 2.0)
+    run = robot_ik("servo", "play", file, *desk.at)
+    run.assert_one_screen_error()
+    assert "joint2" in run.err and "5.0 deg" in run.err and "-100.0 to 100.0" in run.err
+    assert true_degrees(desk)[1] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
+    motion = Trajectory([0.0, 1.0], np.radians([[0, 0, 0], [100.5, 0, 0]]), JOINTS)
+    played, stretch = servo_teach.playable(motion, desk.config, 0.5)
+    assert stretch == 2.0 and played.duration == pytest.approx(2.0 * (1.0 + servo_teach.SMOOTHING), abs=0.03)
+    assert np.degrees(played.q.max()) == pytest.approx(100.0)
+
+
+def test_steps_that_no_hand_has_made_do_not_slow_it_down(desk: Any) -> None:
+    """Ticks read twice within a millisecond: a degree in no time."""
+    times = np.sort(np.concatenate([np.arange(0.0, 2.0, 0.02), np.arange(0.0, 2.0, 0.02) + 0.0005]))
+    degrees = np.outer(np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0])  # 50 deg/s in steps of a degree
+    motion = Trajectory(times, np.radians(degrees), JOINTS)
+    assert motion.peak_velocity.max() > 4.0 * desk.config.velocity.max()
+    played, stretch = servo_teach.playable(motion, desk.config, 1.0)
+    assert stretch == 1.0
+    assert played.q[0] == pytest.approx(motion.q[0]) and played.q[-1] == pytest.approx(motion.q[-1])
+    assert np.degrees(played.at(1.05)) == pytest.approx([49.0, 0.0, -49.0], abs=1.5)
+
+
+def test_the_way_to_the_beginning_keeps_its_share_of_the_caps(desk: Any) -> None:
+    way = servo_teach.approach(np.zeros(3), np.array([1.0, -0.4, 0.0]), desk.config)
+    share = servo_teach.APPROACH * 1.01
+    assert (way.peak_velocity <= share * desk.config.velocity).all()
+    assert (way.peak_acceleration <= share * desk.config.acceleration).all()
+    assert way.q[-1] == pytest.approx([1.0, -0.4, 0.0])
+
+
+def test_a_joint_that_does_not_follow_is_told(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    desk.servo(3).stuck = True
+    file = record(tmp_path / "m.csv", [[0, 0, 0], [0, 0, 5]], 0.1)
+    run = robot_ik("servo", "play", file, *desk.at)
+    assert run.code == 1 and "joint3" in run.err and desk.torque() == [False] * 3
+
+
+def test_torque_must_be_off_to_be_guided(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    desk.servo(1).memory.set("torque_enable", 1)
+    desk.servo(1).memory.set("return_delay_time", 0)
+    run = robot_ik("servo", "teach", tmp_path / "m.csv", *desk.at, "--seconds", 0.1)
+    run.assert_one_screen_error()
+    assert "joint1" in run.err and not (tmp_path / "m.csv").exists()
+
+
+def test_a_recording_beyond_the_limits_says_so_at_once(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    desk.turn("joint2", 108.0)
+    run = robot_ik("servo", "teach", tmp_path / "m.csv", *desk.at, "--seconds", 0.05)
+    assert run.code == 0 and "joint2 was 8.0 deg beyond" in run.err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("teach", "m.txt"), ".csv or .json"),
+        (("teach", "m.csv", "--seconds", "nan"), "--seconds"),
+        (("teach", "m.csv", "--rate", 0), "--rate"),
+        (("teach", "no/m.csv"), "folder"),
+        (("play", "no.csv"), "no.csv"),
+        (("play", "no.json"), "no.json"),
+        (("play", "no.txt"), ".csv or .json"),
+    ],
+)
+def test_wrong_input(
+    words: tuple[Any, ...],
+    named: str,
+    robot_ik: Any,
+    desk: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = robot_ik("servo", *words, *desk.at)
+    run.assert_one_screen_error()
+    assert named in run.err
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("[]", "recording"),
+        ('{"joints": ["joint1"], "time_s": [0]}', "q_rad"),
+        ('{"joints": ["a"], "time_s": [0.0], "q_rad": [[0.0]]}', "joint1"),
+        ('{"joints": ["joint1"], "time_s": [0.0], "q_rad": [["x"]]}', "recording"),
+        ('{"joints": ["joint1"], "time_s": [0.0, 0.0], "q_rad": [[1.0], [1.0]]}', "increase"),
+    ],
+)
+def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    file = tmp_path / "m.json"
+    file.write_text(content)
+    run = robot_ik("servo", "play", file, *desk.at)
+    assert run.code in (1, 2) and named in run.err and "Traceback" not in run.err
+    assert desk.torque() == [False] * 3
+
+
+def test_joints_in_another_order_are_put_right(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+    file = tmp_path / "m.csv"
+    Trajectory([0.0, 0.2], np.radians([[0, 0, 0], [5, 10, 15]]), JOINTS[::-1]).save_csv(file)
+    assert np.degrees(servo_teach.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
+
+
+def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Path) -> None:
+    file = tmp_path / "m.csv"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "robot_ik", "servo", "teach", str(file), *desk.at],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert child.stderr is not None and "recording" in child.stderr.readline()
+        time.sleep(0.2)
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=30)
+    finally:
+        child.kill()
+    assert child.returncode == 130 and "Traceback" not in err
+    assert len(servo_teach.load_motion(file, JOINTS)) > 2
+
+
+def test_in_process(robot_ik: Any, tmp_path: Path) -> None:
+    run = robot_ik("servo", "teach", tmp_path / "m.json", "--bus", "sim", "--seconds", 1)
+    assert run.code == 0, run.err
+    assert len(json.loads((tmp_path / "m.json").read_text())["time_s"]) == 51
+    assert robot_ik("servo", "play", tmp_path / "m.json", "--bus", "sim").code == 0

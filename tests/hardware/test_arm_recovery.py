@@ -1,0 +1,146 @@
+"""After a fault: what comes back, in which state, and what is refused."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import (
+    ArmStateError,
+    BusDisconnectedError,
+    BusNotOpenError,
+    BusTimeoutError,
+    HardwareError,
+    MotorFaultError,
+    ServoMismatchError,
+    UnsafeCommandError,
+)
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.ports import VirtualClock
+
+
+def torque(arm):
+    return [servo.torque for servo in arm.virtual_bus.servos]
+
+
+def overloaded(arm, stream, start, id=6):
+    arm.enable()
+    stream(arm, [start] * 3)
+    arm.virtual_bus.servo(id).inject_error("overload")
+    with pytest.raises(MotorFaultError):
+        stream(arm, [start] * 2)
+
+
+def test_a_restarted_servo_joins_in_again_and_the_others_never_let_go(any_arm, stream, smooth, start):
+    overloaded(any_arm, stream, start)
+    assert any_arm.reset_fault() == ("joint6",)
+    assert any_arm.state is ArmState.CONNECTED and any_arm.fault is None
+    assert torque(any_arm) == [True] * 5 + [False]  # nobody was enabled, nobody dropped
+    any_arm.enable()
+    stream(any_arm, smooth(start, start + 0.2, 0.5))
+    any_arm.clock.sleep_until(any_arm.clock.now() + 0.1)
+    assert np.allclose(any_arm.read().q, start + 0.2, atol=0.01)
+    any_arm.close()
+    assert torque(any_arm) == [False] * 6
+
+
+def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stream, start):
+    overloaded(arm, stream, start)
+    arm.virtual_bus.servo(6).turn_by_hand(150)
+    arm.reset_fault()
+    arm.enable()
+    before = arm.virtual_bus.true_angles(arm.config)
+    stream(arm, [start])  # a ramp, not a jump back
+    after = arm.virtual_bus.true_angles(arm.config)
+    assert np.abs(after - before).max() <= 2 * arm.config.acceleration.max() * 0.01**2 + arm.resolution.max()
+
+
+def test_a_servo_that_lost_its_turns_with_the_restart_is_refused_and_the_fault_stays(
+    arm_config, stream, smooth
+):
+    beyond = np.array([0.0, 0.0, 2.7, 0.0, 0.0, 0.0])  # joint3: ratio 2, its servo is beyond one turn
+    with open_arm(arm_config, "sim", start=beyond) as arm:
+        overloaded(arm, stream, beyond, id=3)
+        with pytest.raises(HardwareError, match=r"(?s)joint3' was at 154.*lost count"):
+            arm.reset_fault()
+        assert arm.state is ArmState.FAULT and not arm.virtual_bus.servo(3).torque
+    assert torque(arm) == [False] * 6
+
+
+def test_a_servo_that_does_not_come_back_keeps_the_fault(arm, stream, start):
+    overloaded(arm, stream, start)
+    arm.virtual_bus.inject(Fault("silent", id=6, at_packet=None))
+    with pytest.raises(BusTimeoutError, match="joint6"):
+        arm.reset_fault()
+    assert arm.state is ArmState.FAULT
+    with pytest.raises(MotorFaultError):
+        arm.send(start, arm.clock.now())
+
+
+def test_without_a_fault_there_is_nothing_to_reset(arm):
+    with pytest.raises(ArmStateError, match="not fault"):
+        arm.reset_fault()
+    arm.enable()
+    with pytest.raises(ArmStateError, match="enabled"):
+        arm.reconnect()
+
+
+def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, stream, smooth, start):
+    any_arm.enable()
+    stream(any_arm, [start] * 3)
+    any_arm.virtual_bus.inject(Fault("port_unplugged"))
+    begin = time.monotonic()
+    with pytest.raises(BusDisconnectedError):
+        stream(any_arm, [start] * 10)
+    assert any_arm.state is ArmState.FAULT and time.monotonic() - begin < 5.0
+    with pytest.raises(ArmStateError, match="port is gone"):
+        any_arm.reset_fault()
+    with pytest.raises((BusNotOpenError, BusDisconnectedError)):
+        any_arm.reconnect(timeout=0.0)
+    assert any_arm.state is ArmState.FAULT
+    any_arm.virtual_bus.unplugged = False
+    any_arm.virtual_bus.servo(2).memory.set("torque_enable", 0)  # what happens meanwhile is not undone
+    any_arm.reconnect()
+    assert any_arm.state is ArmState.CONNECTED
+    assert torque(any_arm) == [True, False, True, True, True, True]
+    any_arm.enable()
+    stream(any_arm, smooth(start, start + 0.1, 0.4))
+    any_arm.close()
+    assert torque(any_arm) == [False] * 6
+
+
+def test_other_servos_behind_the_port_are_refused(arm, stream, start):
+    arm.enable()
+    arm.virtual_bus.inject(Fault("port_unplugged", lasts=0.05))
+    with pytest.raises(BusDisconnectedError):
+        stream(arm, [start] * 3)
+    arm.virtual_bus.servo(3).memory.set("id", 33)
+    with pytest.raises(ServoMismatchError):
+        arm.reconnect()
+    assert arm.state is ArmState.FAULT
+
+
+# ---------------------------------------------------------------------------- a grip at run time
+
+
+def test_a_current_can_be_lowered_and_never_raised_beyond_the_file(arm_toml):
+    from robot_ik.hardware.config import ArmConfig
+
+    text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
+    config = ArmConfig.parse(text)
+    with open_arm(config, "sim", virtual_bus=VirtualBus.from_config(config, VirtualClock())) as arm:
+        goal = lambda: arm.virtual_bus.servo(1).memory.get("goal_current")  # noqa: E731
+        arm.enable()
+        arm.limit_current({"joint1": 26.9})
+        assert goal() == 10
+        arm.limit_current({"joint1": 5000.0})
+        assert goal() == 100
+        for wrong in ({"joint1": float("nan")}, {"joint1": -1.0}, {"joint2": 10.0}):
+            with pytest.raises(UnsafeCommandError):
+                arm.limit_current(wrong)
+        assert goal() == 100

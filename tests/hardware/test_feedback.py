@@ -1,0 +1,83 @@
+"""Torque and position of every servo in one read: what shows in the same cycle, and who is read plainly."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from robot_ik.errors import MotorFaultError
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.ports import VirtualClock
+
+
+def test_torque_switched_off_by_somebody_else_is_seen_in_the_same_cycle(any_arm, stream, start):
+    any_arm.enable()
+    stream(any_arm, [start] * 3)
+    any_arm.virtual_bus.servo(4).memory.set("torque_enable", 0)
+    with pytest.raises(MotorFaultError) as caught:
+        stream(any_arm, [start])
+    assert (caught.value.joint, caught.value.status) == ("joint4", ("torque_lost",))
+
+
+def test_a_restart_at_rest_is_seen_in_the_same_cycle_and_its_zeros_are_not_believed(arm, stream, start):
+    arm.enable()
+    stream(arm, [start] * 3)
+    before = arm.read().q
+    arm.virtual_bus.servo(2).reboot()  # the shaft stays: nothing else would show
+    arm.clock.sleep_until(arm.clock.now() + 0.01)
+    with pytest.raises(MotorFaultError, match="joint2") as caught:
+        arm.send(start, arm.clock.now())
+    assert caught.value.status == ("torque_lost",)
+    assert (arm.read().q == before).all()
+
+
+def test_a_cycle_brings_one_byte_more_than_the_position(arm, stream, start):
+    arm.enable()
+    stream(arm, [start] * 2)
+    counters = arm.bus.counters
+    sent, received = counters.bytes_sent, counters.bytes_received
+    stream(arm, [start])
+    assert counters.bytes_received - received == 8 + 6 * (4 + 5)  # one fast status
+    assert counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)
+
+
+@pytest.mark.parametrize("firmware", [44, None])
+def test_every_firmware_is_read_the_way_it_can_be(arm_config, stream, smooth, start, firmware):
+    clock = VirtualClock()
+    config = arm_config
+    servos = [
+        VirtualServo(j.model, j.id, clock, position_ticks=j.to_ticks(q), mode=j.mode, firmware=firmware)
+        for j, q in zip(config.joints, start, strict=True)
+    ]
+    with open_arm(config, "sim", virtual_bus=VirtualBus(servos, clock)) as arm:
+        arm.enable()
+        stream(arm, smooth(start, start + 0.2, 0.5))
+        assert abs(arm.read().q - start - 0.2).max() < 0.01
+        assert arm.bus.counters.fallbacks == 0  # nobody is asked for what he cannot
+
+
+def test_models_whose_indirect_data_lie_elsewhere_share_a_cycle(arm_config, stream, smooth, start):
+    joints = list(arm_config.joints)
+    joints[4] = dataclasses.replace(joints[4], model="XL330-M288")
+    config = dataclasses.replace(arm_config, joints=tuple(joints))
+    with open_arm(config, "sim", start=start) as arm:
+        arm.enable()
+        stream(arm, smooth(start, start + 0.2, 0.5))
+        assert abs(arm.read().q - start - 0.2).max() < 0.01
+        arm.virtual_bus.servo(5).memory.set("torque_enable", 0)
+        with pytest.raises(MotorFaultError, match="joint5"):
+            stream(arm, [start])
+
+
+def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream, start):
+    arm.enable()
+    stream(arm, [start] * 2)
+    servo = arm.virtual_bus.servo(3)
+    servo.memory.set("indirect_address_1", 65)  # its LED, which is off
+    stream(arm, [start] * 3)
+    assert arm.state is ArmState.ENABLED and servo.torque
+    assert arm.ages[2] <= 0.011

@@ -1,0 +1,297 @@
+"""The variable metric against SciPy's minimisers, finite differences and MuJoCo; limits are held exactly."""
+
+import itertools
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from robot_ik.errors import UnsupportedGoalError
+from robot_ik.goals import (
+    GOALS,
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solve import solve
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.minimization import Minimization
+
+ONE_TRY = Budget(restarts=0)
+FINE = Tolerance(1e-6, 1e-6)
+
+
+def half_square(problem, q):
+    """G(q) = ½ |r|² of positions and poses, from MuJoCo's forward pass alone."""
+    total = 0.0
+    for goal in problem.goals:
+        metres, radians = problem.robot.measure(q, goal.frame).distance(goal.target)
+        total += (goal.weights[0] * metres / problem.length(goal)) ** 2 if goal.has_position else 0.0
+        total += (goal.weights[1] * radians) ** 2 if goal.has_angle else 0.0
+    return 0.5 * total
+
+
+def slope_by_differences(problem, q, step=1e-5):
+    robot, slope = problem.robot, []
+    for v in problem.dofs:
+        way = np.zeros(robot.nv)
+        way[v] = step
+        ahead, behind = robot.integrate(q, way), robot.integrate(q, -way)
+        slope.append((half_square(problem, ahead) - half_square(problem, behind)) / (2 * step))
+    return np.array(slope)
+
+
+@pytest.mark.parametrize(
+    ("robot_name", "kind"), [("puma560", "pose"), ("tree", "pose"), ("tree", "two goals")]
+)
+def test_the_first_step_goes_down_the_slope_that_differences_find(robot_name, kind, near_problems, one_step):
+    for problem, q in near_problems(robot_name, kind):
+        slope = slope_by_differences(problem, q)
+        step = one_step(Minimization(curvature=0.999), problem, q)
+        cosine = -slope @ step / np.linalg.norm(slope) / np.linalg.norm(step)
+        assert cosine == pytest.approx(1.0, abs=1e-8)
+
+
+def test_the_metric_learns_the_last_step_and_stays_definite(near_problems):
+    learned = 0
+    for problem, q in near_problems("tree", "pose", distance=0.5):
+        for steps in (1, 2, 5):
+            problem.budget = Budget(iterations=steps, restarts=0)
+            Minimization().solve(problem, q)
+            arrays = problem.arrays
+            if arrays["side"].any():  # a limit has been met
+                continue
+            metric, moved, change = arrays["metric"], arrays["moved"], arrays["before"]
+            np.testing.assert_allclose(metric, metric.T, atol=1e-9 * np.abs(metric).max())
+            if moved @ change > 1e-6 * np.linalg.norm(moved) * np.linalg.norm(change):
+                assert np.linalg.eigvalsh(metric).min() > 0
+                np.testing.assert_allclose(metric @ change, moved, atol=1e-9)  # the secant equation
+                learned += 1
+    assert learned >= 10
+
+
+@pytest.mark.parametrize(
+    ("robot_name", "place"), [("puma560", (0.85, 0.6, 0.9)), ("tree", (-0.6, -0.6, -0.4))]
+)
+def test_the_cost_never_rises_within_a_try(robot_name, place, robots, reachable):
+    robot = robots(robot_name)
+    goal = PoseGoal(None, place, (0.5, 0.5, -0.5, 0.5))
+    for start in reachable(robot, 5):
+        problem = Problem(robot, goal, trace=True, budget=Budget(restarts=6))
+        solution = Minimization().solve(problem, start)
+        assert not solution.converged and solution.restarts == 6
+        for restart, rows in itertools.groupby(solution.trace, key=lambda row: row.restart):
+            if restart == 6:  # after the last try comes one from the best point
+                break
+            costs = [row.cost for row in rows]
+            assert all(after <= before * (1 + 1e-13) for before, after in itertools.pairwise(costs))
+        first = [row.cost for row in solution.trace if row.restart == 0]
+        assert first[0] < half_square(problem, start)
+
+
+# ----------------------------------------------------------------------- against SciPy
+
+
+def scipys_least(problem, linear_model, start):
+    """The cost at which L-BFGS-B ends inside the same box: slope and cost from MuJoCo."""
+    robot = problem.robot
+
+    def cost_and_slope(x):
+        q = robot.home.copy()
+        q[:] = start
+        q[problem.dofs] = x
+        jacobian, e = linear_model(problem, q)
+        return 0.5 * e @ e, -jacobian.T @ e
+
+    box = list(zip(robot.lower[problem.dofs], robot.upper[problem.dofs], strict=True))
+    options = {"ftol": 1e-15, "gtol": 1e-9, "maxiter": 5000, "maxls": 50}
+    x = np.asarray(start)[problem.dofs]
+    return minimize(cost_and_slope, x, jac=True, bounds=box, method="L-BFGS-B", options=options).fun
+
+
+@pytest.mark.parametrize("robot_name", ["puma560", "planar"])
+@pytest.mark.parametrize("what", ["out of reach", "goals that disagree"])
+def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_model):
+    robot, same, count = robots(robot_name), 0, 5
+    for start, there in zip(reachable(robot, count, 31), reachable(robot, count, 32), strict=True):
+        pose = robot.forward(there)
+        if what == "out of reach":
+            goals = [PoseGoal(None, 1.6 * pose.position + [0, 0, 0.1], pose.wxyz)]
+        else:
+            frames = ("link3", "link5") if robot_name == "puma560" else ("lower", "hand")
+            goals = [
+                PositionGoal(f, robot.forward(there, f).position + 0.2 * i) for i, f in enumerate(frames)
+            ]
+            goals.append(OrientationGoal(None, pose.wxyz, weight=0.5))
+        near = robot.clip(there + 0.3 * (start - there))
+        problem = Problem(robot, goals, budget=ONE_TRY, tolerance=FINE)
+        q = Minimization().solve(problem, near).q
+        cost = half_square(problem, q)
+        assert scipys_least(problem, linear_model, q) >= cost - 1e-8 * (1 + cost)  # nothing is left to win
+        same += abs(scipys_least(problem, linear_model, near) - cost) <= 1e-6 * cost
+    assert same >= 0.8 * count  # of several minima two methods need not find the same
+
+
+CONE = 1.2  # of the tree's shoulder, rad; its five joints are rail, column, shoulder, elbow and roll
+
+
+@pytest.mark.parametrize("place", [(-0.6, -0.6, -0.4), (-2.0, 0.0, 1.0)])
+def test_on_the_edge_of_a_balls_cone_nothing_is_left_to_win_either(place, robots, reachable):
+    """SLSQP has the cone as a constraint on the rotation vector, and differences for the slope."""
+    robot, rest = robots("tree"), np.array([0, 0, 1, 0, 0, 0, 0, 0, 0], dtype=float)
+    room = [(-0.5, 0.5), (0.0, 0.6), (-2.0, 2.0), (-2.0, 2.0), (-2.0, 2.0), (-2.2, 2.2), (-9.0, 9.0)]
+    cone = {"type": "ineq", "fun": lambda x: CONE**2 - x[2:5] @ x[2:5]}
+    for start in reachable(robot, 3, 40):
+        problem = Problem(robot, PositionGoal(None, place), budget=ONE_TRY)
+        q = Minimization().solve(problem, start).q
+
+        def cost(x, problem=problem):
+            return half_square(problem, robot.integrate(rest, np.append(x, 0.0)))
+
+        sine = np.linalg.norm(q[3:6])
+        angle = 2 * np.arctan2(sine, abs(q[2]))
+        assert angle == pytest.approx(CONE, abs=1e-9)
+        x = np.concatenate([q[:2], np.sign(q[2]) * angle / sine * q[3:6], q[6:8]])
+        assert cost(x) == pytest.approx(half_square(problem, q), abs=1e-9)
+        aside = np.clip(x + 0.02 * np.array([1, -1, -1, 1, 1, -1, 1]), *np.transpose(room))
+        assert cost(aside) > cost(x) + 1e-5 or cone["fun"](aside) < 0
+        found = minimize(
+            cost,
+            aside,
+            bounds=room,
+            constraints=cone,
+            method="SLSQP",
+            options={"ftol": 1e-13, "maxiter": 300},
+        )
+        assert found.fun == pytest.approx(cost(x), rel=1e-5)
+
+
+# ----------------------------------------------------------- limits and laws of joints
+
+COUPLED = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="a"><joint name="j1" axis="0 0 1" range="-2 2"/><geom size="0.05"/>
+ <body name="b" pos="0.4 0 0"><joint name="j2" axis="0 1 0" ref="0.2" range="-1.5 1.5"/><geom size="0.05"/>
+  <body name="c" pos="0.4 0 0"><joint name="j3" axis="0 1 0" range="-0.9 1.2"/><geom size="0.05"/>
+   <site name="tip" pos="0.3 0 0.1"/></body></body></body>
+</worldbody><equality><joint joint1="j3" joint2="j2" polycoef="0.1 -0.6 0 0 0"/></equality></mujoco>"""
+
+
+def test_linear_equalities_hold_at_every_step(tmp_path):
+    (tmp_path / "arm.xml").write_text(COUPLED)
+    robot = load_robot(tmp_path / "arm.xml", tool="tip")
+    data = mujoco.MjData(robot.model)
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        start, there = robot.sample(rng), robot.sample(rng)
+        problem = Problem(robot, PositionGoal(None, 1.3 * robot.forward(there).position), tolerance=FINE)
+        for steps in range(1, 15):
+            problem.budget = Budget(iterations=steps, restarts=0)
+            Minimization().solve(problem, start)
+            data.qpos[:] = robot.qpos(problem.arrays["q"])
+            mujoco.mj_forward(robot.model, data)
+            assert np.abs(data.efc_pos[: data.ne]).max() < 1e-12 and not robot.outside(problem.arrays["q"])
+
+
+@pytest.mark.parametrize("robot_name", ["puma560", "tree"])
+def test_limits_hold_at_every_step_and_joints_at_them_do_not_hold_the_others_back(
+    robot_name, robots, reachable
+):
+    robot, held, released = robots(robot_name), 0, 0
+    for start, there in zip(reachable(robot, 9, 50), reachable(robot, 9, 51), strict=True):
+        pose = robot.forward(there)
+        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=FINE)
+        before = np.zeros(len(problem.dofs), dtype=bool)
+        for steps in range(1, 20):
+            problem.budget = Budget(iterations=steps, restarts=0)
+            Minimization().solve(problem, start)
+            q, arrays = problem.arrays["q"], problem.arrays
+            np.testing.assert_allclose(robot.clip(q), q, atol=1e-14)
+            sides = arrays["side"][: len(problem.dofs)] != 0
+            # What is held has no part in the step: a coordinate, or the way out of a ball's cone.
+            ball = np.isin(problem.dofs, range(2, 5)) & (robot_name == "tree")
+            assert np.abs(arrays["metric"][sides & ~ball]).max(initial=0.0) == 0.0
+            held, released = held + sides.any(), released + (before & ~sides).any()
+            before = sides
+    assert held > 20 and released >= 3
+
+
+# -------------------------------------------------------------------------- every goal
+
+
+def every_kind(robot, q, frame, other):
+    """A goal of every kind, met at q."""
+    pose, there = robot.forward(q, frame), robot.forward(q, other).position
+    place = pose.position
+    ahead = place + 0.7 * pose.rotation[:, 2]
+    return [
+        PositionGoal(frame, place), PositionGoal(frame, place, axes="xz"), OrientationGoal(frame, pose.wxyz),
+        OrientationGoal(frame, pose.wxyz, free_axis="y"), PoseGoal.at(frame, pose),
+        PoseGoal(frame, place, pose.wxyz, free_axis="x"), AimGoal(frame, ahead, axis="z"),
+        LineGoal(frame, place, (1, 2, 3)), PlaneGoal(frame, place, (3, 2, 1)),
+        HalfSpaceGoal(frame, place, (0, 0, -1)), CenterOfMassGoal(None, robot.center_of_mass(q)),
+        PostureGoal(q=q), [PositionGoal(frame, place), PlaneGoal(other, there, (1, 1, 0))],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "other"), [("srs_arm", None, "elbow"), ("humanoid", "left_hand", "right_hand")]
+)
+def test_goals_of_every_kind_are_met(name, frame, other):
+    robot, rng = load_robot(name), np.random.default_rng(6)
+    for _ in range(2):
+        q = robot.sample(rng)
+        goals = every_kind(robot, q, frame, other)
+        assert {type(goal) for goal in goals if not isinstance(goal, list)} == set(GOALS)
+        for goal in goals:
+            found = solve(robot, goal, solver="bfgs", tolerance=FINE)
+            assert found.converged and not robot.outside(found.q), goal
+
+
+def test_the_figure_stands_reaches_and_looks_at_once():
+    robot, rng = load_robot("humanoid"), np.random.default_rng(8)
+    for _ in range(3):
+        q = robot.clip(robot.integrate(robot.home, rng.uniform(-0.4, 0.4, robot.nv)))
+        goals = [PoseGoal.at(f, robot.forward(q, f)) for f in ("left_foot", "right_foot", "left_hand")]
+        goals += [PositionGoal("right_hand", robot.forward(q, "right_hand").position)]
+        goals += [CenterOfMassGoal(None, robot.center_of_mass(q), axes="xy")]
+        found = solve(robot, goals, solver="bfgs", tolerance=FINE)
+        assert found.converged and not robot.outside(found.q)
+
+
+@pytest.mark.parametrize("kind", ["position", "pose"])
+def test_cold_poses_are_met_to_a_micrometre(kind, robots, reachable):
+    robot = robots("puma560")
+    poses = [robot.forward(q) for q in reachable(robot, 200, 60)]
+    goal = PoseGoal.at(None, poses[0]) if kind == "pose" else PositionGoal(None, poses[0].position)
+    problem, solver = Problem(robot, goal, tolerance=FINE), make_solver("bfgs")
+    for pose in poses:
+        problem.retarget(pose if kind == "pose" else pose.position)
+        assert solver.solve(problem).converged
+
+
+def test_priorities_are_refused_by_name(robots):
+    goals = [PositionGoal(None, (0.3, 0.3, 0)), PositionGoal("hand", (0.1, 0.1, 0), priority=1)]
+    with pytest.raises(
+        UnsupportedGoalError, match="'bfgs' cannot serve goals of different priorities"
+    ) as caught:
+        solve(robots("planar"), goals, solver="bfgs")
+    assert "lm" in caught.value.able
+
+
+def test_a_minimum_that_is_not_the_goal_is_named(robots):
+    far = solve(robots("planar"), PositionGoal(None, (4.0, 0, 0)), solver="bfgs")
+    assert far.status is Status.UNREACHABLE and far.miss.position == pytest.approx(4.0 - 1.1)
+    # Behind the stops: the answer presses against them.
+    shut = robots("planar").with_limits(np.array([-0.1, 0.1, 0.1]), np.array([0.1, 0.2, 0.2]))
+    blocked = solve(shut, PositionGoal(None, (0, -0.9, 0)), solver="bfgs")
+    assert blocked.status is Status.BLOCKED_BY_LIMITS
