@@ -225,8 +225,9 @@ def test_the_wrists_centre_is_brought_to_a_place(balls, tmp_path):
         solution = solve(robot, goal, solver="analytic", start=start, tolerance=TIGHT)
         assert solution.converged and not robot.outside(solution.q)
         assert np.array_equal(solution.q[hand], start[hand])
-    with pytest.raises(UnsupportedGoalError, match="no closed form"):
-        solve(robot, PositionGoal("tool", (0, 0, 0)), solver="analytic")
+    if balls[1]:  # a tool beyond a wrist of hinges has a form of its own
+        with pytest.raises(UnsupportedGoalError, match="no closed form"):
+            solve(robot, PositionGoal("tool", (0, 0, 0)), solver="analytic")
 
 
 @pytest.mark.parametrize("balls", [(False, False), (True, True)])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import AimGoal, Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.tree import Q_WIDTH, Tree
 from robot_ik.kernels.work import (
@@ -37,11 +37,21 @@ from robot_ik.solvers.analytic.entry import closed_form, closed_form_many
 from robot_ik.solvers.analytic.form import EVERY, FORM, LOOK, SOLVE
 from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
 from robot_ik.solvers.analytic.limb_entry import closed_limb, closed_limb_many
+from robot_ik.solvers.analytic.limb_parts import recognise_part
+from robot_ik.solvers.analytic.partial_entry import closed_part, closed_part_many
 from robot_ik.solvers.analytic.proof_entry import PROOFS
 from robot_ik.solvers.base import Answers, Solver
 from robot_ik.solvers.ready import take_start
 
 Array = NDArray[np.float64]
+
+# One solve and a batch of them, for the families that have entry points of their own: they take longer to
+# compile.
+_KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
+    Family.LIMB: (closed_limb, closed_limb_many),
+    Family.LIMB_POINT: (closed_part, closed_part_many),
+    Family.LIMB_AIM: (closed_part, closed_part_many),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +64,7 @@ class Prepared:
         tables: What the kernels take first: tree, goals, work space, form.
         family: The form's number.
         run: What solves one problem, without numba's look at its arguments.
-        kernel, batch, prove: The same, what solves many, and what proves that none will do.
+        kernel, batch, prove: The same, what solves many, and what proves that none will do (if anything).
     """
 
     form: Form
@@ -64,7 +74,7 @@ class Prepared:
     run: Callable[..., None]
     kernel: Callable[..., None]
     batch: Callable[..., None]
-    prove: Callable[..., None]
+    prove: Callable[..., None] | None
 
 
 @dataclass(frozen=True)
@@ -74,7 +84,10 @@ class Analytic(Solver):
     name: ClassVar[str] = "analytic"
     title: ClassVar[str] = "closed form: two links, six axes (wrist, shoulder, three parallel), 7-axis limb"
     source: ClassVar[str] = "Paden 1986; Tolani et al. 2000; Elias & Wen 2022"
-    goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal)
+    goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal, AimGoal)
+
+    def supports(self, goal: Goal) -> bool:
+        return isinstance(goal, AimGoal) or super().supports(goal)
 
     def applies(self, problem: Problem) -> bool:
         """Whether this robot and goal have a closed form."""
@@ -110,7 +123,7 @@ class Analytic(Solver):
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
         prepared.run(*prepared.tables, prepared.family, mode)
         state = arrays["state"]
-        if mode == SOLVE and state[STATUS] != CONVERGED:
+        if mode == SOLVE and state[STATUS] != CONVERGED and prepared.prove is not None:
             # As a batch of one: its status stands first in the state.
             jit.announce(prepared.prove, "proofs of unreachable goals")
             prepared.prove(prepared.tables[1], prepared.tables[3], problem.target, state)
@@ -132,7 +145,7 @@ class Analytic(Solver):
         prepared.batch(
             *prepared.tables, prepared.family, targets, starts, answers.q, answers.status, answers.miss
         )
-        if (answers.status != CONVERGED).any():
+        if prepared.prove is not None and (answers.status != CONVERGED).any():
             jit.announce(prepared.prove, "proofs of unreachable goals")
             prepared.prove(prepared.tables[1], prepared.tables[3], targets, answers.status)
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
@@ -164,24 +177,34 @@ def _trace(arrays: dict[str, Any]) -> Array:
 
 
 def _prepare(problem: Problem) -> Prepared | None:
-    if problem.features or not problem.goals[0].rows.whole:
-        return None
-    if len(problem.goals) != 1 or not isinstance(problem.goals[0], (PoseGoal, PositionGoal)):
-        return None
-    if not all(weight > 0.0 for weight in problem.goals[0].weights[: 1 + problem.goals[0].has_angle]):
-        return None  # a part that weighs nothing is not asked for, so there is more than the branches
-    tree = problem.robot.tree
-    node, local = problem.robot.attachment(problem.goals[0].frame)
-    form = recognise(tree, node, local, whole=isinstance(problem.goals[0], PoseGoal))
+    form = None if problem.features else _form_of(problem)
     if form is None:
         return None
-    arrays = _arrays(form, tree, problem.target)
-    limb = form.family is Family.LIMB
-    kernel, batch = (closed_limb, closed_limb_many) if limb else (closed_form, closed_form_many)
+    arrays = _arrays(form, problem.robot.tree, problem.target)
+    kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
     jit.announce(kernel, "closed forms")
-    tables = (tree.handle, problem.handle, problem.work, FORM.pack(arrays))
+    tables = (problem.robot.tree.handle, problem.handle, problem.work, FORM.pack(arrays))
     run = jit.entry(kernel, *tables, int(form.family), SOLVE)
-    return Prepared(form, arrays, tables, int(form.family), run, kernel, batch, PROOFS[form.family])
+    prove = PROOFS.get(form.family)
+    return Prepared(form, arrays, tables, int(form.family), run, kernel, batch, prove)
+
+
+def _form_of(problem: Problem) -> Form | None:
+    """The closed form of the problem's one goal, or None."""
+    goal, tree = problem.goals[0], problem.robot.tree
+    aimed = isinstance(goal, AimGoal)
+    if len(problem.goals) != 1 or not (aimed or isinstance(goal, (PoseGoal, PositionGoal))):
+        return None
+    if not (aimed or goal.rows.whole):
+        return None
+    asked = (goal.has_position, goal.has_angle)
+    if any(part and not weight > 0.0 for part, weight in zip(asked, goal.weights, strict=True)):
+        return None  # a part that weighs nothing is not asked for, so there is more than the branches
+    node, local = problem.robot.attachment(goal.frame)
+    if aimed:
+        return recognise_part(tree, node, local, np.array(goal.rows.axis))
+    form = recognise(tree, node, local, whole=goal.has_angle)
+    return form if form is not None or goal.has_angle else recognise_part(tree, node, local, None)
 
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:

@@ -25,7 +25,7 @@ COLUMNS = 8
 def middle_turns(form: Form) -> Array:
     """(2, 3) for shoulder and wrist of hinges: h₁ᵀ R₂(q) h₃ = constant + amplitude · cos(q - middle)."""
     rows = np.zeros((2, 3))
-    if form.family is not Family.LIMB:
+    if form.family < Family.LIMB:
         return rows
     for g in range(2):
         if form.groups[g, 0] == HINGES:
@@ -40,7 +40,7 @@ def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
     """(m, 8) all limits ``lower``, ``upper`` (by column of the form) as equations of the swivel angle."""
     rows: list[Array] = []
     turns = middle_turns(form)
-    for g in range(2 if form.family is Family.LIMB else 0):
+    for g in range(2 if form.family >= Family.LIMB else 0):
         first = int(form.groups[g, 1])
         if form.groups[g, 0] == BALL_JOINT and upper[first] < np.pi:
             rows.append(np.array([2 + g, *np.zeros(6), 1.0 + 2.0 * np.cos(upper[first])]))

@@ -29,6 +29,8 @@ class Family(enum.IntEnum):
     THREE_PARALLEL = 2
     SPHERICAL_SHOULDER = 3
     LIMB = 4
+    LIMB_POINT = 5
+    LIMB_AIM = 6
 
 
 # What the two solutions of each choice are called, for ``solve_all``; by row = 4·first + 2·second + third.
@@ -38,6 +40,9 @@ BRANCH_NAMES: dict[Family, tuple[str, ...]] = {
     Family.THREE_PARALLEL: ("shoulder", "wrist", "elbow"),
     Family.SPHERICAL_SHOULDER: ("wrist", "elbow", "shoulder"),
     Family.LIMB: ("elbow", "shoulder", "wrist"),
+    Family.LIMB_POINT: ("elbow", "shoulder", "wrist"),
+    # Shoulder (+) or wrist aims; the goal's place on the axis, of two; flip of the three hinges that aim.
+    Family.LIMB_AIM: ("mover", "place", "flip"),
 }
 
 # How a limb is joined at its shoulder and at its wrist; NO_JOINTS: its end is a point of the wrist's centre.
@@ -74,8 +79,8 @@ def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
     kinds = [int(tree.kind[k]) for k in chain]
     if not chain or any(kind not in (HINGE, BALL) for kind in kinds):
         return None
-    axes, frames, tool = _at_zero(tree, chain, local)
-    scale = float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())
+    axes, frames, tool = axes_at_zero(tree, chain, local)
+    scale = size_of(axes, tool)
     limb = _limb(kinds, chain, axes, frames, tool, scale, whole)
     if limb is not None or BALL in kinds:
         return limb
@@ -126,20 +131,20 @@ def _limb(
 
     For a position the frame must stand in the wrist's centre, where the wrist's joints do not move it.
     """
-    arm, shoulder = _ball_joint(kinds, axes, scale)
+    arm, shoulder = joint_centre(kinds, axes, scale)
     if shoulder is None or len(kinds) <= arm or kinds[arm] != HINGE:
         return None
     wrist_kinds, wrist_axes = kinds[arm + 1 :], axes[arm + 1 :]
-    hand, centre = _ball_joint(wrist_kinds, wrist_axes, scale)
+    hand, centre = joint_centre(wrist_kinds, wrist_axes, scale)
     joined = BALL_JOINT if hand == 1 else HINGES
     if not whole:
         centre, joined, chain = tool.position, NO_JOINTS, chain[: arm + 1]
-        if any(not _on_axis(axis, centre, scale) for axis in wrist_axes):
+        if any(not on_axis(axis, centre, scale) for axis in wrist_axes):
             return None
     elif centre is None or len(wrist_kinds) != hand:
         return None
     elbow = axes[arm]
-    if any(_on_axis(elbow, point, scale, 1e-4) for point in (shoulder, centre)):
+    if any(on_axis(elbow, point, scale, 1e-4) for point in (shoulder, centre)):
         return None  # the elbow would not change the distance of shoulder and wrist
     table = np.zeros((7, 6))
     table[:3, 3:], table[4:, 3:] = shoulder, centre
@@ -153,7 +158,7 @@ def _limb(
     return form
 
 
-def _ball_joint(kinds: list[int], axes: Array, scale: float) -> tuple[int, Array | None]:
+def joint_centre(kinds: list[int], axes: Array, scale: float) -> tuple[int, Array | None]:
     """How many joints at the head of a chain turn about one point in every direction, and that point."""
     if kinds and kinds[0] == BALL:
         return 1, axes[0, 3:]
@@ -167,10 +172,10 @@ def _centre(axes: Array, scale: float) -> Array | None:
     if _parallel(axes, 0, 1) or _parallel(axes, 1, 2):
         return None
     centre = _meeting(axes[1], axes[2], scale)
-    return centre if centre is not None and _on_axis(axes[0], centre, scale) else None
+    return centre if centre is not None and on_axis(axes[0], centre, scale) else None
 
 
-def _at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, list[Array], Pose]:
+def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, list[Array], Pose]:
     """At q = 0, in the world: axes (n, 6), rotations of the joints' frames, pose of the frame."""
     pose, axes, frames = Pose(), [], []
     for k in chain:
@@ -178,6 +183,11 @@ def _at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, list[Ar
         frames.append(pose.rotation)
         axes.append(np.concatenate([pose.rotation[:, 2], pose.position]))
     return np.array(axes), frames, pose.compose(row_pose(local))
+
+
+def size_of(axes: Array, tool: Pose) -> float:
+    """Metres that tell what is near, for an arm of these axes."""
+    return float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())
 
 
 def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array | None) -> Form:
@@ -203,5 +213,6 @@ def _meeting(a: Array, b: Array, scale: float) -> Array | None:
     return np.asarray(a[3:] + along * a[:3])
 
 
-def _on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> bool:
+def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> bool:
+    """Whether a point (3,) lies on the line ``axis`` (6,), to a share of the arm's size."""
     return float(np.linalg.norm(np.cross(axis[:3], point - axis[3:]))) < slack * scale
