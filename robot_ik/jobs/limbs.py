@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import ConfigError, UnsupportedJointError
+from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Clock, JointSink, JointSource, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
@@ -274,6 +274,9 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
             _HEADROOM * robot.velocity, _HEADROOM * robot.acceleration,
         )  # fmt: skip
     config = ArmConfig.load(path)
+    if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
+        with contextlib.suppress(UnknownJointError):
+            robot = load_robot(name, joints=config.names)
     strangers = [joint for joint in config.names if joint not in robot.joints]
     if strangers:
         raise ConfigError(

@@ -272,7 +272,8 @@ GRIPPER = """
 def test_grip_moves_the_joints_of_the_gripper_alone(tmp_path: Path) -> None:
     (tmp_path / "holder.xml").write_text(GRIPPER)
     (tmp_path / "robot.toml").write_text(
-        'schema = 1\ntitle = "Holder"\nmodel = "holder.xml"\ntool = "tip"\n[groups]\ngripper = ["jaw"]\n'
+        'schema = 1\ntitle = "Holder"\nmodel = "holder.xml"\ntool = "tip"\n[groups]\n'
+        'arm = ["waist"]\ngripper = ["jaw"]\n'
     )
     arm = 'schema = 1\nname = "holder"\nrobot = "holder.xml"\n'
     for id, (name, low, high) in enumerate([("waist", -120.0, 120.0), ("jaw", -10.0, 50.0)], start=1):
@@ -290,6 +291,12 @@ opening = 0.75
 do = "expect"
 joints_deg = { jaw = 35.0, waist = 0.0 }
 tolerance_deg = 0.2
+[[steps]]
+do = "position"
+position = [0.0, 0.25, 0.1]
+[[steps]]
+do = "expect"
+joints_deg = { jaw = 35.0, waist = 90.0 }
 """)
     report = run_script(load_script(tmp_path / "grip.toml"))
     assert report.passed, report.steps

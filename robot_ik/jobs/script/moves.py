@@ -146,7 +146,10 @@ def solve_for(now: Situation, goal: Goal, start: Array) -> Array:
     problem = Problem(now.robot, goal, tolerance=SOLVE_TOLERANCE, seed=now.seed)
     solution = make_solver(now.solver).solve(problem, start)
     now.status = solution.status.name
-    return solution.require().q
+    q = np.array(solution.require().q)
+    aside = [k for k, name in enumerate(now.robot.joints) if name in gripper_joints(now.robot)]
+    q[aside] = start[aside]  # what is in the gripper stays there
+    return q
 
 
 def _goal(
