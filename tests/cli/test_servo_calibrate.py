@@ -42,9 +42,7 @@ def test_zeros_directions_and_ranges_are_found(
     assert np.degrees(desk.bus.true_angles(desk.config)) == pytest.approx([20, -30, 40], abs=0.4)
 
 
-def test_the_file_has_all_that_was_measured(
-    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
-) -> None:
+def test_the_file_has_all_that_was_found(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
     desk.servo(2).memory.set("homing_offset", 40)
     assert calibrate(good_hand()).code == 0
     path = tmp_path / "mine.calibration.toml"
@@ -89,9 +87,7 @@ def test_a_joint_that_was_not_swept(good_hand: Any, calibrate: Any, desk: Any, t
     )
 
 
-def test_a_sweep_across_the_end_of_the_turn(
-    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
-) -> None:
+def test_a_sweep_across_the_turns_end(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
     desk.servo(3).turn_by_hand(-900)  # its horn sits so that -95 degrees are below tick 0
     failing(calibrate(good_hand()), tmp_path, "joint3", "half a turn", "extended_position")
 
