@@ -32,6 +32,8 @@ STILL_TICKS = 12
 OUTSIDE_TICKS = 60
 """About 5 degrees beyond the swept range: backlash and a soft stop, not a lost turn."""
 
+_IN_ARM_FILE = ("id", "model", "direction", "zero_ticks")
+_SAME_LIMIT = 1e-6  # rad; the file keeps a millionth of a degree
 _HALF = TICKS_PER_TURN // 2
 
 
@@ -226,32 +228,19 @@ def check_calibration(
         ConfigError: The calibration is of another arm.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
-    names = tuple(joint.name for joint in found.joints)
-    if names != config.names:
+    if (others := tuple(joint.name for joint in found.joints)) != config.names:
         raise ConfigError(
-            f"it is a calibration of {', '.join(names)}",
+            f"it is a calibration of {', '.join(others)}",
             file=found.file or found.arm,
             key="joints",
             allowed=", ".join(config.names),
         )
+    names = ("drive_mode", "homing_offset", "present_position")
+    servo = {name: read_all(bus, config, name) for name in names}
     rows: list[tuple[str, str, str, str]] = []
-    servo = {
-        name: read_all(bus, config, name) for name in ("drive_mode", "homing_offset", "present_position")
-    }
     for joint, row in zip(config.joints, found.joints, strict=True):
-        pairs = [(key, getattr(row, key), getattr(joint, key)) for key in ("id", "model", "direction")]
-        pairs += [("zero_ticks", row.zero_ticks, joint.zero_ticks)]
-        pairs += [(key, getattr(row, key), servo[key][joint.id]) for key in ("drive_mode", "homing_offset")]
-        rows += [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
-        present = servo["present_position"][joint.id]
-        if joint.mode == OperatingMode.POSITION:
-            present %= TICKS_PER_TURN
-        if not row.range_min - OUTSIDE_TICKS <= present <= row.range_max + OUTSIDE_TICKS:
-            rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
-        then = (math.radians(row.urdf_lower), math.radians(row.urdf_upper))
-        now_limits = limits.get(joint.name, then)
-        if max(abs(a - b) for a, b in zip(then, now_limits, strict=True)) > 1e-6:
-            rows.append((joint.name, "limits of the model, deg", _range(*then), _range(*now_limits)))
+        said = {name: values[joint.id] for name, values in servo.items()}
+        rows += _differences(joint, row, said, limits.get(joint.name))
     if rows:
         raise CalibrationMismatchError(
             f"the arm does not agree with its calibration {found.file or ''}".rstrip(),
@@ -259,3 +248,21 @@ def check_calibration(
             "calibrate again; or bring servos, arm file and model back to what they were "
             "(a present position that is whole turns off: turn the joint by hand)",
         )
+
+
+def _differences(
+    joint: JointMap, row: JointCalibration, servo: Mapping[str, int], limits: tuple[float, float] | None
+) -> list[tuple[str, str, str, str]]:
+    """(joint, what, expected, found) of what differs at one joint; ``limits``: of the model now, rad."""
+    pairs = [(key, getattr(row, key), getattr(joint, key)) for key in _IN_ARM_FILE]
+    pairs += [(key, getattr(row, key), servo[key]) for key in ("drive_mode", "homing_offset")]
+    rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
+    present = servo["present_position"]
+    if joint.mode == OperatingMode.POSITION:
+        present %= TICKS_PER_TURN
+    if not row.range_min - OUTSIDE_TICKS <= present <= row.range_max + OUTSIDE_TICKS:
+        rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
+    then = (math.radians(row.urdf_lower), math.radians(row.urdf_upper))
+    if limits is not None and max(abs(a - b) for a, b in zip(then, limits, strict=True)) > _SAME_LIMIT:
+        rows.append((joint.name, "limits of the model, deg", _range(*then), _range(*limits)))
+    return rows

@@ -69,12 +69,8 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
     bus = DynamixelBus(port, baud)
     bus.open()
     try:
-        said = (
-            bus.ping(id),
-            bus.read(id, table["id"]).data,
-            bus.read(id, table["baud_rate"]).data,
-            bus.read(id, table["return_delay_time"]).data,
-        )
+        names = ("model_number", "id", "baud_rate", "return_delay_time")
+        said = tuple(bus.read(id, table[name]).data for name in names)
     finally:
         bus.close()
     if said != (servo.number, id, _CODES[baud], 0):
