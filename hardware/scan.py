@@ -204,17 +204,18 @@ def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
             values[name] = bus.read(servo.id, table[name]).data or 0
         except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
             continue
-    if "firmware_version" not in values:
-        return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=True)
+    damaged = bus.counters.corrupt - before
+    if not values:  # it answers pings only, or nobody can understand it
+        return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=damaged > 1)
     return FoundServo(
         servo.id,
         servo.baud,
         servo.number,
-        values["firmware_version"],
+        values.get("firmware_version", servo.firmware),
         values["present_input_voltage"] / 10.0 if "present_input_voltage" in values else None,
         values.get("present_temperature"),
         values["return_delay_time"] * 2 if "return_delay_time" in values else None,
         bool(values["torque_enable"]) if "torque_enable" in values else None,
         hardware_error_names(values.get("hardware_error_status", 0)),
-        shared=bus.counters.corrupt - before > 1,
+        shared=damaged > 1,
     )

@@ -95,6 +95,9 @@ def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[s
     hottest = servo.table["temperature_limit"].initial or 0
     if f.temperature is not None and f.temperature > hottest - _WARM:
         rows.append((NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"))
+    if f.torque is None:
+        text = "it answers pings only: its Status Return Level is 0"
+        rows.append((NOTE, text, "nothing: every start of the arm sets 2"))
     if f.torque:
         rows.append((NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"))
     if f.table is not None and "fast_read" not in f.table.abilities:

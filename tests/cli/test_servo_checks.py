@@ -60,6 +60,7 @@ def memory(name: str, value: int) -> Callable[[Any], object]:
         (lambda d: d.servo(2).inject_error("overload"), checks.PROBLEM, "overload", "reset-fault"),
         (memory("firmware_version", 37), checks.PROBLEM, "Bus Watchdog", "Wizard"),
         (memory("firmware_version", 42), checks.NOTE, "fast reads", "update"),
+        (memory("status_return_level", 0), checks.NOTE, "pings only", "sets 2"),
         (memory("return_delay_time", 250), checks.NOTE, "500 us", "sets 0"),
         (memory("torque_enable", 1), checks.NOTE, "torque is on", "torque off"),
         (lambda d: d.bus.add(VirtualServo("XL430-W250", 2, RealClock())), checks.PROBLEM, "two", "--id N"),
