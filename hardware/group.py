@@ -155,7 +155,9 @@ class GroupTraffic:
             for attempt in range(1 + self._retries):
                 self._counters.retries += attempt > 0
                 extra = self._phase if guarded else 0
-                asked = {id: _widened(registers[id], extra) if extra else registers[id] for id in missing}
+                asked = registers
+                if extra or attempt or self._silent:
+                    asked = {id: _widened(registers[id], extra) if extra else registers[id] for id in missing}
                 plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
                 self._once(port, plan, before, _Wanted(registers, asked, found))
                 before = b""
