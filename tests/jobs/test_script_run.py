@@ -63,11 +63,6 @@ def test_looking_repeats_to_the_bit(play: Run) -> None:
 do = "marker"
 tolerance_mm = 3.0
 tolerance_deg = 2.0
-[[steps]]
-do = "follow"
-path = "marker"
-seconds = 0.3
-catch_up_s = 0.1
 """
     head = "marker_at = [0.17, -0.04, 0.0, 190.0]"
     first, again = (play(steps, head, seed=3) for _ in range(2))
