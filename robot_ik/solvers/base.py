@@ -103,6 +103,10 @@ class Solver(ABC):
         """Whether it can try this problem at all."""
         return not self.beyond(problem)
 
+    def worthwhile(self, problem: Problem) -> bool:
+        """Whether it is a better first choice than a numeric method where it applies; asked by ``auto``."""
+        return True
+
     def beyond(self, problem: Problem) -> str:
         """What of the problem it cannot serve, in words; empty when nothing is."""
         for goal in problem.goals:

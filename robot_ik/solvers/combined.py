@@ -50,6 +50,10 @@ class Combined(Solver):
     def applies(self, problem: Problem) -> bool:
         return any(member.applies(problem) for member in self._members)
 
+    def _takes(self, member: Solver, problem: Problem) -> bool:
+        """Whether a member gets its turn."""
+        return member.applies(problem)
+
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         turns = self._turns(problem)
         solution = turns[0].solve(problem, start)
@@ -61,7 +65,7 @@ class Combined(Solver):
         """The methods that can try a problem, asked once."""
         asked = problem.prepared.get("turns")
         if asked is None or asked[0] is not self:
-            turns = tuple(member for member in self._members if member.applies(problem))
+            turns = tuple(member for member in self._members if self._takes(member, problem))
             if not turns:
                 goal = problem.goals[0]
                 beyond = [member.beyond(problem) for member in self._members]
@@ -100,7 +104,7 @@ class Combined(Solver):
         best = np.full(len(targets), np.inf)
         proven = np.zeros(len(targets), dtype=bool)
         for member in self._members:
-            if not member.applies(problem) or not len(left):
+            if not len(left) or not self._takes(member, problem):
                 continue
             for rows, known in ((left[~proven[left]], False), (left[proven[left]], True)):
                 part = Answers.empty(len(rows), answers.q.shape[1])
@@ -155,3 +159,6 @@ class Auto(Combined):
 
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "closed form where there is one, else Levenberg-Marquardt"
+
+    def _takes(self, member: Solver, problem: Problem) -> bool:
+        return member.worthwhile(problem) and member.applies(problem)
