@@ -11,6 +11,7 @@ import pytest
 from robot_ik.camera import synthetic
 from robot_ik.jobs import cameras, eyes
 from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
+from robot_ik.jobs.script import ScriptReport, ScriptRequest, parse_script, run_script
 
 UR = """
 <mujoco model="urlike"><compiler angle="radian"/><worldbody>
@@ -114,3 +115,14 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         files[name] = folder / f"{name}.xml"
         files[name].write_text(text)
     return files
+
+
+@pytest.fixture
+def play() -> Callable[..., ScriptReport]:
+    """``play(steps in TOML, **request)``."""
+
+    def play(steps: str, head: str = "", **request: object) -> ScriptReport:
+        script = parse_script(f'schema = 1\nname = "trial"\n{head}\n{steps}', "trial.toml")
+        return run_script(script, ScriptRequest(**request))  # type: ignore[arg-type]
+
+    return play
