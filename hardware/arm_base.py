@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+# rad/s (m/s): slower than this a joint stands still.
+_AT_REST = 1e-3
+
 T = TypeVar("T")
 
 MOVABLE = (ArmState.ENABLED, ArmState.HOLD)
@@ -143,7 +146,11 @@ class ArmBase:
         if idle < stale:
             return
         if self.state is ArmState.ENABLED and self._streaming:
-            log.warning("no command for %.2f s: the arm is held", idle)
+            # At rest after the last command of a motion this is nothing to be told of.
+            moving = any(abs(speed) > _AT_REST for speed in self._cycle.limits.velocity)
+            log.log(
+                logging.WARNING if moving else logging.INFO, "no command for %.2f s: the arm is held", idle
+            )
             self._cycle.reports.stale += 1
             self._latching(self._cycle.hold)
             self.state = ArmState.HOLD
