@@ -24,11 +24,12 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test soak strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
+.PHONY: help reach test explore soak strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
 	@echo 'make test          the tests (ARGS="-k puma" chooses some)'
+	@echo 'make explore       the same tests with new random examples of every law'
 	@echo 'make check         ruff, mypy on the built wheel, import contracts'
 	@echo 'make format        let ruff put the layout and the imports in order'
 	@echo 'make soak          the long tests'
@@ -46,6 +47,9 @@ reach: $(STAMP)
 # Two workers: a file is one worker's, so that what it compiles and opens is its own.
 test: $(STAMP)
 	@$(PY) -m pytest -n 2 --dist loadfile $(ARGS)
+
+explore: $(STAMP)
+	@ROBOT_IK_EXAMPLES=explore $(PY) -m pytest -n 2 --dist loadfile $(ARGS)
 
 soak: $(STAMP)
 	@$(PY) -m pytest -m soak --timeout 3600 $(ARGS)
