@@ -7,7 +7,7 @@ so the truth does not depend on any drawing routine.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -92,11 +92,39 @@ def render_marker(
     look: Look | None = None,
 ) -> Image:
     """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
+    return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, look=look)
+
+
+def render_markers(
+    camera: CameraIntrinsics,
+    markers: Mapping[int, tuple[float, Pose]],
+    rng: np.random.Generator,
+    *,
+    dictionary: str = "DICT_4X4_50",
+    look: Look | None = None,
+    margin: float = _PAPER_MARGIN,
+    cover: Array | None = None,
+) -> Image:
+    """One picture (height, width) uint8 of printed markers: a board, or the faces of a cube that show.
+
+    Args:
+        camera: The optics.
+        markers: Id -> (side in metres, ``pose_camera_marker``); later ones are painted over earlier ones.
+        rng: Of wall, light and noise.
+        dictionary: Of all markers.
+        look: Blur, noise, light.
+        margin: White paper round each marker, in its size; at most the gap to the next marker.
+        cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
+    """
     look = look or Look()
     canvas = _wall(camera, rng, look)
-    x0, y0, x1, y1 = _paper_box(camera, pose, size)
-    if x1 > x0 and y1 > y0:
-        _paint_paper(canvas, (x0, y0, x1, y1), camera, pose, size, marker_bits(dictionary, marker_id), look)
+    for marker_id, (size, pose) in markers.items():
+        box = _paper_box(camera, pose, size)
+        if box[2] > box[0] and box[3] > box[1]:
+            paper = _Paper(size, marker_bits(dictionary, marker_id), margin)
+            _paint_paper(canvas, box, camera, pose, paper, look)
+    if cover is not None:
+        cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (look.black + look.white))
     if look.blur > 0:
         canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), look.blur), dtype=float)
     way = rng.uniform(0, 2 * np.pi)
@@ -105,6 +133,13 @@ def render_marker(
     canvas = canvas * (1.0 - look.gradient * along)
     canvas = canvas + rng.normal(0.0, look.noise, canvas.shape)
     return np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Paper:
+    size: float
+    bits: Image
+    margin: float
 
 
 def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: Look) -> Array:
@@ -126,17 +161,17 @@ def _paint_paper(
     box: tuple[int, int, int, int],
     camera: CameraIntrinsics,
     pose: Pose,
-    size: float,
-    bits: Image,
+    paper: _Paper,
     look: Look,
 ) -> None:
     x0, y0, x1, y1 = box
     centres, slopes = (grid[y0:y1, x0:x1] for grid in _undistorted_grid(camera))
-    plane = np.column_stack([size * pose.rotation[:, 0], size * pose.rotation[:, 1], pose.position])
+    axes = paper.size * pose.rotation
+    plane = np.column_stack([axes[:, 0], axes[:, 1], pose.position])
     to_paper = np.linalg.inv(plane)
-    levels = np.where(bits > 0, look.white, look.black)
+    levels = np.where(paper.bits > 0, look.white, look.black)
     wall = canvas[y0:y1, x0:x1].copy()
-    one_ray = _paper_value(centres, np.full(wall.shape, -1.0), to_paper, levels, look.white)
+    one_ray = _paper_value(centres, np.full(wall.shape, -1.0), to_paper, levels, look.white, paper.margin)
     # Many rays only where two of them can differ; everywhere else the first one has said it all.
     kernel = np.ones((5, 5), np.uint8)
     mixed = cv2.dilate(one_ray, kernel) - cv2.erode(one_ray, kernel) > 0
@@ -146,12 +181,14 @@ def _paint_paper(
     for offset in _LATTICE:
         # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
         ideal = some_centres + some_slopes[..., 0] * offset[0] + some_slopes[..., 1] * offset[1]
-        total += _paper_value(ideal, some_wall, to_paper, levels, look.white)
+        total += _paper_value(ideal, some_wall, to_paper, levels, look.white, paper.margin)
     one_ray[mixed] = total / _RAYS
     canvas[y0:y1, x0:x1] = one_ray
 
 
-def _paper_value(ideal: Array, wall: Array, to_paper: Array, levels: Array, white: float) -> Array:
+def _paper_value(
+    ideal: Array, wall: Array, to_paper: Array, levels: Array, white: float, margin: float
+) -> Array:
     """Light along rays (..., 2): ``to_paper`` (3, 3) maps them to the marker's plane in marker sizes."""
     paper = ideal @ to_paper[:, :2].T + to_paper[:, 2]
     u, v = paper[..., 0] / paper[..., 2], paper[..., 1] / paper[..., 2]
@@ -159,7 +196,7 @@ def _paper_value(ideal: Array, wall: Array, to_paper: Array, levels: Array, whit
     column = np.floor((u + 0.5) * cells).astype(int)
     row = np.floor((0.5 - v) * cells).astype(int)
     inside = (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
-    edge = 0.5 + _PAPER_MARGIN
+    edge = 0.5 + margin
     value = np.where((np.abs(u) <= edge) & (np.abs(v) <= edge), white, wall)
     value[inside] = levels[row[inside], column[inside]]
     return np.asarray(value)
