@@ -14,8 +14,8 @@ from hypothesis import settings
 # The width of the terminal that the tests were started in, which pytest-xdist hands on, must not matter.
 os.environ.pop("COLUMNS", None)
 
-# No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries the
-# same examples every time, so that a change is judged by itself and not by luck; `make explore` draws new ones.
+# No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries
+# the same examples every time: a change is judged by itself, not by luck.  `make explore` draws new ones.
 settings.register_profile("robot_ik", deadline=None, print_blob=True, derandomize=True)
 settings.register_profile("explore", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("ROBOT_IK_EXAMPLES", "robot_ik"))

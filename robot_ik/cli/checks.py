@@ -178,7 +178,7 @@ def check_display(until: float) -> list[Row]:
 
 def check_kernels(until: float) -> list[Row]:
     """Whether numba imports, and whether compiled kernels can be kept between runs."""
-    code = "from robot_ik.kernels.jit import cache_folder; print(cache_folder())"
+    code = "from robot_ik.kernels.jit import cache_folder; print(cache_folder().parent)"
     probe = environment.run_probe(code, timeout=time_left(until))
     if probe.late:
         return [late("kernels", probe)]

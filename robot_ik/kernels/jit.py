@@ -1,8 +1,8 @@
 """``@kernel``: the one decorator for compiled code, with a cache that cannot go stale.
 
 numba's own cache serves a compiled caller again although a callee or a constant in *another* file
-has changed.  Here the cache folder is named after a hash of every compiled source (``kernels/`` and
-``solvers/``), so any edit starts a fresh one.
+has changed.  Here a module's cache folder is named after a hash of its source and of every source that it
+imports, so an edit starts a fresh one for what it concerns, and for nothing else.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import functools
 import hashlib
 import logging
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable
@@ -35,9 +36,46 @@ _OPTIONS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _sources() -> list[Path]:
-    package = Path(__file__).resolve().parent.parent
-    return sorted([*(package / "kernels").rglob("*.py"), *(package / "solvers").rglob("*.py")])
+_PACKAGE = Path(__file__).resolve().parent.parent
+# Rooms with compiled code: what compiled code of one file takes from another lies in them.
+_ROOMS = ("kernels", "solvers", "camera")
+# At the margin only: what is imported inside a function is no global of compiled code.
+_IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
+
+
+def _file_of(module: str) -> Path | None:
+    """The source of ``solvers.ccd``; None for what is not a module of a room with compiled code."""
+    if module.split(".")[0] not in _ROOMS:
+        return None
+    path = _PACKAGE.joinpath(*module.split("."))
+    return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
+
+
+@functools.cache
+def _imported(path: Path) -> tuple[bytes, tuple[Path, ...]]:
+    """One source, and the sources that it imports."""
+    text = path.read_bytes()
+    found: list[Path | None] = []
+    for module, names in _IMPORT.findall(text.decode()):
+        found += [_file_of(module), *(_file_of(f"{module}.{name}") for name in re.findall(r"\w+", names))]
+    return text, tuple(dict.fromkeys(other for other in found if other is not None))
+
+
+def sources(module: str) -> list[Path]:
+    """Every source that can change the compiled code of a module, its own among them, in a fixed order.
+
+    Args:
+        module: Its full name; for one outside ``robot_ik`` (a user's, a test's) every source of the kernels.
+    """
+    own = _file_of(module.removeprefix("robot_ik.")) if module.startswith("robot_ik.") else None
+    todo = [own] if own else list((_PACKAGE / "kernels").glob("*.py"))
+    known: set[Path] = set()
+    while todo:
+        source = todo.pop()
+        if source not in known:
+            known.add(source)
+            todo += _imported(source)[1]
+    return sorted(known)
 
 
 def _user_cache() -> Path:
@@ -51,12 +89,12 @@ def _user_cache() -> Path:
 
 
 @functools.cache
-def cache_folder() -> Path:
-    """Where compiled kernels are kept: the user's cache, or a temporary folder when that is not writable."""
+def cache_folder(module: str = __name__) -> Path:
+    """Where a module's compiled code is kept: the user's cache, or a temporary folder if need be."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
-    for source in _sources():
+    for source in sources(module):
         digest.update(source.name.encode())
-        digest.update(source.read_bytes())
+        digest.update(_imported(source)[0])
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
     candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
     with contextlib.suppress(RuntimeError):  # no home folder at all
@@ -74,7 +112,7 @@ def cache_folder() -> Path:
 
 def _compile(function: F, **options: Any) -> F:
     previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder())
+    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
     try:
         compiled = numba.njit(**_OPTIONS, **options)(function)
     finally:
@@ -117,7 +155,7 @@ def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
 
 def compiled(function: Any) -> bool:
     """Whether an entry point has been compiled on this machine, from these sources."""
-    return any(cache_folder().rglob(f"*.{function.__name__}-*.nbi"))
+    return any(cache_folder(function.__module__).rglob(f"*.{function.__name__}-*.nbi"))
 
 
 _announced: set[str] = set()

@@ -193,7 +193,7 @@ def test_a_compilation_is_announced_on_stderr(
 ) -> None:
     """With no kernel in the cache there is one line of talk, once, and stdout stays pure JSON."""
     robot_ik("solve", "--goal", *GOAL)  # the kernel itself is loaded: this test needs no compiler
-    monkeypatch.setattr(jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(jit, "cache_folder", lambda module: tmp_path)
     monkeypatch.setattr(jit, "_announced", set())
     run = robot_ik("solve", "--goal", *GOAL)
     assert "compiling" in run.err and len(run.err.splitlines()) == 1, run.err

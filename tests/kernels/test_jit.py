@@ -1,5 +1,7 @@
 """The cache of compiled code: never stale, never in the way, and a first compilation is said once."""
 
+import ast
+import importlib
 import logging
 import os
 import shutil
@@ -14,7 +16,11 @@ from robot_ik.kernels import jit
 
 PACKAGE = Path(robot_ik.__file__).parent
 
-PRINT_FOLDER = "from robot_ik.kernels.jit import cache_folder; print(cache_folder())"
+PRINT_FOLDER = (
+    "from robot_ik.kernels.jit import cache_folder; print(cache_folder('robot_ik.kernels.kinematics'))"
+)
+    "from robot_ik.kernels.jit import cache_folder; print(cache_folder('robot_ik.kernels.kinematics'))"
+)
 
 # A caller in one file and its callee in another: what numba's own cache gets wrong.
 CALLER = """
@@ -58,18 +64,47 @@ def copied(tmp_path: Path) -> Path:
     return tmp_path / "lib"
 
 
-def test_an_edit_of_any_compiled_source_starts_another_cache(copied: Path, tmp_path: Path):
-    def folder() -> Path:
-        return Path(run(PRINT_FOLDER, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache").stdout.strip())
+def test_an_edit_starts_another_cache_for_what_it_concerns_and_for_nothing_else(
+    copied: Path, tmp_path: Path
+) -> None:
+    modules = ["robot_ik.solvers.ccd", "robot_ik.solvers.fabrik", "robot_ik.kernels.linalg", "of_a_user"]
 
-    first = folder()
-    assert first.is_relative_to(tmp_path / "cache" / "robot-ik")
-    for name in ("kernels/linalg.py", "solvers/ccd.py"):
+    def folders() -> list[str]:
+        code = f"from robot_ik.kernels.jit import cache_folder; print(*map(cache_folder, {modules}))"
+        return run(code, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache").stdout.split()
+
+    before = folders()
+    assert all(Path(folder).is_relative_to(tmp_path / "cache" / "robot-ik") for folder in before)
+    for name, touched in {
+        "kernels/linalg.py": [False, False, True, True],  # ccd and fabrik solve nothing linear
+        "kernels/room.py": [True, True, False, True],
+        "solvers/ccd.py": [True, False, False, False],
+    }.items():
         source = copied / "robot_ik" / name
         source.write_text(source.read_text() + "\n# changed\n")
-        second = folder()
-        assert second != first
-        first = second
+        after = folders()
+        assert [a != b for a, b in zip(before, after, strict=True)] == touched, name
+        before = after
+
+
+def test_compiled_code_takes_constants_only_from_sources_that_its_cache_is_named_after() -> None:
+    """A number from any other room would be baked in, and an edit of it would go unnoticed."""
+    for path in sorted(
+        p for room in ("kernels", "solvers", "camera") for p in (PACKAGE / room).rglob("*.py")
+    ):
+        name = ".".join(("robot_ik", *path.relative_to(PACKAGE).with_suffix("").parts))
+        if path.name == "__init__.py" or "kernels.jit" not in path.read_text():
+            continue
+        module = importlib.import_module(name)
+        named = {source.resolve() for source in jit.sources(name)}
+        for node in ast.parse(path.read_text()).body:
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("robot_ik."):
+                continue
+            for alias in node.names:
+                value = getattr(module, alias.asname or alias.name)
+                if isinstance(value, bool | int | float | tuple) or hasattr(value, "py_func"):
+                    origin = importlib.import_module(node.module).__file__
+                    assert Path(origin).resolve() in named, f"{name} takes {alias.name} from {node.module}"
 
 
 def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tmp_path: Path):
@@ -107,7 +142,7 @@ def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(tmp_path:
 
 def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
     monkeypatch.setattr(jit, "_announced", set())
-    monkeypatch.setattr(jit, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(jit, "cache_folder", lambda module: tmp_path)
     caplog.set_level(logging.INFO, logger="robot_ik.kernels")
 
     def fresh() -> None: ...
