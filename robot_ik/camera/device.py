@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import sys
 import threading
@@ -13,6 +12,7 @@ from typing import Any
 
 import cv2
 
+from robot_ik.camera.device_list import list_cameras
 from robot_ik.camera.opencv import quiet
 from robot_ik.camera.picture_files import Image
 from robot_ik.camera.sources import ClosingSource, Frame
@@ -24,11 +24,6 @@ _OPEN_TIMEOUT_S = 10.0
 _CLOSE_TIMEOUT_S = 1.0
 # A camera drops a picture now and then; this many in a row mean that it is gone.
 _FAILURES_ALLOWED = 5
-
-
-def list_cameras() -> tuple[str, ...]:
-    """Camera devices that this machine shows, by path (Linux only; empty elsewhere)."""
-    return tuple(sorted(glob.glob("/dev/video*"))) if sys.platform.startswith("linux") else ()
 
 
 class DeviceSource(ClosingSource):

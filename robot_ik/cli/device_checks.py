@@ -38,7 +38,8 @@ def _group_of(path: str) -> str:
         return ""
 
 
-def _permission_hint(path: str) -> str:
+def permission_hint(path: str) -> str:
+    """What gives this user the right to use the device file."""
     group = _group_of(path)
     if group in ("", "root", "wheel"):
         return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"
@@ -73,7 +74,7 @@ def serial_row(path: str, about: str, *, sys_root: str = "/sys") -> Row:
     """One serial port: may it be used, is it in use, how late does it answer."""
     what = f"serial {path}"
     if not os.access(path, os.R_OK | os.W_OK):
-        return Row(what, NOTE, f"{about}; no permission", _permission_hint(path))
+        return Row(what, NOTE, f"{about}; no permission", permission_hint(path))
     users = users_of(path)
     if users:
         return Row(what, NOTE, f"{about}; in use by {', '.join(users)}", "end that program first")
@@ -106,7 +107,7 @@ def check_cameras(until: float) -> list[Row]:
     if not paths:
         return [Row("camera", NOTE, "none", "plug one in; --camera synthetic, a photo or a video need none")]
     rows = [
-        Row(f"camera {p}", NOTE, "no permission", _permission_hint(p))
+        Row(f"camera {p}", NOTE, "no permission", permission_hint(p))
         for p in paths
         if not os.access(p, os.R_OK | os.W_OK)
     ]

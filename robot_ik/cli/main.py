@@ -73,6 +73,12 @@ COMMANDS: dict[str, Command] = {
         "servos by hand: find, set up, calibrate, watch, move, record, save",
         mujoco=False,
     ),
+    "camera": Command(
+        "robot_ik.cli.camera",
+        "CameraOptions",
+        "the camera by hand: find, print markers, calibrate, detect, locate",
+        mujoco=False,
+    ),
     "doctor": Command(
         "robot_ik.cli.doctor",
         "DoctorOptions",

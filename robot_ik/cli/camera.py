@@ -1,0 +1,34 @@
+"""``robot-ik camera``: from a sheet of paper to a camera that measures.  One table, one module each."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
+
+from robot_ik.cli.camera_list import CameraListOptions
+from robot_ik.cli.camera_print import CameraPrintOptions
+
+# Each module has its options and a function run(options) -> exit code.
+Subcommand = (
+    Annotated[CameraListOptions, subcommand("list")] | Annotated[CameraPrintOptions, subcommand("print")]
+)
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """The camera by hand: find it, print markers, calibrate, detect, tell where it stands.
+
+    Each subcommand explains itself: robot-ik camera calibrate --help
+    """
+
+    command: Annotated[OmitArgPrefixes[OmitSubcommandPrefixes[Subcommand]], None]
+
+
+def run(options: CameraOptions) -> int:
+    """Runs the subcommand: the function ``run`` beside its options."""
+    chosen = options.command
+    code: int = importlib.import_module(type(chosen).__module__).run(chosen)
+    return code

@@ -1,0 +1,61 @@
+"""``robot-ik camera print``: markers, boards, cubes and calibration patterns on paper, at true scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+
+Kind = Literal["marker", "board", "cube", "charuco", "chessboard"]
+
+
+@dataclass(frozen=True)
+class CameraPrintOptions:
+    """Writes a sheet to print: markers, a board of markers, a cube to fold, or a pattern to calibrate with.
+
+    Print it at 100 % ("actual size", no "fit to page") and measure the bar of 100 mm on it. What does not
+    fit the page is refused.
+    """
+
+    kind: Positional[Kind]
+    """marker (one or more), board (markers in a grid), cube (to cut out and fold), charuco, chessboard."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
+    """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
+    """Side of a marker's black square (marker 50, board 50, cube 40), or of a square of a pattern (charuco
+    30, chessboard 25)."""
+    columns: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
+    """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
+    rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
+    """The same downwards: board 2, charuco 6, chessboard 6."""
+    ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: 0, 1, 2, …)")] = ()
+    """marker: one sheet position each. board: the first one counts on. cube: five or six, in the order
+    of the faces."""
+    dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
+    """Dictionary of the markers."""
+    gap_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
+    """White between the markers of a sheet or board (a quarter of the marker)."""
+    edge_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 1.25 markers)")] = None
+    """Edge of the cube."""
+    marker_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 0.73 squares)")] = None
+    """Side of the markers inside a charuco board."""
+    page: Literal["a4", "letter", "a3"] = "a4"
+    """Paper; it is turned when that makes it fit."""
+    dpi: int = 300
+    """Pixels per inch of a .png."""
+
+
+def run(options: CameraPrintOptions) -> int:
+    """Writes the sheet and says what is on it."""
+    from robot_ik.camera.sheets import SheetWish, make_sheet_page, write_sheet
+
+    wish = SheetWish(**{name: getattr(options, name) for name in SheetWish.__dataclass_fields__})
+    page = make_sheet_page(wish)
+    write_sheet(page, options.out, dpi=options.dpi)
+    console.say(f"wrote {options.out}: {page.about}", "green")
+    console.say("print it at 100 % (actual size) and measure the bar: 100.0 mm")
+    return console.DONE
