@@ -19,8 +19,6 @@ PACKAGE = Path(robot_ik.__file__).parent
 PRINT_FOLDER = (
     "from robot_ik.kernels.jit import cache_folder; print(cache_folder('robot_ik.kernels.kinematics'))"
 )
-    "from robot_ik.kernels.jit import cache_folder; print(cache_folder('robot_ik.kernels.kinematics'))"
-)
 
 # A caller in one file and its callee in another: what numba's own cache gets wrong.
 CALLER = """
