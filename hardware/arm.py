@@ -83,7 +83,7 @@ class Arm(ArmBase):
             self._cycle.samples.take(goals, self.clock.now())
         except BaseException:
             with self._guard.shield():
-                self.exit_report = torque_off(self.bus, self.config)
+                self.exit_report = torque_off(self.bus, self.config, clock=self.clock)
                 self._energised = False
             self._guard.remove()
             raise

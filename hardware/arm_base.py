@@ -162,7 +162,7 @@ class ArmBase:
     def _give_up(self, idle: float) -> None:
         """The program is as good as gone: the arm file says what to do then."""
         parked = self.config.on_stale == "park" and self._park(stop=self._heartbeat.stopping)
-        report = torque_off(self.bus, self.config, parked=parked)
+        report = torque_off(self.bus, self.config, parked=parked, clock=self.clock)
         done = "parked, torque off" if parked else "torque off"
         doubt = "" if report.ok else f", not confirmed by {', '.join(report.unverified)}"
         self._fault = HardwareError(
@@ -215,8 +215,8 @@ class ArmBase:
             before = self._guard.received
             parked = self._park(stop=lambda: self._guard.received > before)
         if self.on_exit == "hold" and self._cycle.goals:
-            return hold(self.bus, self.config, self._cycle.holding_goals())
-        return torque_off(self.bus, self.config, parked=parked)
+            return hold(self.bus, self.config, self._cycle.holding_goals(), self.clock)
+        return torque_off(self.bus, self.config, parked=parked, clock=self.clock)
 
     def _park(self, stop: Callable[[], bool]) -> bool:
         """Whether the arm is where it is to be left; False where it cannot go there."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,11 +11,15 @@ from robot_ik.errors import ConfigError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.registers import shared_register
+from robot_ik.ports import Clock, RealClock
 
 log = logging.getLogger(__name__)
 
 PATIENCE = 1.0
 """s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
+
+PAUSE = 0.02
+"""s between two attempts.  On a virtual clock asking takes no time: without it patience would never end."""
 
 
 ON_EXIT = ("torque_off", "hold", "park")
@@ -48,7 +51,7 @@ class ExitReport:
         verified: Joints that confirmed it.
         unverified: Joints that did not: silent, or the port is gone.  Their torque may still be on.
         parked: The way to the park pose was finished before.
-        seconds: How long it took, parking not counted.
+        seconds: How long it took on the arm's clock, parking not counted.
     """
 
     done: str
@@ -63,17 +66,21 @@ class ExitReport:
         return not self.unverified
 
 
-def torque_off(bus: ServoBus, config: ArmConfig, *, parked: bool = False) -> ExitReport:
+def torque_off(
+    bus: ServoBus, config: ArmConfig, *, parked: bool = False, clock: Clock | None = None
+) -> ExitReport:
     """Switches every servo off: all at once first, then each by itself, until register 64 reads 0.
 
     Args:
         bus: If it is not open, the report says that nothing was done.
         config: Of the arm.
         parked: For the report.
+        clock: The arm's, by which patience is counted; the machine's by default.
 
     Never raises on what the bus does: what failed is in the report and in the log.
     """
-    begin = time.monotonic()
+    clock = clock or RealClock()
+    begin = clock.now()
     register = shared_register(config, "torque_enable")
     left = {servo.id: servo.name for servo in config.servos}
     # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
@@ -87,14 +94,18 @@ def torque_off(bus: ServoBus, config: ArmConfig, *, parked: bool = False) -> Exi
                 if status.data == 0:
                     del left[id]
         for id, name in list(left.items()):
-            if time.monotonic() - begin > PATIENCE:
-                return _report("torque_off", config, left, begin, parked)
+            if clock.now() - begin > PATIENCE:
+                return _report("torque_off", config, left, clock.now() - begin, parked)
             with _tolerant(f"torque off for {name}"):
                 bus.write(id, register, 0)
-    return _report("torque_off", config, left, begin, parked)
+        if left:
+            clock.sleep_until(clock.now() + PAUSE)
+    return _report("torque_off", config, left, clock.now() - begin, parked)
 
 
-def hold(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> ExitReport:
+def hold(
+    bus: ServoBus, config: ArmConfig, goals: Mapping[int, int], clock: Clock | None = None
+) -> ExitReport:
     """Leaves torque on and the shafts at their goals.
 
     The Bus Watchdog is disarmed: the goals stand, and another program may take over.
@@ -103,29 +114,33 @@ def hold(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> ExitRepo
         bus: If it is not open, the report says that nothing was done.
         config: Of the arm.
         goals: Servo id -> goal position, ticks.
+        clock: As for ``torque_off``.
     """
-    begin = time.monotonic()
+    clock = clock or RealClock()
+    begin = clock.now()
     goal, watchdog = (shared_register(config, name) for name in ("goal_position", "bus_watchdog"))
     left = {servo.id: servo.name for servo in config.servos}
-    while left and bus.is_open and time.monotonic() - begin < PATIENCE:
+    while left and bus.is_open and clock.now() - begin < PATIENCE:
         with _tolerant("hold"):
             bus.sync_write(watchdog, dict.fromkeys(left, 0))
             bus.sync_write(goal, {id: goals[id] for id in left})
             for id, status in bus.sync_read(list(left), goal).items():
                 if status.data == goals[id]:
                     del left[id]
-    return _report("hold", config, left, begin)
+        if left:
+            clock.sleep_until(clock.now() + PAUSE)
+    return _report("hold", config, left, clock.now() - begin)
 
 
 def _report(
-    done: str, config: ArmConfig, left: Mapping[int, str], begin: float, parked: bool = False
+    done: str, config: ArmConfig, left: Mapping[int, str], seconds: float, parked: bool = False
 ) -> ExitReport:
-    seconds = time.monotonic() - begin
     if left:
         log.error("%s not confirmed by %s: torque may be ON, cut the power", done, ", ".join(left.values()))
     else:
         log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
-    verified = tuple(name for name in config.names if name not in left.values())
+    names = dict.fromkeys(servo.name for servo in config.servos)
+    verified = tuple(name for name in names if name not in left.values())
     return ExitReport(done, verified, tuple(dict.fromkeys(left.values())), parked, seconds)
 
 

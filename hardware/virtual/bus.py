@@ -27,14 +27,12 @@ from robot_ik.hardware.virtual.protocol2 import (
 )
 from robot_ik.hardware.virtual.schedule import Schedule
 from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.hardware.virtual.supply import SupplyFaults, feed
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.fault_kinds import Fault
     from robot_ik.hardware.virtual.world import World
-
-# Share of the nominal supply below which a servo loses its mind and starts anew when power is back.
-_BROWN_OUT = 0.4
 
 
 class Answer(NamedTuple):
@@ -72,6 +70,7 @@ class VirtualBus:
         self.unplugged = False
         self.latency = 0.0
         self.schedule = Schedule(clock)
+        self.supply_faults = SupplyFaults()
         self._built = {servo.id: servo for servo in self.servos}
         self._parser = Parser()
         self._delay = 0.0
@@ -173,10 +172,7 @@ class VirtualBus:
         """The supply of all servos; so low that a servo cannot run, it starts anew once power is back."""
         with self.lock:
             for servo in self.servos:
-                servo.set_supply(volts)
-                starved = volts < _BROWN_OUT * servo.table.supply
-                if starved != servo.off:
-                    (servo.switch_off if starved else servo.switch_on)()
+                feed(servo, volts)
 
     def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""

@@ -207,9 +207,7 @@ def _rate(name: str) -> Callable[[VirtualBus, float], Undo]:
 
 
 def _supply(bus: VirtualBus, value: float) -> Undo:
-    before = [s.shaft.volts for s in bus.servos]
-    bus.set_supply(value)
-    return lambda: bus.set_supply(max(before, default=0.0))
+    return bus.supply_faults.begin(bus.servos, value)
 
 
 def _port(name: str, scale: float | None = None) -> Callable[[VirtualBus, float], Undo]:

@@ -56,6 +56,24 @@ def test_everybody_silent_and_power_lost(bus: VirtualBus, sim: SimBus) -> None:
     assert sim.read(1, TABLE["present_input_voltage"]).data == 120
 
 
+def test_each_servo_gets_its_own_supply_back_whichever_fault_of_it_ends_first(
+    bus: VirtualBus, sim: SimBus, clock: VirtualClock
+) -> None:
+    bus.servo(2).set_supply(11.0)
+    bus.inject(Fault("supply", value=9.7, lasts=3.0), Fault("supply", value=10.0, at=1.0, lasts=1.0))
+    seen = {}
+    for now in (0.5, 1.5, 2.5, 3.5):
+        clock.sleep_until(now)
+        seen[now] = [sim.read(id, TABLE["present_input_voltage"]).data for id in (1, 2, 3)]
+    assert seen == {0.5: [97] * 3, 1.5: [100] * 3, 2.5: [97] * 3, 3.5: [120, 110, 120]}
+    bus.inject(Fault("supply", value=9.7, lasts=1.0), Fault("supply", value=0.0, lasts=2.0))
+    clock.sleep_until(5.0)  # the first has ended under the second
+    assert who(sim) == []
+    clock.sleep_until(6.0)
+    assert who(sim) == [1, 2, 3]
+    assert [bus.servo(id).shaft.volts for id in (1, 2, 3)] == [12.0, 11.0, 12.0]
+
+
 def test_a_brown_out_of_one_servo(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
     sim.write(3, TABLE["torque_enable"], 1)
     clock.sleep_until(5.0)

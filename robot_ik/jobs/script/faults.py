@@ -87,9 +87,7 @@ class _Booking:
             for servo in bus.servos if id is None else (bus.servo(id),):
                 undo = kind.on_servo(servo, self.fault.value)
                 self.undos.append(undo or _restart(servo, self.fault.kind))
-        volts = [(servo, servo.shaft.volts) for servo in bus.servos]
         if kind.on_bus is not None and (undo := kind.on_bus(bus, self.fault.value)) is not None:
-            self.undos.append(lambda: _feed(volts) if self.fault.kind == "supply" else None)
             self.undos.append(undo)
         if self.lasts is not None:
             bus.schedule.at(bus.clock.now() + self.lasts, self.end)
@@ -100,12 +98,6 @@ class _Booking:
 def _restart(servo: VirtualServo, kind: str) -> Callable[[], None]:
     """A servo that shut down is well again after a restart; what else has no way back stays."""
     return servo.reboot if kind in HARDWARE_ERRORS.values() else lambda: None
-
-
-def _feed(volts: list[tuple[VirtualServo, float]]) -> None:
-    """Each servo gets its own supply back; an arm may have several."""
-    for servo, before in volts:
-        servo.set_supply(before)
 
 
 @dataclass

@@ -34,7 +34,6 @@ from robot_ik.jobs.script.steps import (
     FollowStep,
     HoldStep,
     InjectStep,
-    RecoverStep,
     WaitStep,
 )
 from robot_ik.solve import solve
@@ -151,10 +150,7 @@ class ScriptRun:
             progress(result.name, k / len(self._script.steps))
             before = Counter(now.limbs.counters())
             run_step(now, step, result)
-            if not isinstance(
-                step, RecoverStep
-            ):  # how often a dead servo is asked while leaving is real time
-                counters.update({key: n - before[key] for key, n in now.limbs.counters().items()})
+            counters.update({key: n - before[key] for key, n in now.limbs.counters().items()})
             self.report.counters = dict(counters)
             if result.outcome == FAILED:
                 return
