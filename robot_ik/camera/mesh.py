@@ -10,10 +10,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.primitives import Array, GeomMesh, Index, triangulate
+from robot_ik.camera.primitives import SEGMENTS, Array, GeomMesh, Index, round_radius, triangulate
+
+Segments = tuple[int, ...]
 
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
 CREASE = np.radians(30.0)
+# Round outlines are drawn true to this, pixels.
+ROUND_PX = 0.3
 # A lid or label stands out of the face it lies on by at most _LID and sinks into it by at most _SINK, metres.
 _LID, _SINK = 0.03, 0.004
 # MuJoCo's viewer shows these geom groups unless told otherwise (mjvOption default).
@@ -122,9 +126,17 @@ def _overlays(
     return tuple(found)
 
 
-def build_mesh(model: mujoco.MjModel, *, planes: bool = False) -> ModelMesh:
-    """Stacks the faces of all visible geoms of ``model``; see ``ModelMesh``."""
-    parts = [(g, m) for g in visible_geoms(model, planes=planes) if (m := triangulate(model, g)) is not None]
+def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
+    """Stacks the faces of all visible geoms of ``model``; see ``ModelMesh``.
+
+    ``segments``: of each geom of the model, faces round a round one; usual numbers when not given.
+    """
+    counts_round = segments or (0,) * model.ngeom
+    parts = [
+        (g, m)
+        for g in visible_geoms(model, planes=planes)
+        if (m := triangulate(model, g, counts_round[g])) is not None
+    ]
     empty = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
     meshes = [m for _, m in parts] or [empty]
     counts = [len(m.vertices) for m in meshes]
@@ -154,17 +166,69 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False) -> ModelMesh:
     )
 
 
-_CACHE: OrderedDict[tuple[int, bool], tuple[Any, ModelMesh, mujoco.MjData]] = OrderedDict()
-_CACHE_SIZE = 8
+@dataclass(frozen=True)
+class _Kept:
+    """What is kept of a model; the model too, so that its id stays its own as long as this lives."""
+
+    model: Any
+    data: mujoco.MjData
+    radius: Array
+    reach: Array
+    meshes: OrderedDict[tuple[bool, Segments], ModelMesh]
 
 
-def cached_mesh(model: mujoco.MjModel, *, planes: bool = False) -> tuple[ModelMesh, mujoco.MjData]:
-    """The model's mesh and a scratch ``MjData`` for it, built once and kept for the last few models."""
-    key = (id(model), planes)
-    if key not in _CACHE:
-        # the model is kept too: its id stays its own as long as the entry lives
-        _CACHE[key] = (model, build_mesh(model, planes=planes), mujoco.MjData(model))
-        while len(_CACHE) > _CACHE_SIZE:
+_CACHE: OrderedDict[int, _Kept] = OrderedDict()
+# Models, and levels of detail of each.
+_MODELS, _LEVELS = 8, 24
+
+
+def _kept(model: mujoco.MjModel) -> _Kept:
+    if id(model) not in _CACHE:
+        radius = np.array([round_radius(model, g) for g in range(model.ngeom)])
+        long = np.isin(
+            model.geom_type, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)]
+        )
+        reach = np.where(long, np.asarray(model.geom_size)[:, 1], 0.0)
+        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), radius, reach, OrderedDict())
+        while len(_CACHE) > _MODELS:
             _CACHE.popitem(last=False)
-    _CACHE.move_to_end(key)
-    return _CACHE[key][1], _CACHE[key][2]
+    _CACHE.move_to_end(id(model))
+    return _CACHE[id(model)]
+
+
+def scratch_data(model: mujoco.MjModel) -> mujoco.MjData:
+    """A ``MjData`` kept with the model for drawing."""
+    return _kept(model).data
+
+
+def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
+    """``build_mesh``, kept for the last few models and levels of detail."""
+    meshes, key = _kept(model).meshes, (planes, segments)
+    if key not in meshes:
+        meshes[key] = build_mesh(model, planes=planes, segments=segments)
+        while len(meshes) > _LEVELS:
+            meshes.popitem(last=False)
+    meshes.move_to_end(key)
+    return meshes[key]
+
+
+def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
+    """How finely each round geom must be cut so that nobody sees corners: one of ``SEGMENTS`` each.
+
+    A sphere of n segments, whose faces are widened to the true area, leaves its outline by at most
+    (2 pi / n)^2 / 6 of its radius; that shall be ``ROUND_PX`` in the picture at its nearest point.
+
+    Args:
+        model: The model; geoms that are not round get 0.
+        axes: (ngeom, 3) each geom's z axis in the camera frame.
+        centres: (ngeom, 3) in the camera frame.
+        focal: Pixels.
+    """
+    kept = _kept(model)
+    nearest = centres[:, 2] - kept.reach * np.abs(axes[:, 2]) - kept.radius
+    # a thing at the lens or behind it is cut as one at half its radius
+    seen = focal * kept.radius / np.maximum(nearest, 0.5 * np.maximum(kept.radius, 1e-9))
+    needed = np.sqrt((2.0 * np.pi) ** 2 / 6.0 * seen / ROUND_PX)
+    levels = np.array(SEGMENTS)
+    chosen = levels[np.minimum(np.searchsorted(levels, needed), len(levels) - 1)]
+    return tuple(np.where(kept.radius > 0, chosen, 0).tolist())

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.mesh import ModelMesh, cached_mesh, geom_rgba
+from robot_ik.camera.mesh import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -117,16 +117,15 @@ def _project(points: Array, intrinsics: CameraIntrinsics) -> Array:
     return intrinsics.distort(ideal * squeeze[:, None])
 
 
-def geom_placement(
-    mesh: ModelMesh, model: mujoco.MjModel, data: mujoco.MjData, qpos: ArrayLike, pose_world_camera: Pose
-) -> tuple[Array, Array]:
-    """Rotations (g, 3, 3) and positions (g, 3) of the mesh's geoms in the camera frame."""
+def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Pose) -> tuple[Array, Array]:
+    """Rotations (ngeom, 3, 3) and positions (ngeom, 3) of the model's geoms in the camera frame."""
+    data = scratch_data(model)
     data.qpos[:] = np.asarray(qpos, dtype=float)
     mujoco.mj_kinematics(model, data)
     camera = pose_world_camera.inverse()
     turn = camera.rotation
-    rotation = turn @ np.asarray(data.geom_xmat)[mesh.geoms].reshape(-1, 3, 3)
-    return rotation, np.asarray(data.geom_xpos)[mesh.geoms] @ turn.T + camera.position
+    rotation = turn @ np.asarray(data.geom_xmat).reshape(-1, 3, 3)
+    return rotation, np.asarray(data.geom_xpos) @ turn.T + camera.position
 
 
 def _turned(rotation: Array, vectors: Array, geom: Index) -> Array:
@@ -168,8 +167,10 @@ def visible_polygons(
         planes: Also draw plane geoms (floors).
         inset: Pixels by which outlines are drawn in, to make up for the fill's reach.
     """
-    mesh, data = cached_mesh(model, planes=planes)
-    rotation, position = geom_placement(mesh, model, data, qpos, pose_world_camera)
+    rotation, position = geom_placement(model, qpos, pose_world_camera)
+    segments = segments_for(model, rotation[:, :, 2], position, max(intrinsics.fx, intrinsics.fy))
+    mesh = cached_mesh(model, planes=planes, segments=segments)
+    rotation, position = rotation[mesh.geoms], position[mesh.geoms]
     points = _turned(rotation, mesh.vertices, mesh.vertex_geom) + position[mesh.vertex_geom]
     normals = _turned(rotation, mesh.normals, mesh.face_geom)
     centres = _turned(rotation, mesh.centres, mesh.face_geom) + position[mesh.face_geom]
@@ -192,8 +193,8 @@ def visible_polygons(
         cut = _clip(points[mesh.faces[order[k]]], view)
         clipped[int(k)] = _fixed(_project(cut, intrinsics)) if len(cut) >= 3 else np.zeros((0, 2), np.int32)
     shade = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals[order] @ _LIGHT, 0.0)
-    segments = _face_lines(mesh, front, order, _fixed(pixels), within) if lines else []
-    return Polygons(fixed[mesh.faces[order]], clipped, shade, mesh.geoms[mesh.face_geom[order]], segments)
+    outline = _face_lines(mesh, front, order, _fixed(pixels), within) if lines else []
+    return Polygons(fixed[mesh.faces[order]], clipped, shade, mesh.geoms[mesh.face_geom[order]], outline)
 
 
 def _drawing_distance(mesh: ModelMesh, centres: Array, front: Mask) -> Array:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Faces round a lathe by radius in metres: 24 keep a 100 px wide cylinder within 0.2 px of round.
-_SEGMENTS = ((0.015, 12), (0.04, 16), (np.inf, 24))
+# Faces round a lathe, multiples of 4: by radius in metres for those who do not know how large it is seen.
+SEGMENTS = (12, 16, 20, 24, 32, 40, 48, 64, 96)
+_USUAL = ((0.015, 12), (0.04, 16), (np.inf, 24))
 # Longest face edge, metres.  Short faces follow the lens' curvature and sort well by depth.
 MAX_EDGE = 0.13
 # Faces of a mesh geom above which its vertices are clustered: the painter pays by the face.
@@ -59,17 +60,17 @@ def _grid(points: Array) -> tuple[Array, Index]:
     return points.reshape(-1, 3), quads.reshape(-1, 4)
 
 
-def _segments(radius: float) -> int:
-    return next(count for limit, count in _SEGMENTS if radius <= limit)
+def usual_segments(radius: float) -> int:
+    """Faces round a lathe of this radius in metres, when nobody knows how large it is seen."""
+    return next(count for limit, count in _USUAL if radius <= limit)
 
 
-def _lathe(profile: Array, *, flat_ends: bool = False) -> GeomMesh:
-    """Turns a profile (k, 2) of radius and height, from bottom to top, about z.
+def _lathe(profile: Array, count: int, *, flat_ends: bool = False) -> GeomMesh:
+    """Turns a profile (k, 2) of radius and height, from bottom to top, about z in ``count`` steps.
 
     The polygon of each ring gets the area of the circle, so that a drawn shape is as wide as the
     true one on average.  ``flat_ends`` closes first and last ring with level strips.
     """
-    count = _segments(float(profile[:, 0].max()))
     step = 2.0 * np.pi / count
     widen = np.sqrt(step / np.sin(step))
     angle = np.append(np.arange(count) * step, 0.0)
@@ -98,30 +99,30 @@ def _arc(radius: float, start: float, stop: float, count: int, lift: float) -> A
     return np.stack([radius * np.cos(angle), radius * np.sin(angle) + lift], axis=1)
 
 
-def _sphere(size: Array) -> GeomMesh:
-    return _lathe(_arc(size[0], -np.pi / 2, np.pi / 2, _segments(size[0]) // 2, 0.0))
+def _sphere(size: Array, count: int) -> GeomMesh:
+    return _lathe(_arc(size[0], -np.pi / 2, np.pi / 2, count // 2, 0.0), count)
 
 
-def _ellipsoid(size: Array) -> GeomMesh:
-    unit = _sphere(np.ones(1))
+def _ellipsoid(size: Array, count: int) -> GeomMesh:
+    unit = _sphere(np.ones(1), count)
     return GeomMesh(unit.vertices * size, unit.faces)
 
 
-def _capsule(size: Array) -> GeomMesh:
+def _capsule(size: Array, count: int) -> GeomMesh:
     radius, half = float(size[0]), float(size[1])
     side = np.linspace(-half, half, _splits(2 * half) + 1)[1:-1]
     parts = [
-        _arc(radius, -np.pi / 2, 0.0, _segments(radius) // 4, -half),
+        _arc(radius, -np.pi / 2, 0.0, count // 4, -half),
         np.stack([np.full(len(side), radius), side], axis=1),
-        _arc(radius, 0.0, np.pi / 2, _segments(radius) // 4, half),
+        _arc(radius, 0.0, np.pi / 2, count // 4, half),
     ]
-    return _lathe(np.concatenate(parts))
+    return _lathe(np.concatenate(parts), count)
 
 
-def _cylinder(size: Array) -> GeomMesh:
+def _cylinder(size: Array, count: int) -> GeomMesh:
     radius, half = float(size[0]), float(size[1])
     side = np.linspace(-half, half, _splits(2 * half) + 1)
-    return _lathe(np.stack([np.full(len(side), radius), side], axis=1), flat_ends=True)
+    return _lathe(np.stack([np.full(len(side), radius), side], axis=1), count, flat_ends=True)
 
 
 def _box(size: Array) -> GeomMesh:
@@ -170,20 +171,37 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> GeomMesh:
     return result
 
 
-_PRIMITIVES: dict[int, Callable[[Array], GeomMesh]] = {
+_FLAT: dict[int, Callable[[Array], GeomMesh]] = {
     int(mujoco.mjtGeom.mjGEOM_PLANE): _plane,
+    int(mujoco.mjtGeom.mjGEOM_BOX): _box,
+}
+_ROUND: dict[int, Callable[[Array, int], GeomMesh]] = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): _sphere,
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): _capsule,
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): _ellipsoid,
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): _cylinder,
-    int(mujoco.mjtGeom.mjGEOM_BOX): _box,
 }
 
 
-def triangulate(model: mujoco.MjModel, geom: int) -> GeomMesh | None:
-    """Faces of one geom in its own frame; ``None`` for kinds without a surface here (height field, SDF)."""
+def round_radius(model: mujoco.MjModel, geom: int) -> float:
+    """Radius in metres of a round primitive's widest part; 0 for everything else."""
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    if kind not in _ROUND:
+        return 0.0
+    return float(size.max() if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID) else size[0])
+
+
+def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh | None:
+    """Faces of one geom in its own frame; ``None`` for kinds without a surface here (height field, SDF).
+
+    ``segments``: faces round a round primitive, one of ``SEGMENTS``; 0 takes the usual number for its radius.
+    """
     kind = int(model.geom_type[geom])
+    size = np.array(model.geom_size[geom], dtype=float)
     if kind == int(mujoco.mjtGeom.mjGEOM_MESH):
         return _mesh(model, int(model.geom_dataid[geom]))
-    make = _PRIMITIVES.get(kind)
-    return None if make is None else make(np.array(model.geom_size[geom], dtype=float))
+    if kind in _FLAT:
+        return _FLAT[kind](size)
+    if kind in _ROUND:
+        return _ROUND[kind](size, segments or usual_segments(round_radius(model, geom)))
+    return None

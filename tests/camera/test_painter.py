@@ -6,7 +6,7 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from robot_ik.camera import overlay
@@ -111,6 +111,7 @@ def test_a_primitive_is_closed_faces_outwards_and_has_its_volume(
 
 @pytest.mark.parametrize("kind", SHAPES)
 @settings(max_examples=4)
+@example(turn=(0.0, 0.0, 0.0), x=0.1875, y=0.0625, z=0.75)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3),
     x=st.floats(-0.25, 0.25),
