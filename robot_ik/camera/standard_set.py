@@ -73,7 +73,7 @@ class MarkerView:
 
 
 @lru_cache(maxsize=2)
-def _undistorted_grid(camera: CameraIntrinsics) -> tuple[Array, Array]:
+def undistorted_grid(camera: CameraIntrinsics) -> tuple[Array, Array]:
     """Undistorted coordinates (h, w, 2) of all pixel centres and their derivative (h, w, 2, 2) by pixels."""
     x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     ideal = camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
@@ -165,7 +165,7 @@ def _paint_paper(
     look: Look,
 ) -> None:
     x0, y0, x1, y1 = box
-    centres, slopes = (grid[y0:y1, x0:x1] for grid in _undistorted_grid(camera))
+    centres, slopes = (grid[y0:y1, x0:x1] for grid in undistorted_grid(camera))
     axes = paper.size * pose.rotation
     plane = np.column_stack([axes[:, 0], axes[:, 1], pose.position])
     to_paper = np.linalg.inv(plane)
