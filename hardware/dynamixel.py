@@ -14,12 +14,24 @@ from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoRefusedError
 from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, GARBLED, Counters, Status
 from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.group import GroupTraffic
-from robot_ik.hardware.packets import SHORTEST_STATUS, Answer
+from robot_ik.hardware.packets import SHORTEST_STATUS, Answer, StatusParser, build
 from robot_ik.hardware.quiet_port import ANSWER_TIME, QuietPortHandler
 from robot_ik.hardware.wire import QUIET, Wire
 
-_PING, _REBOOT = 0x01, 0x08
-_PING_DATA = 3  # bytes: model number 2, firmware 1
+PING, _REBOOT = 0x01, 0x08
+PING_DATA = 3
+"""Bytes of data: model number 2, firmware 1."""
+PING_BYTES = SHORTEST_STATUS + PING_DATA
+"""Of the answer to a ping."""
+
+_IDS = 253
+_SLOT = 0.003  # s that each id may take to answer a ping to all (as the Dynamixel SDK waits)
+_LATENESS = 0.016  # s, a USB adapter as it comes
+
+
+def listening_time(baud: int) -> float:
+    """s in which all 253 ids could have answered a ping at this rate."""
+    return _IDS * (_SLOT + 10.0 * PING_BYTES / baud) + _LATENESS
 
 
 class DynamixelBus:
@@ -78,18 +90,28 @@ class DynamixelBus:
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError.
         """
-        answer = self._ask(id, "ping", _PING_DATA, lambda port: self._bare(port, id, _PING))
+        answer = self._ask(id, "ping", PING_DATA, lambda port: self._bare(port, id, PING))
         return answer.data[0] | answer.data[1] << 8
 
     def broadcast_ping(self) -> dict[int, int]:
         """Servo id -> model number of everyone who answers; takes about a second, whoever answers.
 
+        Not by the SDK: it takes any packet of 14 bytes for an answer, an echoed request among them.
+
         Raises:
             BusDisconnectedError, BusNotOpenError.
         """
+        parser, found = StatusParser(), {}
         with self._wire.transaction("broadcast ping") as port:
-            found, _ = self._packet.broadcastPing(port)
-        return {id: int(model) for id, (model, _) in sorted(found.items())}
+            port.clear()
+            port.send(build(BROADCAST_ID, PING, b""))
+            end = self._wire.now() + listening_time(self.baud)
+            while data := port.receive(end):
+                for answer in parser.feed(data):
+                    if len(answer.data) == PING_DATA:
+                        found[answer.id] = answer.data[0] | answer.data[1] << 8
+        self.counters.corrupt += parser.damaged
+        return dict(sorted(found.items()))
 
     def read(self, id: int, register: Register) -> Status:
         """One register of one servo.

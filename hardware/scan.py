@@ -20,7 +20,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.dynamixel import PING, PING_BYTES, PING_DATA, DynamixelBus, listening_time
 from robot_ik.hardware.packets import StatusParser, build
 from robot_ik.hardware.quiet_port import ANSWER_TIME
 
@@ -32,10 +32,6 @@ IDS = range(253)
 KNOCK = ANSWER_TIME
 """s for one id to answer a ping of its own."""
 
-_SLOT = 0.003  # s that each id may take to answer a ping to all (as the Dynamixel SDK waits)
-_PING_BYTES = 14
-_LATENESS = 0.016  # s, a USB adapter as it comes
-_PING, _PING_DATA = 0x01, 3  # instruction; bytes of data: model number 2, firmware 1
 _LOOKS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
 
@@ -101,23 +97,18 @@ class ScanBus(DynamixelBus):
     def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
         parser, found, useful, received = StatusParser(), {}, 0, 0
         with self._wire.transaction("scan") as port:
-            port.writePort(build(id, _PING, b""))
+            port.writePort(build(id, PING, b""))
             end = time.monotonic() + listen
             while data := port.receive(end):
                 received += len(data)
                 for answer in parser.feed(data):
-                    useful += _PING_BYTES
-                    if len(answer.data) == _PING_DATA:
+                    useful += PING_BYTES
+                    if len(answer.data) == PING_DATA:
                         found[answer.id] = (answer.data[0] | answer.data[1] << 8, answer.data[2])
                 if id in found:
                     return found, received - useful
             self._wire.missed()
         return found, received - useful
-
-
-def listening_time(baud: int) -> float:
-    """s in which all 253 ids could have answered a ping at this rate."""
-    return len(IDS) * (_SLOT + 10.0 * _PING_BYTES / baud) + _LATENESS
 
 
 def scan(

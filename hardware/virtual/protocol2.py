@@ -217,8 +217,9 @@ class Parser:
     def _take(self, size: int) -> Packet:
         raw = bytes(self._buffer[:size])
         valid = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
-        # A wrong checksum may come from a lost byte: then the next packet begins inside this one.
-        inner = -1 if valid else self._buffer.find(HEADER, 1, size + len(HEADER) - 1)
-        del self._buffer[: size if inner < 0 else inner]
+        if valid:
+            del self._buffer[:size]
+        else:  # perhaps a byte was lost: then the next packet begins inside this one, if only by its first bytes
+            self._seek(1)
         body = unstuff(raw[7:-2])
         return Packet(raw[4], body[0], body[1:], valid)
