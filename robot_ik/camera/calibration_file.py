@@ -76,6 +76,7 @@ def load_intrinsics(path: Path | str) -> CameraIntrinsics:
             std=tuple(_numbers(content.get("intrinsics_std_dev", []), "standard deviations", path)),
             views=_views(content),
             name=str(content.get("camera_name", "camera")),
+            date=str(content.get("calibration_time", content.get("calibration_date", ""))),
         )
         intrinsics.require_plausible()
     except CalibrationError as error:
@@ -207,6 +208,9 @@ def _text(camera: CameraIntrinsics) -> str:
         text += _matrix("intrinsics_std_dev", np.atleast_2d(np.array(camera.std)))
     if camera.views is not None:
         text += f"views: {camera.views}\n"
+    if camera.date:
+        # OpenCV writes its samples' time under this key; quoted, or YAML would make a date of it.
+        text += f'calibration_time: "{camera.date}"\n'
     return text
 
 

@@ -37,7 +37,7 @@ class Worth:
 
     @property
     def focal_share(self) -> float:
-        """Standard deviation of the focal length as a part of it: what the scale of every distance is worth."""
+        """Standard deviation of the focal length as a part of it: what every distance is worth."""
         return max(s / f for s, f in zip(self.std, self.focal, strict=False))
 
     @property

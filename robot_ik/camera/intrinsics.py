@@ -7,6 +7,7 @@ upper left pixel, so the image spans -0.5 .. width - 0.5.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -37,6 +38,7 @@ class CameraIntrinsics:
         std: Standard deviations of fx, fy, cx, cy, then of the coefficients, when known.
         views: Number of pictures in the calibration, when known.
         name: Camera name, for people.
+        date: When it was calibrated (ISO 8601), when known.
 
     Raises:
         CalibrationError: A number is not finite, a size or focal length not positive, or the number of
@@ -55,6 +57,7 @@ class CameraIntrinsics:
     std: tuple[float, ...] = ()
     views: int | None = None
     name: str = "camera"
+    date: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distortion", tuple(float(v) for v in self.distortion))
@@ -86,6 +89,14 @@ class CameraIntrinsics:
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
         return self.width, self.height
+
+    @cached_property
+    def digest(self) -> str:
+        """Twelve hexadecimal digits over all that maps points to pixels: how other files name this camera."""
+        kept = np.trim_zeros(np.array(self.distortion), "b").tolist()  # no lens, or one of zeros: the same
+        numbers = [float(v) for v in (self.fx, self.fy, self.cx, self.cy, *kept)]
+        text = " ".join([self.model, str(int(self.width)), str(int(self.height)), *map(repr, numbers)])
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     @cached_property
     def coefficients(self) -> Array:
