@@ -122,12 +122,12 @@ def solve_handeye(
     spread = require_diversity(samples)
     mount = start_handeye(samples, mounting)
     corners: list[Array] | None = None
-    noise: ArmNoise | None = None
+    before: ArmNoise | None = None
     for _ in range(_ROUNDS):
         data = compress(mount, samples, intrinsics, corners)
         scale = _pixel_scale(data)
         corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
-        noise = estimate_noise(data, scale, noise)
+        before = noise = estimate_noise(data, scale, before)
         fit = fit_shared(data, noise)
         step = fit.step * min(1.0, _LARGEST_STEP / max(float(np.abs(fit.step).max()), 1e-300))
         mount = mount.moved(step)

@@ -1,0 +1,273 @@
+"""Joint configurations from which a camera learns most about where it is mounted.
+
+Either the arm carries the camera and the board rests, or the camera rests and the arm carries the board
+(``Mounting``).  Both places need to be known roughly only: well enough for the board to be in the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.board_view import BoardView, Layout
+from robot_ik.camera.handeye_model import HandEyeSample, Mount, compress
+from robot_ik.camera.handeye_start import LEAST_VIEWS
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.pose import marker_points
+from robot_ik.camera.stage import Table
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.goals import PoseGoal
+from robot_ik.jobs.clearance import Clearance
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import Robot
+from robot_ik.solvers import make_solver
+
+Array = NDArray[np.float64]
+
+# Part of the picture's width and height that is kept free at each side: the guess may be off by so much.
+_MARGIN = 0.06
+# Least cosine between a marker's face and the view, and least side in the picture, px.
+_LEAST_FACING, _LEAST_SIDE = 0.40, 28.0
+# Wanted tilts and off-centre places, for which joint angles are sought.
+_LARGEST_TILT = np.deg2rad(50.0)
+# Random starts in all, and candidates wanted for each view that is chosen.
+_TRIES, _POOL = 4000, 5
+# How far from home the search goes: shares of the way to a random configuration.
+_SHARES = (0.1, 0.7)
+# What pixels and arm are taken to be good for while views are chosen: px, metres, rad.
+_PIXEL, _ARM_POSITION, _ARM_ANGLE = 0.2, 5e-4, np.deg2rad(0.1)
+_NEAR = Tolerance(position=1e-3, angle=5e-3)
+_TRY = Budget(iterations=300, restarts=1)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewTask:
+    """What shall be looked at, by whom.
+
+    Attributes:
+        mount: Rough places of camera and board, and who is carried.
+        frame: The robot frame that carries.
+        layout: Markers of the board: id -> (side, ``pose_board_marker``).
+        intrinsics: Of the camera.
+        table: Which the arm must not touch, or None.
+    """
+
+    mount: Mount
+    frame: str
+    layout: Layout
+    intrinsics: CameraIntrinsics
+    table: Table | None = None
+
+    def pose_camera_board(self, robot: Robot, q: Array) -> Pose:
+        """Where the board is seen at ``q``."""
+        return self.mount.pose_camera_board(self.sample(robot, q, np.zeros((4, 3))))
+
+    def sample(self, robot: Robot, q: Array, points: Array) -> HandEyeSample:
+        """The arm at ``q``, with a view that is yet to be taken of ``points`` (n, 3) of the board."""
+        view = BoardView(points, np.zeros((len(points), 2)), Pose(), _PIXEL)
+        return HandEyeSample(robot.forward(q, self.frame), view)
+
+    def visible(self, pose_camera_board: Pose) -> tuple[int, ...]:
+        """Ids of the markers that are in the picture, large enough and not seen too flat; nothing hides."""
+        width, height = self.intrinsics.size
+        size = np.array([width, height])
+        found = []
+        for id, (side, pose) in self.layout.items():
+            at = pose_camera_board.compose(pose)
+            if at.position[2] <= side or -(at.rotation[:, 2] @ at.position) < _LEAST_FACING * float(
+                np.linalg.norm(at.position)
+            ):
+                continue
+            pixels = self.intrinsics.project(at.apply(marker_points(side)))
+            sides = np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1)
+            inside = (pixels > _MARGIN * size).all() and (pixels < (1.0 - _MARGIN) * size).all()
+            if inside and sides.min() > _LEAST_SIDE:
+                found.append(id)
+        return tuple(found)
+
+
+def plan_views(
+    robot: Robot, task: ViewTask, count: int = 15, *, start: Array | None = None, seed: int = 0
+) -> list[Array]:
+    """Joint configurations, in the order of a short way from ``start``, the board in view at each.
+
+    Candidates are found by inverse kinematics for random views; those are taken, one after the other, that
+    together determine camera and board best (greedy D-optimality of the information matrix; Fedorov, Theory
+    of Optimal Experiments, 1972).  All lie inside the limits; neither they nor the straight joint moves between
+    them touch anything of the model or the table.
+
+    Args:
+        robot: Its limits count.
+        task: What shall be seen.
+        count: How many; fewer come back where no more can be reached.
+        start: (nq,) where the arm stands; default home.
+        seed: Of the search.
+
+    Raises:
+        CameraError: Fewer than four can be reached.
+    """
+    start = robot.home if start is None else robot.check_q(start, "start")
+    clearance = Clearance(robot, start, task.table)
+    pool = _candidates(robot, task, clearance, start, max(_POOL * count, 4 * LEAST_VIEWS), seed)
+    chosen = _most_informative([information for _, information in pool], count)
+    ordered = _short_way(robot, start, [pool[k][0] for k in chosen], clearance)
+    if len(ordered) < LEAST_VIEWS:
+        who = "camera" if task.mount.mounting == "eye_in_hand" else "board"
+        raise CameraError(
+            f"only {len(ordered)} views were found in which the board can be seen and the arm, carrying the "
+            f"{who}, touches nothing; {LEAST_VIEWS} are the least",
+            hint="say better where camera and board are, or move them; a larger board is seen from farther away",
+        )
+    return ordered
+
+
+# ------------------------------------------------------------------------------- candidates
+
+
+def _candidates(
+    robot: Robot, task: ViewTask, clearance: Clearance, start: Array, wanted: int, seed: int
+) -> list[tuple[Array, Array]]:
+    """Configurations with what each would tell (12, 12)."""
+    rng = np.random.default_rng(seed)
+    aim = PoseGoal(task.frame, robot.forward(start, task.frame).position, (1.0, 0.0, 0.0, 0.0))
+    problem = Problem(robot, aim, tolerance=_NEAR, budget=_TRY, seed=seed)
+    solver = make_solver("lm")
+    found: list[tuple[Array, Array]] = []
+    for _ in range(_TRIES):
+        near = robot.clip(start + rng.uniform(*_SHARES) * (robot.sample(rng) - start))
+        hand = _wanted_hand(robot, task, near, rng)
+        if hand is None:
+            continue
+        problem.retarget(hand)
+        # An arm with few joints does not get there; where it gets may do all the same.
+        q = robot.clip(solver.solve(problem, near).q)
+        information = _worth(robot, task, clearance, q)
+        if information is not None:
+            found.append((q, information))
+            if len(found) == wanted:
+                break
+    return found
+
+
+def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator) -> Pose | None:
+    """A pose of the hand about where it is at ``near`` that shows one of the markers; None: not from there."""
+    board = task.pose_camera_board(robot, near)
+    side, pose_board_marker = list(task.layout.values())[rng.integers(len(task.layout))]
+    mount = task.mount
+    if mount.mounting == "eye_to_hand":
+        seen = _tilted(board.apply(pose_board_marker.position), rng)
+        turned = seen.compose(pose_board_marker.inverse()).wxyz
+        turned_board = Pose(board.position, turned)
+        if not task.visible(turned_board):
+            return None
+        world_board = mount.pose_parent_camera.compose(turned_board)
+        return world_board.compose(mount.pose_other_board.inverse())
+    marker = board.compose(pose_board_marker)
+    distance = float(np.linalg.norm(marker.position))
+    # The place of the camera stays; its view turns so that the marker comes to a random place in the picture.
+    width, height = task.intrinsics.size
+    place = rng.uniform(0.25, 0.75, 2) * (width, height)
+    ray = task.intrinsics.unproject(place.reshape(1, 2))[0]
+    turn = _turn_onto(marker.position, ray, rng)
+    board = Pose(wxyz=turn).compose(board)
+    if distance < side or not task.visible(board):
+        return None
+    world_camera = mount.pose_other_board.compose(board.inverse())
+    return world_camera.compose(mount.pose_parent_camera.inverse())
+
+
+def _tilted(position: Array, rng: np.random.Generator) -> Pose:
+    """``pose_camera_marker`` at a place (3,), facing the camera but for a random tilt and roll."""
+    back = -position / np.linalg.norm(position)
+    facing = _turn_onto(np.array([0.0, 0.0, 1.0]), back, rng)
+    tilt, way = rng.uniform(0.0, _LARGEST_TILT), rng.uniform(0.0, 2.0 * np.pi)
+    lean = rotation_exp([tilt * np.cos(way), tilt * np.sin(way), 0.0])
+    return Pose(position, facing).compose(Pose(wxyz=lean))
+
+
+def _turn_onto(source: Array, target: Array, rng: np.random.Generator) -> Array:
+    """A rotation (4,), wxyz, that turns ``source`` into the direction ``target``, else at random."""
+    a, b = source / np.linalg.norm(source), target / np.linalg.norm(target)
+    axis = np.cross(a, b)
+    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
+    axis = axis / sine if sine > 1e-9 else np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
+    axis = axis / np.linalg.norm(axis)
+    roll = Pose(wxyz=rotation_exp(rng.uniform(-np.pi, np.pi) * b))
+    return roll.compose(Pose(wxyz=rotation_exp(np.arctan2(sine, cosine) * axis))).wxyz
+
+
+def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Array | None:
+    """Information (12, 12) on camera and board of the view at ``q``; None when it shows no marker."""
+    seen = task.pose_camera_board(robot, q)
+    ids = task.visible(seen)
+    if not ids or not clearance.free(q):
+        return None
+    hand = robot.forward(q, task.frame)
+    mount = task.mount
+    parent = hand if mount.mounting == "eye_in_hand" else Pose()
+    camera = parent.compose(mount.pose_parent_camera)
+    markers = [task.layout[id][1].apply(marker_points(task.layout[id][0])) for id in ids]
+    clear = [m for m in markers if clearance.sees(q, camera.position, camera.compose(seen).apply(m))]
+    # Half of a board is enough; of a cube, one side.
+    if 2 * len(clear) < len(ids):
+        return None
+    data = compress(mount, [task.sample(robot, q, np.concatenate(clear))], task.intrinsics)
+    arm = np.diag([_ARM_POSITION**2] * 3 + [_ARM_ANGLE**2] * 3)
+    rows = data.by_shared[0]
+    return np.asarray(rows.T @ np.linalg.solve(data.covariance[0] + arm, rows))
+
+
+# ---------------------------------------------------------------------- choosing and ordering
+
+
+def _most_informative(informations: Sequence[Array], count: int) -> list[int]:
+    """Indices, greedily by the determinant of the sum."""
+    if not informations:
+        return []
+    each = np.array(informations)
+    scale = np.sqrt(np.maximum(np.diagonal(each.mean(axis=0)), 1e-300))
+    each = each / np.outer(scale, scale)
+    total, chosen = 1e-3 * np.eye(12), []
+    for _ in range(min(count, len(each))):
+        gain = np.linalg.slogdet(total + each)[1]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        total = total + each[chosen[-1]]
+    return chosen
+
+
+def _short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Clearance) -> list[Array]:
+    """Stops in an order of short free ways: to the nearest each time, then crossings undone (2-opt).
+
+    Stops that no free way leads to are left out.
+    """
+    places = [start, *stops]
+    cost = np.zeros((len(places), len(places)))
+    for i in range(len(places)):
+        for j in range(i):
+            seconds = float(np.max(np.abs(places[i] - places[j]) / robot.velocity))
+            cost[i, j] = cost[j, i] = seconds if clearance.free_way(places[i], places[j]) else np.inf
+    way, left = [0], set(range(1, len(places)))
+    while left:
+        nearest = min(left, key=lambda k: cost[way[-1], k])
+        if not np.isfinite(cost[way[-1], nearest]):
+            break
+        way.append(nearest)
+        left.remove(nearest)
+    improved = True
+    while improved:
+        improved = False
+        for i in range(1, len(way) - 1):
+            for j in range(i + 1, len(way)):
+                trial = [*way[:i], *way[i : j + 1][::-1], *way[j + 1 :]]
+                if _length(trial, cost) < _length(way, cost) - 1e-9:
+                    way, improved = trial, True
+    return [places[k] for k in way[1:]]
+
+
+def _length(way: Sequence[int], cost: Array) -> float:
+    return float(sum(cost[a, b] for a, b in zip(way, way[1:], strict=False)))
