@@ -1,4 +1,4 @@
-"""Least-squares fit of straight edges to pixels, many edges at once.
+"""Least-squares fit of a straight edge to pixels, compiled.
 
 Model of the grey value near one edge, for a pixel at signed distance d (px, positive on the light side) from
 the current line and at the fraction t of the way along it:
@@ -7,152 +7,213 @@ the current line and at the fraction t of the way along it:
 
 with ``middle``, ``contrast`` and ``offset`` linear in t: uneven light is part of the model.  Pixels are used
 as they are, never resampled, so their noise is independent and the covariance is honest.
+
+All pixels of one column (or row) across the edge share t, so the normal equations are sums over a column of
+products of three numbers, spread over the seven parameters once a column instead of once a pixel.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
-import numpy as np
-from numpy.typing import NDArray
+from robot_ik.kernels.jit import outlined
 
-Array = NDArray[np.float64]
-
+# Parameters: offset at both ends, ln blur, middle at both ends, contrast at both ends.
+PARAMETERS = 7
 # Blur in px.  The pixel's own width alone gives 0.29, but a model sharper than a third has a minimum between
 # any two pixels (sharpened pictures show it); beyond 4 px no cell of a marker could be read.
 BLUR_START = 0.8
-_BLUR_RANGE = (0.33, 4.0)
+_LOG_SHARPEST, _LOG_SOFTEST = math.log(0.33), math.log(4.0)
 # Residuals beyond this many standard deviations lose weight (Cauchy's function): dirt, glare, occlusion.
 _CAUCHY = 2.4
 # Keeps weights meaningful in pictures without noise: quantisation to whole grey levels.
 _LEAST_NOISE = 0.3
-_PARAMETERS = 7
+# A step below these (px, ln px) has arrived: the noise leaves a hundred times more.
+_ARRIVED = 2e-4
+_BELL = -2.0 / math.sqrt(math.pi)
+
+# Rows of the table of pixels.
+DISTANCE, VALUE, WEIGHT, RESIDUAL, RISE, BELL, SHIFTED, SIZE = 0, 1, 2, 3, 4, 5, 6, 7
+PIXEL_ROWS = 8
+# Rows of the work space: system and right side, a copy of the system, sums over a column, its factors.
+SYSTEM, RIGHT, KEPT, GRAM, FACTOR = 0, 7, 8, 15, 19
+WORK_ROWS = 20
+# Which of (bell, bell z, 1, erf) each parameter's derivative has.
+_BASIS = (0, 0, 1, 2, 2, 3, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class EdgePixels:
-    """Pixels near s edges, n for each.
-
-    Attributes:
-        distance: (s, n) signed distance from the current line, px, positive on the light side.
-        along: (s, n) fraction of the way from the edge's first to its second end.
-        value: (s, n) grey levels.
-        weight: (s, n) 1 for pixels that belong to the edge, 0 for padding.
-    """
-
-    distance: Array
-    along: Array
-    value: Array
-    weight: Array
-
-
-@dataclass(frozen=True, eq=False)
-class EdgeFit:
-    """Result for s edges.
-
-    Attributes:
-        offset: (s, 2) offset of the edge from the current line at its two ends, px.
-        covariance: (s, 2, 2) of ``offset``, px^2.
-        contrast: (s,) half the difference between light and dark, grey levels.
-        blur: (s,) px.
-        noise: (s,) standard deviation of the residual, grey levels.
-    """
-
-    offset: Array
-    covariance: Array
-    contrast: Array
-    blur: Array
-    noise: Array
+@outlined
+def linearise(pixels, columns, along, used, x):
+    """Fills RISE, BELL, SHIFTED (erf, its slope, slope times place) and RESIDUAL of every pixel at ``x``."""
+    root = math.exp(-x[2]) / math.sqrt(2.0)
+    for i in range(used):
+        t = along[i]
+        offset = x[0] + (x[1] - x[0]) * t
+        middle, contrast = x[3] + (x[4] - x[3]) * t, x[5] + (x[6] - x[5]) * t
+        for p in range(columns[i], columns[i + 1]):
+            z = (pixels[DISTANCE, p] - offset) * root
+            # The error function to 1.5e-7: Abramowitz and Stegun 7.1.26.
+            r = 1.0 / (1.0 + 0.3275911 * abs(z))
+            bell = math.exp(-z * z)
+            series = r * (-0.284496736 + r * (1.421413741 + r * (-1.453152027 + r * 1.061405429)))
+            rise = math.copysign(1.0 - r * (0.254829592 + series) * bell, z)
+            pixels[RISE, p] = rise
+            pixels[BELL, p] = bell
+            pixels[SHIFTED, p] = bell * z
+            pixels[RESIDUAL, p] = pixels[VALUE, p] - middle - contrast * rise
 
 
-def _erf(x: Array) -> tuple[Array, Array]:
-    """Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26; numpy has none), and exp(-x^2)."""
-    t = 1.0 / (1.0 + 0.3275911 * np.abs(x))
-    bell = np.exp(-x * x)
-    series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
-    return np.copysign(1.0 - series * bell, x), bell
+@outlined
+def spread(pixels, count):
+    """Robust standard deviation: median of the residuals' sizes, corrected for the parameters used up."""
+    values = pixels[SIZE]
+    for p in range(count):
+        values[p] = abs(pixels[RESIDUAL, p])
+    # The median by Hoare's selection (1961): the part that holds it is parted again.
+    low, high, k = 0, count - 1, count // 2
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        low, high = low if k <= j else (i if k >= i else k), j if k <= j else (high if k >= i else k)
+    freedom = max(count - PARAMETERS, 1) / max(count, 1)
+    return max(1.4826 * values[k] / math.sqrt(freedom), _LEAST_NOISE) if count > 0 else _LEAST_NOISE
 
 
-def fit_edges(pixels: EdgePixels, start: Array, blur: Array, blur_spread: float, steps: int) -> EdgeFit:
-    """Fits all edges by Gauss-Newton with Cauchy weights.
+@outlined
+def normal_equations(pixels, columns, along, used, x, noise, work):
+    """SYSTEM: lower triangle of JᵀWJ, and RIGHT: JᵀWr, with Cauchy's weights (``noise`` 0: without)."""
+    gram, factor = work[GRAM : GRAM + 4], work[FACTOR]
+    for i in range(SYSTEM, RIGHT + 1):
+        for j in range(PARAMETERS):
+            work[i, j] = 0.0
+    root = math.exp(-x[2]) / math.sqrt(2.0)
+    cauchy = 1.0 / (_CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
+    for i in range(used):
+        bb = bq = b1 = bs = qq = q1 = qs = one = s1 = ss = br = qr = r1 = sr = 0.0
+        for p in range(columns[i], columns[i + 1]):
+            r, s, b, q = pixels[RESIDUAL, p], pixels[RISE, p], pixels[BELL, p], pixels[SHIFTED, p]
+            w = pixels[WEIGHT, p] / (1.0 + cauchy * r * r)
+            wb, wq, ws = w * b, w * q, w * s
+            bb, bq, b1, bs, br = bb + wb * b, bq + wb * q, b1 + wb, bs + wb * s, br + wb * r
+            qq, q1, qs, qr = qq + wq * q, q1 + wq, qs + wq * s, qr + wq * r
+            one, s1, ss, r1, sr = one + w, s1 + ws, ss + ws * s, r1 + w * r, sr + ws * r
+        gram[0, 0], gram[1, 0], gram[2, 0], gram[3, 0], gram[0, 4] = bb, bq, b1, bs, br
+        gram[1, 1], gram[2, 1], gram[3, 1], gram[1, 4] = qq, q1, qs, qr
+        gram[2, 2], gram[3, 2], gram[3, 3], gram[2, 4], gram[3, 4] = one, s1, ss, r1, sr
+        t = along[i]
+        slope = _BELL * (x[5] + (x[6] - x[5]) * t)
+        # The derivative by each parameter is one of (bell, bell z, 1, erf) times a factor of the column.
+        factor[0], factor[1], factor[2] = slope * root * (1.0 - t), slope * root * t, slope
+        factor[3] = factor[5] = 1.0 - t
+        factor[4] = factor[6] = t
+        for j in range(PARAMETERS):
+            for k in range(j + 1):
+                work[j, k] += factor[j] * factor[k] * gram[_BASIS[j], _BASIS[k]]
+            work[RIGHT, j] += factor[j] * gram[_BASIS[j], 4]
+
+
+@outlined
+def solve(work):
+    """Solves SYSTEM x = RIGHT in place by L D Lᵀ; False when it is not positive definite."""
+    x = work[RIGHT]
+    for k in range(PARAMETERS):
+        if not work[k, k] > 0.0:
+            return False
+        inverse = 1.0 / work[k, k]
+        for i in range(k + 1, PARAMETERS):
+            share = work[i, k] * inverse
+            for j in range(k + 1, i + 1):
+                work[i, j] -= share * work[j, k]
+            x[i] -= share * x[k]
+        work[k, k] = inverse
+    for k in range(PARAMETERS - 1, -1, -1):
+        for i in range(k + 1, PARAMETERS):
+            x[k] -= work[i, k] * x[i]
+        x[k] *= work[k, k]
+    return True
+
+
+@outlined
+def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps, work, result):
+    """Fits one edge by Gauss-Newton with Cauchy weights.
 
     Args:
-        pixels: The data.
-        start: (s, 2) offsets to start from, px.
-        blur: (s,) blur to start from and to believe in where the pixels do not say, px.
+        pixels: (8, n) DISTANCE, VALUE, WEIGHT of the pixels; the other rows are work space.
+        columns: (used + 1,) where each column's pixels begin.
+        along: (used,) fraction of the way along the edge.
+        used: Number of columns.
+        x: (7,) offsets to start from in the first two places; the fitted parameters afterwards.
+        expected_blur: Blur to start from and to believe in where the pixels do not say, px.
         blur_spread: How far ln(blur) is believed to be from that.
-        steps: Number of Gauss-Newton steps.
+        steps: Gauss-Newton steps at most.
+        work: (WORK_ROWS, 7) work space.
+        result: (4,) variance of the offset at the first end, at the second, their covariance (px^2), noise
+            (grey levels).
+
+    Returns:
+        False when there is nothing to fit.
     """
-    s = len(start)
-    # Parameters: offset at both ends, ln blur, middle at both ends, contrast at both ends.
-    x = np.zeros((s, _PARAMETERS))
-    x[:, :2] = start
-    x[:, 2] = np.log(blur)
-    x[:, 3:] = _levels(pixels, x)
-    for step in range(steps + 1):
-        residual, jacobian = _linearise(pixels, x)
-        noise = _spread(residual, pixels.weight)
-        weight = pixels.weight / (1.0 + (residual / (_CAUCHY * noise[:, None])) ** 2)
-        weighted = jacobian * weight[:, None, :]
-        system = weighted @ jacobian.transpose(0, 2, 1)
-        prior = (noise / blur_spread) ** 2
-        system[:, 2, 2] += prior
+    count, log_blur = columns[used], math.log(expected_blur)
+    noise, arrived = 0.0, False
+    x[2] = log_blur
+    x[3] = x[4] = x[5] = x[6] = 0.0
+    # First the levels alone, which are linear: with no contrast the rows of offset and blur are empty.
+    for step in range(-1, steps + 1):
+        linearise(pixels, columns, along, used, x)
+        noise = spread(pixels, count) if step >= 0 else 0.0
+        normal_equations(pixels, columns, along, used, x, noise, work)
+        work[2, 2] += (noise / blur_spread) ** 2
+        work[RIGHT, 2] += (noise / blur_spread) ** 2 * (log_blur - x[2])
         # A trace of damping: an edge without contrast must not make the system singular.
-        diagonal = np.einsum("spp->sp", system)
-        diagonal += 1e-9 * diagonal.sum(axis=1, keepdims=True) + 1e-9
-        if step == steps:
+        trace = 0.0
+        for k in range(PARAMETERS):
+            trace += work[k, k]
+        for k in range(PARAMETERS):
+            work[k, k] += 1e-9 * trace + (1e-9 if step >= 0 else (1.0 if k < 3 else 1e-6))
+            for j in range(k + 1):
+                work[KEPT + k, j] = work[k, j]
+        if step == steps or arrived or not solve(work):
             break
-        right = (weighted @ residual[:, :, None])[:, :, 0]
-        right[:, 2] += prior * (np.log(blur) - x[:, 2])
-        move = np.linalg.solve(system, right[:, :, None])[:, :, 0]
-        # Far from the edge the model is flat and a step can be anything: keep it in sight.
-        move[:, :2] = np.clip(move[:, :2], -1.5, 1.5)
-        move[:, 2] = np.clip(move[:, 2], -0.5, 0.5)
-        x += move
-        x[:, 2] = np.clip(x[:, 2], *np.log(_BLUR_RANGE))
-    covariance = np.linalg.inv(system)[:, :2, :2] * noise[:, None, None] ** 2
-    contrast = 0.5 * (x[:, 5] + x[:, 6])
-    return EdgeFit(x[:, :2], covariance, contrast, np.exp(x[:, 2]), noise)
+        arrived = step >= 0 and take_step(x, work[RIGHT])
+        for k in range(3 if step < 0 else PARAMETERS, PARAMETERS):
+            x[k] = work[RIGHT, k]
+    result[3] = noise
+    return noise > 0.0 and variances(work, noise * noise, result)
 
 
-def _levels(pixels: EdgePixels, x: Array) -> Array:
-    """(s, 4) middle and contrast at both ends, by linear least squares with offset and blur held."""
-    _, jacobian = _linearise(pixels, x)
-    linear = jacobian[:, 3:]
-    weighted = linear * pixels.weight[:, None, :]
-    normal = weighted @ linear.transpose(0, 2, 1) + 1e-6 * np.eye(4)
-    right = weighted @ pixels.value[:, :, None]
-    return np.asarray(np.linalg.solve(normal, right)[:, :, 0])
+@outlined
+def take_step(x, move):
+    """Moves the parameters; True when they hardly moved."""
+    # Far from the edge the model is flat and a step can be anything: keep it in sight.
+    for k in range(2):
+        move[k] = min(max(move[k], -1.5), 1.5)
+    move[2] = min(max(move[2], -0.5), 0.5)
+    for k in range(PARAMETERS):
+        x[k] += move[k]
+    x[2] = min(max(x[2], _LOG_SHARPEST), _LOG_SOFTEST)
+    return max(abs(move[0]), abs(move[1]), abs(move[2])) < _ARRIVED
 
 
-def _linearise(pixels: EdgePixels, x: Array) -> tuple[Array, Array]:
-    """Residual (s, n) = value - model, and the derivative (s, 7, n) of the model."""
-    t = pixels.along
-    u = 1.0 - t
-    root = 1.0 / (np.sqrt(2.0) * np.exp(x[:, 2:3]))
-    z = (pixels.distance - (x[:, 0:1] * u + x[:, 1:2] * t)) * root
-    step, bell = _erf(z)
-    contrast = x[:, 5:6] * u + x[:, 6:7] * t
-    slope = contrast * bell * (-2.0 / np.sqrt(np.pi))
-    moved = slope * root
-    jacobian = np.empty((len(t), _PARAMETERS, t.shape[1]))
-    np.multiply(moved, u, out=jacobian[:, 0])
-    np.multiply(moved, t, out=jacobian[:, 1])
-    np.multiply(slope, z, out=jacobian[:, 2])
-    jacobian[:, 3] = u
-    jacobian[:, 4] = t
-    np.multiply(step, u, out=jacobian[:, 5])
-    np.multiply(step, t, out=jacobian[:, 6])
-    model = x[:, 3:4] * u + x[:, 4:5] * t + contrast * step
-    return pixels.value - model, jacobian
-
-
-def _spread(residual: Array, weight: Array) -> Array:
-    """(s,) robust standard deviation: median of the sizes, corrected for the parameters used up."""
-    used = weight > 0
-    count = used.sum(axis=1)
-    size = np.sort(np.where(used, np.abs(residual), np.inf), axis=1)
-    middle = size[np.arange(len(size)), np.maximum(count // 2, 0)]
-    freedom = np.maximum(count - _PARAMETERS, 1) / np.maximum(count, 1)
-    spread = 1.4826 * np.where(np.isfinite(middle), middle, 0.0) / np.sqrt(freedom)
-    return np.asarray(np.maximum(spread, _LEAST_NOISE))
+@outlined
+def variances(work, variance, result):
+    """Variances of the two offsets and their covariance: the corner of the inverse; False: singular."""
+    for k in range(2):
+        for i in range(PARAMETERS):
+            work[RIGHT, i] = variance if i == k else 0.0
+            for j in range(i + 1):
+                work[i, j] = work[KEPT + i, j]
+        if not solve(work):
+            return False
+        result[k] = work[RIGHT, k]
+        result[2] = work[RIGHT, 1 - k]
+    return True
