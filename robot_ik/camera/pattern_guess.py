@@ -40,13 +40,9 @@ def _relatives(pattern: Pattern) -> list[Pattern]:
 
 def describe(pattern: Pattern) -> str:
     """The pattern in words."""
+    count, square = f"{pattern.columns}x{pattern.rows}", f"{1e3 * pattern.square:g} mm"
     if isinstance(pattern, CharucoPattern):
         layout = ", layout of OpenCV before 4.6" if pattern.legacy else ""
-        return (
-            f"ChArUco board, {pattern.columns}x{pattern.rows} squares of {1e3 * pattern.square:g} mm, "
-            f"markers of {1e3 * pattern.marker:g} mm, {pattern.dictionary}{layout}"
-        )
-    if isinstance(pattern, ChessboardPattern):
-        size = f"{pattern.columns}x{pattern.rows} inner corners"
-        return f"chessboard, {size}, squares of {1e3 * pattern.square:g} mm"
-    return type(pattern).__name__
+        markers = f"markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}"
+        return f"ChArUco board of {count} squares ({square}, {markers}{layout})"
+    return f"chessboard of {count} inner corners (squares {square})"

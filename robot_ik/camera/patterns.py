@@ -50,6 +50,16 @@ class Pattern(Hashable, Protocol):
     """What a calibration pattern can do."""
 
     @property
+    def columns(self) -> int:
+        """How many columns, counted as OpenCV counts them for this pattern."""
+        ...
+
+    @property
+    def rows(self) -> int:
+        """How many rows, counted likewise."""
+        ...
+
+    @property
     def square(self) -> float:
         """Side of a square, metres."""
         ...

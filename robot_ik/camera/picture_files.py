@@ -1,4 +1,4 @@
-"""Picture files: reading them as the sensor saw them, and finding what lies beside a wrong name."""
+"""Picture files: read as the sensor saw them, written whole; and what lies beside a wrong name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.opencv import quiet
-from robot_ik.errors import CameraNotFoundError
+from robot_ik.errors import CameraNotFoundError, OutputError
+from robot_ik.files import write_atomically
 
 Image = NDArray[np.uint8]
 
@@ -64,3 +65,20 @@ def neighbours(path: Path) -> str:
     found = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
     shown = ", ".join(f.name for f in found[:8]) + (", …" if len(found) > 8 else "")
     return f"{folder} holds {shown}" if found else f"{folder} holds no pictures or films"
+
+
+def write_image(path: Path, image: Image) -> None:
+    """Writes a picture, whole or not at all; the suffix says how.
+
+    Raises:
+        OutputError: The suffix is none of a picture, or the folder is missing or not writable.
+    """
+    good, data = False, None
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        good, data = cv2.imencode(path.suffix.lower(), image)
+    if not good or data is None:
+        raise OutputError(
+            f"cannot write {path}: no kind of picture ends in {path.suffix or 'nothing'!r}",
+            hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}",
+        )
+    write_atomically(path, np.asarray(data, dtype=np.uint8).tobytes())

@@ -8,12 +8,15 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
+from robot_ik.cli.camera_calibrate import CameraCalibrateOptions
 from robot_ik.cli.camera_list import CameraListOptions
 from robot_ik.cli.camera_print import CameraPrintOptions
 
 # Each module has its options and a function run(options) -> exit code.
 Subcommand = (
-    Annotated[CameraListOptions, subcommand("list")] | Annotated[CameraPrintOptions, subcommand("print")]
+    Annotated[CameraListOptions, subcommand("list")]
+    | Annotated[CameraPrintOptions, subcommand("print")]
+    | Annotated[CameraCalibrateOptions, subcommand("calibrate")]
 )
 
 

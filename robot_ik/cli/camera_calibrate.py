@@ -1,0 +1,200 @@
+"""``robot-ik camera calibrate``: from views of a printed pattern to a calibration file."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+
+if TYPE_CHECKING:
+    from robot_ik.camera.calibrate import CalibrationResult
+    from robot_ik.camera.calibration_views import ViewGatherer
+    from robot_ik.camera.sources import Frame, FrameSource
+
+# More views than these teach nothing.
+_MOST_VIEWS = 40
+
+
+@dataclass(frozen=True)
+class CameraCalibrateOptions:
+    """Calibrates a camera from views of a printed pattern (see: robot-ik camera print charuco).
+
+    Pictures and folders are taken whole. From a camera, stream, film or synthetic:charuco a view is taken by
+    itself when the board is held still in a new way, until nothing is missing; Ctrl-C ends it early and keeps
+    what there is. The lens must not be focused or zoomed afterwards.
+    """
+
+    sources: Positional[tuple[str, ...]]
+    """Pictures, folders, films, a camera's index, URLs; one after the other."""
+    pattern: Literal["charuco", "chessboard"] = "charuco"
+    """What is shown. Both layouts of a ChArUco board are tried."""
+    columns: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by pattern)")] = None
+    """charuco: squares (8). chessboard: inner corners, as OpenCV and ROS count (9)."""
+    rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by pattern)")] = None
+    """The same downwards: 6 and 6."""
+    square_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by pattern)")] = None
+    """Side of a square as measured on the print (charuco 30, chessboard 25)."""
+    marker_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 0.73 squares)")] = None
+    """Side of the markers of a charuco board."""
+    dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
+    """Dictionary of its markers."""
+    coefficients: Literal[5, 8] = 5
+    """Of the lens: 5, or 8 for a wide one."""
+    views: Annotated[int, arg(metavar="N")] = 20
+    """Views to take from a moving source before it may end."""
+    size: Annotated[tuple[int, int] | None, arg(metavar="W H", help_behavior_hint="(default: as it is)")] = (
+        None
+    )
+    """Picture size to ask of a camera, pixels."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("camera.yaml")
+    """Where to write the calibration; beside it come a picture of the coverage and the views taken live."""
+    name: str = "camera"
+    """Name of the camera in the file."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+
+def run(options: CameraCalibrateOptions) -> int:
+    """Gathers views, calibrates, writes the file and says what it is worth."""
+    import dataclasses
+
+    from robot_ik.camera.calibrate import calibrate
+    from robot_ik.camera.calibration_views import ViewGatherer
+    from robot_ik.camera.pattern_kinds import PatternWish
+
+    fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
+    wish = PatternWish(options.pattern, *(getattr(options, field) for field in fields))
+    gatherer = ViewGatherer(wish.pattern())
+    with _kept_on_interrupt(gatherer):
+        for text in options.sources:
+            _gather(text, gatherer, options)
+    gatherer.finish()
+    for notice in gatherer.notices:
+        console.say(notice, "yellow")
+    result = calibrate(
+        gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
+    )
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    intrinsics = dataclasses.replace(result.intrinsics, date=now)
+    intrinsics.save(options.out)
+    picture = _draw_coverage(result, options.out)
+    if options.json:
+        console.print_json(_as_json(result, options.out, intrinsics.digest))
+    else:
+        _print(result)
+    console.say(f"wrote {options.out} and {picture}", "green")
+    return console.DONE
+
+
+@contextlib.contextmanager
+def _kept_on_interrupt(gatherer: ViewGatherer) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.say(f"stopped; {len(gatherer.views)} views are kept", "yellow")
+
+
+def _gather(text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions) -> None:
+    from robot_ik.camera.sources import FolderSource, ImageSource, open_source
+
+    with open_source(text, size=options.size) as source:
+        if isinstance(source, FolderSource):
+            for path, frame in zip(source.files, source, strict=True):
+                gatherer.offer(frame, path.name, choosy=False)
+        elif isinstance(source, ImageSource):
+            gatherer.offer(source.read(), Path(text).name, choosy=False)
+        else:
+            _gather_moving(source, text, gatherer, options)
+
+
+def _gather_moving(
+    source: FrameSource, text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions
+) -> None:
+    from robot_ik.camera.calibration_views import missing_words
+    from robot_ik.camera.device import DeviceSource
+
+    live = isinstance(source, DeviceSource)
+    if live:
+        console.say("show the board, hold it still, move it on; Ctrl-C when done", "cyan")
+    while not getattr(source, "exhausted", False) and len(gatherer.views) < _MOST_VIEWS:
+        frame = source.read()
+        name = f"{Path(text).name or text} {frame.sequence}"
+        if not gatherer.offer(frame, name, choosy=True):
+            continue
+        if live:
+            _keep(frame, len(gatherer.views), options.out)
+        missing = gatherer.coverage.missing
+        console.say(f"view {len(gatherer.views)}: {missing_words(missing)}")
+        if len(gatherer.views) >= options.views and not missing:
+            return
+
+
+def _keep(frame: Frame, number: int, out: Path) -> None:
+    """A view of a live camera as a picture, so that nothing that was shown is lost."""
+    from robot_ik.camera.picture_files import write_image
+    from robot_ik.files import make_folder
+
+    folder = make_folder(out.with_name(f"{out.stem}-views"))
+    write_image(folder / f"view{number:02d}.png", frame.image)
+
+
+def _draw_coverage(result: CalibrationResult, out: Path) -> Path:
+    from robot_ik.camera.coverage import coverage_picture
+    from robot_ik.camera.picture_files import write_image
+
+    path = out.with_name(f"{out.stem}-coverage.png")
+    write_image(path, coverage_picture(result.coverage))
+    return path
+
+
+def _print(result: CalibrationResult) -> None:
+    screen = console.out()
+    views = console.table("view", "corners", "error", "left out")
+    for view in result.per_view:
+        error = "-" if view.rms is None else f"{view.rms:.3f} px"
+        views.add_row(Text(view.name), str(view.corners), error, Text(view.left_out))
+    screen.print(views)
+    camera = result.intrinsics
+    names = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[: len(camera.distortion)])
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    rows = console.table("number", "value", "standard deviation")
+    for name, value, std in zip(names, numbers, result.std, strict=True):
+        unit = " px" if name[0] in "fc" else ""
+        rows.add_row(name, f"{value:.3f}{unit}" if unit else f"{value:.5f}", f"{std:.3g}{unit}")
+    screen.print()
+    screen.print(rows)
+    screen.print(Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"))
+    for doubt in result.doubts:
+        screen.print(Text(f"- {doubt}", style="yellow"))
+
+
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def _as_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any]:
+    camera = result.intrinsics
+    return {
+        "schema": 1,
+        "file": str(out),
+        "digest": digest,
+        "size": camera.size,
+        "f": (camera.fx, camera.fy),
+        "c": (camera.cx, camera.cy),
+        "model": camera.model,
+        "distortion": camera.distortion,
+        "std": result.std,
+        "rms_px": result.rms,
+        "hold_out_rms_px": result.hold_out_rms,
+        "views": [{"name": v.name, "corners": v.corners, "rms_px": v.rms, "left_out": v.left_out}
+                  for v in result.per_view],
+        "verdict": result.verdict,
+        "doubts": result.doubts,
+    }  # fmt: skip
