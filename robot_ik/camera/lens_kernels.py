@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,8 +25,9 @@ _INVERSE_STEPS = 40
 _STALLED = 1e-9
 
 
+@lru_cache(maxsize=16)
 def lens_vector(intrinsics: CameraIntrinsics) -> NDArray[np.float64]:
-    """(14,) all that compiled code needs to know of a camera."""
+    """(14,) all that compiled code needs to know of a camera; kept, so not to be changed."""
     lens = np.zeros(_LENGTH)
     lens[:_EQUIDISTANT] = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
     lens[_EQUIDISTANT] = intrinsics.model == "equidistant"

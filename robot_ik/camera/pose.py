@@ -12,54 +12,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.corner_fit import CornerData, fit_pose, pose_covariance
+from robot_ik.camera.branches import Branches, square_branches, with_mirror_image
+from robot_ik.camera.corner_fit import CornerData, Fit, fit_pose
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.opencv import square_poses
+from robot_ik.camera.marker_pose import MarkerObservation, estimate_marker, marker_points
 from robot_ik.camera.refine import RefinedCorners, unrefined
-from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
+
+__all__ = [
+    "BodyObservation",
+    "MarkerObservation",
+    "estimate_body",
+    "estimate_marker",
+    "marker_points",
+]
 
 Array = NDArray[np.float64]
 
-# A marker size beyond this is millimetres where metres are wanted.
-_LARGEST_SIZE = 2.0
-# Two branches closer than this are one: the fit ran from both starts into the same minimum.
-_SAME_ANGLE = np.deg2rad(0.5)
 # A marker of a body is left out when its corners miss by more than this many standard deviations (RMS) and
 # by more than this many pixels: half hidden, or not where the layout says.
 _OUTLIER_SIGMAS, _OUTLIER_PIXELS = 4.0, 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class MarkerObservation:
-    """One marker in one picture.
-
-    Attributes:
-        id: The marker.
-        corners: (4, 2) distorted pixels.
-        pose: ``pose_camera_marker``: marker x right, y up, z out of the printed face.
-        alternative: The other pose that a flat square allows, when there is one.
-        reprojection_error: Root mean square distance of the four corners from where ``pose`` puts them, px.
-        ambiguity: Error of ``pose`` over error of ``alternative``, 0 to 1: near 1 the two cannot be told
-            apart; 0 when there is no alternative.  Both errors include the noise that is expected anyway,
-            so a lucky fit to noise does not look certain.
-        covariance: (6, 6) of ``pose``: translation (m) over rotation (rad), both along the camera's axes,
-            rotation about the marker's origin.
-        sigma: Standard deviation of the corners, px.
-        refined: Whether the corners were measured on the marker's edges.
-        time: When the picture was taken, seconds, monotonic; NaN when unknown.
-    """
-
-    id: int
-    corners: Array
-    pose: Pose
-    alternative: Pose | None
-    reprojection_error: float
-    ambiguity: float
-    covariance: Array
-    sigma: float
-    refined: bool
-    time: float = float("nan")
+# A marker whose corners miss by more standard deviations than this, and than the others do, counts less:
+# Huber's weights, once for each marker.
+_HUBER, _REWEIGHTINGS = 1.5, 3
+_CORNER_NUMBERS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +48,9 @@ class BodyObservation:
         reprojection_error: RMS over the corners used, px.
         ids: Markers used.
         rejected: Markers seen but left out, because they contradict the others.
-        ambiguity: As in ``MarkerObservation``; 0 for two markers or more.
-        alternative: The other pose, when only one marker was used.
+        ambiguity: As in ``MarkerObservation``; 0 for markers that do not lie in one plane.
+        alternative: The other pose, when the markers used lie in one plane and it fits at all.
+        time: When the picture was taken, seconds, monotonic; NaN when unknown.
     """
 
     pose_camera_body: Pose
@@ -83,87 +60,38 @@ class BodyObservation:
     rejected: tuple[int, ...] = ()
     ambiguity: float = 0.0
     alternative: Pose | None = None
+    time: float = float("nan")
 
 
-def marker_points(size: float) -> Array:
-    """Corners (4, 3) of a marker of side ``size`` in its own frame, metres, in the detector's order.
+@dataclass(frozen=True, eq=False)
+class BodyBranches:
+    """The poses that fit the markers of a body.
 
-    Raises:
-        CameraError: The size is not positive, or suspiciously large.
+    Attributes:
+        branches: The poses, fitted to the markers ``ids``.
+        ids: Markers used.
+        rejected: Markers seen but left out.
     """
-    if not 0.0 < size <= _LARGEST_SIZE:
-        raise CameraError(
-            f"a marker size of {size} m cannot be right", hint="give the side of the black square in metres"
+
+    branches: Branches
+    ids: tuple[int, ...]
+    rejected: tuple[int, ...]
+
+    def observation(
+        self, chosen: int = 0, ambiguity: float | None = None, time: float = float("nan")
+    ) -> BodyObservation:
+        """The observation with the branch ``chosen``; ``ambiguity`` None: what this picture alone says."""
+        b = self.branches
+        return BodyObservation(
+            pose_camera_body=b.poses[chosen],
+            covariance=b.covariance(chosen),
+            reprojection_error=b.pixel_error(chosen),
+            ids=self.ids,
+            rejected=self.rejected,
+            ambiguity=b.ambiguity if ambiguity is None else ambiguity,
+            alternative=b.other(chosen),
+            time=time,
         )
-    h = 0.5 * size
-    return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-
-
-def _branches(points: Array, corners: CornerData) -> list[tuple[Pose, float]]:
-    """Fitted poses of one square and their costs, best first; one or two, none when degenerate."""
-    found: list[tuple[Pose, float]] = []
-    for rotation, position in square_poses(points, corners.ideal):
-        if position[2] <= 0:
-            continue
-        pose, cost = fit_pose(corners, Pose.from_rotation(rotation, position))
-        if pose.apply(points)[:, 2].min() > 0 and np.isfinite(cost):
-            found.append((pose, cost))
-    found.sort(key=lambda item: item[1])
-    if len(found) == 2 and found[0][0].distance(found[1][0])[1] < _SAME_ANGLE:
-        found.pop()
-    return found
-
-
-def _ambiguity(costs: list[float]) -> float:
-    """Ratio of the errors of the two branches, each with the expected cost of four corners (8 - 6) added."""
-    return float(np.sqrt((costs[0] + 2.0) / (costs[1] + 2.0))) if len(costs) == 2 else 0.0
-
-
-def estimate_marker(
-    corners: ArrayLike | RefinedCorners,
-    size: float,
-    intrinsics: CameraIntrinsics,
-    *,
-    id: int = -1,
-    time: float = float("nan"),
-) -> MarkerObservation | None:
-    """Pose of a single square marker.
-
-    Args:
-        corners: Refined corners, or (4, 2) distorted pixels as a detector gives them.
-        size: Side of the black square, metres.
-        intrinsics: Of this picture's size.
-        id: Copied into the result.
-        time: Copied into the result.
-
-    Returns:
-        Both branches of the pose, or None when the four corners are no picture of a square.
-
-    Raises:
-        CameraError: The size cannot be right.
-    """
-    points = marker_points(size)
-    seen = corners if isinstance(corners, RefinedCorners) else unrefined(corners, intrinsics)
-    if not np.isfinite(seen.ideal).all():
-        return None
-    data = CornerData.of(points, seen, intrinsics)
-    found = _branches(points, data)
-    if not found:
-        return None
-    pose, cost = found[0]
-    other = found[1] if len(found) > 1 else None
-    return MarkerObservation(
-        id=id,
-        corners=seen.corners,
-        pose=pose,
-        alternative=other[0] if other else None,
-        reprojection_error=data.pixel_error(pose),
-        ambiguity=_ambiguity([cost for _, cost in found]),
-        covariance=pose_covariance(data, pose, cost),
-        sigma=seen.sigma,
-        refined=seen.refined,
-        time=time,
-    )
 
 
 def estimate_body(
@@ -173,8 +101,8 @@ def estimate_body(
 ) -> BodyObservation | None:
     """Pose of a rigid body from all of its markers together.
 
-    Starts from the single marker that explains the others best, fits all corners, and leaves out markers
-    that contradict the rest (half hidden, moved, misread).
+    Starts from the single marker that explains the others best, fits all corners, leaves out markers that
+    contradict the rest (half hidden, moved, misread) and trusts those less that hardly agree.
 
     Args:
         observed: Marker id -> corners as in ``estimate_marker``; ids outside ``layout`` are ignored.
@@ -183,64 +111,84 @@ def estimate_body(
 
     Returns:
         The pose, or None when no marker of the body gives one.
+
+    Raises:
+        CameraError: A size of the layout cannot be right.
     """
-    parts: dict[int, CornerData] = {}
-    starts: list[Pose] = []
-    ambiguity: dict[int, float] = {}
+    found = body_branches(observed, layout, intrinsics)
+    return None if found is None else found.observation()
+
+
+def body_branches(
+    observed: Mapping[int, ArrayLike | RefinedCorners],
+    layout: Mapping[int, tuple[float, Pose]],
+    intrinsics: CameraIntrinsics,
+) -> BodyBranches | None:
+    """The poses that fit; arguments and errors as in ``estimate_body``."""
+    ids, seen, points, starts = [], [], [], []
     for i in sorted(set(observed) & set(layout)):
         size, pose_body_marker = layout[i]
         value = observed[i]
-        seen = value if isinstance(value, RefinedCorners) else unrefined(value, intrinsics)
-        if not np.isfinite(seen.ideal).all():
+        corners = value if isinstance(value, RefinedCorners) else unrefined(value, intrinsics)
+        own = marker_points(size)
+        if not np.isfinite(corners.ideal).all():
             continue
-        points = marker_points(size)
-        found = _branches(points, CornerData.of(points, seen, intrinsics))
-        if not found:
+        found = square_branches(own, CornerData.of(own, corners, intrinsics))
+        if found is None:
             continue
-        parts[i] = CornerData.of(pose_body_marker.apply(points), seen, intrinsics)
-        starts += [pose.compose(pose_body_marker.inverse()) for pose, _ in found]
-        ambiguity[i] = _ambiguity([cost for _, cost in found])
-    if not parts:
+        ids.append(i)
+        seen.append(corners)
+        points.append(pose_body_marker.apply(own))
+        starts += [pose.compose(pose_body_marker.inverse()) for pose in found.poses]
+    if not ids:
         return None
-    return _fit_body(parts, starts, ambiguity)
+    data = CornerData.of_markers(np.concatenate(points), seen, intrinsics)
+    chosen, pose = _consensus(data, starts)
+    branches = with_mirror_image(_weighted(data, chosen, pose), pose)
+    if branches is None:
+        return None
+    rejected = tuple(i for k, i in enumerate(ids) if k not in chosen)
+    return BodyBranches(branches, tuple(ids[k] for k in chosen), rejected)
 
 
-def _fit_body(
-    parts: dict[int, CornerData], starts: list[Pose], ambiguity: dict[int, float]
-) -> BodyObservation:
+def _consensus(data: CornerData, starts: list[Pose]) -> tuple[list[int], Pose]:
+    """Which markers (numbers of blocks) agree with each other, and the pose that they agree on."""
     # The median marker decides: up to half of them may be wrong.
-    first = min(starts, key=lambda pose: float(np.median([p.pixel_error(pose) for p in parts.values()])))
+    fits = [data.fit(pose).pixels for pose in starts]
+    best = min(range(len(starts)), key=lambda k: float(np.median(fits[k])))
     # One marker's tilt is loose, so nobody is judged by it yet: the better half makes the first fit.
-    order = sorted(parts, key=lambda i: parts[i].pixel_error(first))
-    used = sorted(order[: max(1, (len(order) + 1) // 2, min(2, len(order)))])
-    pose, cost = fit_pose(CornerData.joined([parts[i] for i in used]), first)
+    order = np.argsort(fits[best], kind="stable")
+    used = sorted(int(k) for k in order[: max(1, (len(order) + 1) // 2, min(2, len(order)))])
+    pose, _ = fit_pose(data.chosen(used), starts[best])
     for _ in range(4):
-        again = _agreeing(parts, pose)
+        again = _agreeing(data.fit(pose))
         if again == used:
             break
         used = again
-        pose, cost = fit_pose(CornerData.joined([parts[i] for i in used]), pose)
-    data = CornerData.joined([parts[i] for i in used])
-    single = len(used) == 1
-    other = None
-    if single:
-        others = [p for p in starts if p.distance(pose)[1] > _SAME_ANGLE]
-        other = min(others, key=data.cost) if others else None
-    return BodyObservation(
-        pose_camera_body=pose,
-        covariance=pose_covariance(data, pose, cost),
-        reprojection_error=data.pixel_error(pose),
-        ids=tuple(used),
-        rejected=tuple(i for i in parts if i not in used),
-        ambiguity=ambiguity[used[0]] if single else 0.0,
-        alternative=other,
-    )
+        pose, _ = fit_pose(data.chosen(used), pose)
+    return used, pose
 
 
-def _agreeing(parts: dict[int, CornerData], pose: Pose) -> list[int]:
-    """Markers whose corners are where ``pose`` puts them; at least the best one."""
-    errors = {i: part.pixel_error(pose) for i, part in parts.items()}
+def _agreeing(fit: Fit) -> list[int]:
+    """Markers whose corners are where the pose puts them; at least the best one."""
     # Measured against the others too: print and lens are never as good as the picture.
-    limit = max(_OUTLIER_PIXELS, 3.0 * float(np.median(list(errors.values()))))
-    kept = [i for i in parts if errors[i] < limit or parts[i].cost(pose) < 8 * _OUTLIER_SIGMAS**2]
-    return kept or [min(errors, key=errors.__getitem__)]
+    limit = max(_OUTLIER_PIXELS, 3.0 * float(np.median(fit.pixels)))
+    kept = np.flatnonzero((fit.pixels < limit) | (fit.costs < _CORNER_NUMBERS * _OUTLIER_SIGMAS**2))
+    return [int(k) for k in kept] or [int(np.argmin(fit.pixels))]
+
+
+def _weighted(data: CornerData, chosen: list[int], pose: Pose) -> CornerData:
+    """The chosen markers, with less weight for those that agree less than the others."""
+    if len(chosen) < 3:
+        return data.chosen(chosen)
+    part = data.chosen(chosen)
+    weighted = part
+    for _ in range(_REWEIGHTINGS):
+        size = np.sqrt(part.fit(pose).costs / _CORNER_NUMBERS)
+        limit = _HUBER * max(1.0, float(np.median(size)))
+        weights = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+        if weights.min() == 1.0:
+            break
+        weighted = part.chosen(range(len(chosen)), weights)
+        pose, _ = fit_pose(weighted, pose)
+    return weighted
