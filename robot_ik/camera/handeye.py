@@ -36,8 +36,9 @@ Array = NDArray[np.float64]
 _ROUNDS = 25
 # Steps smaller than this (metres, rad) end the iteration; larger than _LARGEST_STEP they are shortened.
 _DONE, _LARGEST_STEP = 1e-7, 0.5
-# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6).
-_OUTLIER = 6.4
+# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
+# and by more than this many pixels: below, print and lens are as good a reason.
+_OUTLIER, _OUTLIER_PIXELS = 6.4, 0.3
 
 
 @dataclass(frozen=True)
@@ -194,13 +195,14 @@ def _residual(
     moved = HandEyeSample(sample.pose_world_hand.compose(Pose.exp(wish)), sample.view)
     found = others.pose_camera_board(moved)
     apart = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
+    left_out = _rms_distance(others.miss(sample, intrinsics))
     return ViewResidual(
         pixels=_rms_distance(mount.miss(sample, intrinsics)),
-        left_out_pixels=_rms_distance(others.miss(sample, intrinsics)),
+        left_out_pixels=left_out,
         left_out_position=float(np.sqrt(np.mean(apart**2))),
         left_out_angle=expected.distance(found)[1],
         sigmas=sigmas,
-        outlier=sigmas > _OUTLIER,
+        outlier=sigmas > _OUTLIER and left_out > _OUTLIER_PIXELS,
     )
 
 

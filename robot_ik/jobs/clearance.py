@@ -1,4 +1,4 @@
-"""Whether an arm can stand at joint angles, and go between them in a straight joint move, without touching."""
+"""Whether an arm can stand at joint angles, and go straight between them in joint space, without touching."""
 
 from __future__ import annotations
 

@@ -59,7 +59,8 @@ def visit_stops(
         progress: Told the number of the stop and the share of the way to it.
 
     Raises:
-        TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm does as its exit policy says.
+        TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm is left as its exit policy
+            says.
     """
     for number, asked in enumerate(stops):
         trajectory = joint_move(

@@ -6,6 +6,7 @@ Either the arm carries the camera and the board rests, or the camera rests and t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -97,8 +98,8 @@ def plan_views(
 
     Candidates are found by inverse kinematics for random views; those are taken, one after the other, that
     together determine camera and board best (greedy D-optimality of the information matrix; Fedorov, Theory
-    of Optimal Experiments, 1972).  All lie inside the limits; neither they nor the straight joint moves between
-    them touch anything of the model or the table.
+    of Optimal Experiments, 1972).  All lie inside the limits; neither they nor the straight joint moves
+    between them touch anything of the model or the table.
 
     Args:
         robot: Its limits count.
@@ -120,7 +121,7 @@ def plan_views(
         raise CameraError(
             f"only {len(ordered)} views were found in which the board can be seen and the arm, carrying the "
             f"{who}, touches nothing; {LEAST_VIEWS} are the least",
-            hint="say better where camera and board are, or move them; a larger board is seen from farther away",
+            hint="say better where camera and board are, or move them; a larger board is seen from farther off",
         )
     return ordered
 
@@ -154,7 +155,7 @@ def _candidates(
 
 
 def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator) -> Pose | None:
-    """A pose of the hand about where it is at ``near`` that shows one of the markers; None: not from there."""
+    """A pose of the hand about where it is at ``near`` that shows one of the markers, or None."""
     board = task.pose_camera_board(robot, near)
     side, pose_board_marker = list(task.layout.values())[rng.integers(len(task.layout))]
     mount = task.mount
@@ -231,7 +232,8 @@ def _most_informative(informations: Sequence[Array], count: int) -> list[int]:
     each = np.array(informations)
     scale = np.sqrt(np.maximum(np.diagonal(each.mean(axis=0)), 1e-300))
     each = each / np.outer(scale, scale)
-    total, chosen = 1e-3 * np.eye(12), []
+    total = 1e-3 * np.eye(12)
+    chosen: list[int] = []
     for _ in range(min(count, len(each))):
         gain = np.linalg.slogdet(total + each)[1]
         gain[chosen] = -np.inf
@@ -270,4 +272,4 @@ def _short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Cl
 
 
 def _length(way: Sequence[int], cost: Array) -> float:
-    return float(sum(cost[a, b] for a, b in zip(way, way[1:], strict=False)))
+    return float(sum(cost[a, b] for a, b in itertools.pairwise(way)))

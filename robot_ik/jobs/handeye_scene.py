@@ -1,0 +1,190 @@
+"""Camera and board of a hand-eye calibration: real ones, or simulated ones with a truth to compare with."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from robot_ik.camera.board_view import Layout
+from robot_ik.camera.boards import Board, MarkerBoard, grid_layout
+from robot_ik.camera.carried import CarriedSource
+from robot_ik.camera.handeye_model import Mount, Mounting, moved
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.sources import Frame, FrameSource, open_source
+from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource
+from robot_ik.errors import CalibrationError, CameraError, ConfigError
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.limbs import Limbs
+from robot_ik.jobs.stage import Stage, stage_for
+from robot_ik.jobs.views import ViewTask
+
+# What is planned with is wrong by this much on purpose: nobody knows his camera's place before.
+_WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
+# The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
+_BESIDE, _BEHIND, _INWARDS = 0.07, 0.10, 0.15
+# The simulated board on the table: columns, rows, first id, and parts of the stage's marker.
+_GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
+# A camera's pictures that are on their way when the arm comes to rest are thrown away.
+_STALE_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class HandEyeRequest:
+    """What ``run_handeye`` shall do.
+
+    Attributes:
+        robot: Catalogue name, or path of an MJCF or URDF file.
+        mounting: ``eye_in_hand`` or ``eye_to_hand``.
+        bus: ``sim``, ``pty`` or a serial port.
+        arm_file: None: the one beside the model, else a generic one.
+        frame: What carries camera or board; None: the robot's tool, or what carries the stage's markers.
+        camera: ``synthetic``, or what ``open_source`` opens.
+        intrinsics: Calibration file; needed for a real camera.
+        board: None: the simulated one.
+        pose_parent_camera, pose_other_board: Where they are, roughly; None: as on the stage.
+        views: How many pictures.
+        speed: Share of the joints' speed limits.
+        seed: Of planning and of the simulated noise.
+    """
+
+    robot: str = "puma560"
+    mounting: Mounting = "eye_to_hand"
+    bus: str = "sim"
+    arm_file: Path | None = None
+    frame: str | None = None
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    board: Board | None = None
+    pose_parent_camera: Pose | None = None
+    pose_other_board: Pose | None = None
+    views: int = 15
+    speed: float = 1.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeScene:
+    """What the job looks with and at.
+
+    Attributes:
+        task: For planning.
+        board: How it is seen.
+        source: The camera.
+        truth: Where camera and board really are; None where nobody knows.
+        stale: Pictures to throw away before one counts.
+    """
+
+    task: ViewTask
+    board: Board
+    source: FrameSource
+    truth: Mount | None
+    stale: int = 0
+
+    def take(self) -> Frame:
+        """A picture that was begun after the arm came to rest; without its truth."""
+        for _ in range(self.stale):
+            self.source.read()
+        return self.source.read().without_truth()
+
+
+def open_scene(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) -> HandEyeScene:
+    """Camera and board of a request.
+
+    Raises:
+        CameraError, CalibrationError, ConfigError: It cannot be opened, something is not given, or the
+            simulated camera is asked to look at real servos.
+    """
+    if request.camera != "synthetic":
+        return _real(request, limbs, stack)
+    if limbs.arm is not None and limbs.arm.virtual_bus is None:
+        raise ConfigError(
+            "the synthetic camera cannot see real servos",
+            file="command line", key="--camera", allowed="a camera's index, file or URL",
+        )  # fmt: skip
+    if request.board is not None:
+        raise ConfigError(
+            "the synthetic camera looks at a board of its own",
+            file="command line", key="--board", allowed="only with a real camera",
+        )  # fmt: skip
+    stage = stage_for(limbs.robot, limbs.frame)
+    made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
+    return made(request, limbs, stage, stack)
+
+
+def _standing_camera(
+    request: HandEyeRequest, limbs: Limbs, stage: Stage, stack: contextlib.ExitStack
+) -> HandEyeScene:
+    """The stage's camera looks at the markers on the tool."""
+    truth = Mount(stage.pose_world_camera, stage.cube_offset, "eye_to_hand")
+    source = SyntheticSource(
+        stage.scene(limbs.robot), limbs.true_q, seed=request.seed, clock=limbs.clock, quality="fast"
+    )
+    board = MarkerBoard(dict(stage.cube), stage.dictionary)
+    task = ViewTask(_roughly(request, truth), stage.cube_frame, board.layout, stage.intrinsics, stage.table)
+    return HandEyeScene(task, board, stack.enter_context(source), truth)
+
+
+def _carried_camera(
+    request: HandEyeRequest, limbs: Limbs, stage: Stage, stack: contextlib.ExitStack
+) -> HandEyeScene:
+    """A camera beside the tool looks at a board of markers on the table."""
+    ball = limbs.robot.reach(limbs.frame)
+    reach = 1.0 if ball is None else ball[1]
+    place = (_BESIDE * reach, 0.0, -_BEHIND * reach)
+    camera = Pose(place, rotation_exp([0.0, -_INWARDS, 0.0])).compose(
+        Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
+    )
+    truth = Mount(camera, stage.pose_world_marker, "eye_in_hand")
+    size = _MARKER_PART * stage.marker_size
+    layout = grid_layout(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID)
+    markers = tuple(
+        SyntheticMarker(
+            id, side, truth.pose_other_board.compose(pose), dictionary=stage.dictionary,
+            margin=0.5 * _GAP_PART * stage.marker_size,
+        )
+        for id, (side, pose) in layout.items()
+    )  # fmt: skip
+    scene = SyntheticScene(limbs.robot, STANDARD_CAMERA, Pose(), markers, table=stage.table)
+    source = CarriedSource(scene, limbs.frame, camera, limbs.true_q, seed=request.seed, clock=limbs.clock)
+    task = ViewTask(_roughly(request, truth), limbs.frame, layout, STANDARD_CAMERA, stage.table)
+    return HandEyeScene(task, MarkerBoard(layout, stage.dictionary), stack.enter_context(source), truth)
+
+
+def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
+    camera = request.pose_parent_camera or moved(truth.pose_parent_camera, _WRONG)
+    board = request.pose_other_board or moved(truth.pose_other_board, 0.5 * _WRONG)
+    return Mount(camera, board, truth.mounting)
+
+
+def _real(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) -> HandEyeScene:
+    if request.intrinsics is None:
+        raise CalibrationError(
+            f"the camera {request.camera!r} has no calibration, so nothing can be measured in its pictures",
+            hint="give its calibration file: --intrinsics FILE; make one with: robot-ik camera calibrate",
+        )
+    if request.board is None:
+        raise CameraError(
+            "what board the camera looks at is not given",
+            hint="say it with --board, for example --board grid:2x2:50:12",
+        )
+    intrinsics = CameraIntrinsics.load(request.intrinsics)
+    carried = request.mounting == "eye_in_hand"
+    stage = stage_for(limbs.robot, limbs.frame)
+    camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
+    board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
+    source = stack.enter_context(open_source(request.camera))
+    size = getattr(source, "size", None)
+    if size is not None:
+        intrinsics.require_size(*size)
+    if not source.live:
+        raise ConfigError(
+            "recorded pictures do not show this arm where it goes",
+            file="command line", key="--camera", allowed="a camera or a stream, or --samples FILE",
+        )  # fmt: skip
+    layout: Layout = request.board.layout
+    task = ViewTask(Mount(camera, board, request.mounting), limbs.frame, layout, intrinsics, stage.table)
+    return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
