@@ -17,40 +17,47 @@ Segments = tuple[int, ...]
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
 CREASE = np.radians(30.0)
 # Round outlines are drawn true to this, pixels.
-ROUND_PX = 0.3
-# A lid or label stands out of the face it lies on by at most _LID and sinks into it by at most _SINK, metres.
-_LID, _SINK = 0.03, 0.004
+ROUND_PX = 0.5
 # MuJoCo's viewer shows these geom groups unless told otherwise (mjvOption default).
 VISIBLE_GROUPS = (1, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
-class ModelMesh:
+class Part:
+    """Faces of one geom with what drawing wants to know of them; geom frame, metres.
+
+    Attributes:
+        vertices: (v, 3); ``faces`` (f, 4) into them, a triangle repeats its last corner.
+        faces: See ``vertices``.
+        normals: (f, 3) outward, unit; ``corner_normals`` (f, 4, 3) the same smoothed over round surfaces.
+        corner_normals: See ``normals``.
+        edges: (e, 2) into ``vertices``; ``edge_faces`` (e, 2) its two faces; ``crease`` (e,) sharp ones.
+        edge_faces: See ``edges``.
+        crease: See ``edges``.
+    """
+
+    vertices: Array
+    faces: Index
+    normals: Array
+    corner_normals: Array
+    edges: Index
+    edge_faces: Index
+    crease: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ModelMesh(Part):
     """Faces of all visible geoms of one model, stacked so that drawing needs no loop over geoms.
 
     Attributes:
         geoms: (g,) geom ids of the model, in the order of ``*_geom``.
-        vertices: (v, 3) in geom frames, metres; ``vertex_geom`` (v,) which of ``geoms``.
-        faces: (f, 4) into ``vertices``; ``face_geom`` (f,).
-        vertex_normals: (v, 3) mean of the unit normals of the faces at a vertex, unit.
-        normals: (f, 3) outward unit normals in geom frames; ``centres`` (f, 3).
-        overlays: Things lying on a flat face of another geom of the same body (lids, labels): their faces
-            and the faces below them, which are to be drawn first whenever they are seen.
-        edges: (e, 2) into ``vertices``; ``edge_faces`` (e, 2) its two faces; ``crease`` (e,) sharp ones.
+        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,).
+        face_geom: See ``vertex_geom``.
     """
 
     geoms: Index
-    vertices: Array
     vertex_geom: Index
-    vertex_normals: Array
-    faces: Index
     face_geom: Index
-    normals: Array
-    centres: Array
-    edges: Index
-    edge_faces: Index
-    crease: NDArray[np.bool_]
-    overlays: tuple[tuple[Index, Index], ...]
 
 
 def geom_rgba(model: mujoco.MjModel) -> Array:
@@ -89,41 +96,38 @@ def _edges(faces: Index, normals: Array) -> tuple[Index, Index, NDArray[np.bool_
     return edges, edge_faces, bend < np.cos(CREASE)
 
 
-def _vertex_normals(count: int, faces: Index, normals: Array) -> Array:
-    total = np.zeros((count, 3))
-    for k in range(4):
-        np.add.at(total, faces[:, k], normals)
-    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
+def _corner_normals(faces: Index, normals: Array) -> Array:
+    """Normals (f, 4, 3) at the corners: the mean over the faces there that bend by less than ``CREASE``."""
+    corner = faces.reshape(-1)
+    face = np.repeat(np.arange(len(faces)), 4)
+    real = np.ones(faces.shape, dtype=bool)
+    real[:, 3] = faces[:, 2] != faces[:, 3]
+    there = np.flatnonzero(real.reshape(-1))
+    there = there[np.argsort(corner[there], kind="stable")]
+    starts = np.searchsorted(corner[there], corner)
+    counts = np.searchsorted(corner[there], corner, side="right") - starts
+    asking = np.repeat(np.arange(len(corner)), counts)
+    step = np.arange(len(asking)) - np.repeat(np.cumsum(counts) - counts, counts)
+    other = face[there[np.repeat(starts, counts) + step]]
+    own = face[asking]
+    smooth = np.einsum("ij,ij->i", normals[own], normals[other]) > np.cos(CREASE)
+    total = np.stack(
+        [np.bincount(asking[smooth], normals[other[smooth], k], len(corner)) for k in range(3)], axis=1
+    )
+    length = np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+    return np.asarray(total / length).reshape(-1, 4, 3)
 
 
-def _overlays(
-    model: mujoco.MjModel, geoms: Index, vertices: Array, vertex_geom: Index, faces: Index, normals: Array
-) -> tuple[tuple[Index, Index], ...]:
-    """Pairs (faces of a thing, faces it lies on) among geoms of one rigid body; see ``ModelMesh``.
+def _part(mesh: GeomMesh) -> Part:
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    # diagonals of a triangle a b c c: (c - a) x (c - b) is its normal just as well
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    edges = _edges(mesh.faces, normals)
+    return Part(mesh.vertices, mesh.faces, normals, _corner_normals(mesh.faces, normals), *edges)
 
-    Sorting faces by distance goes wrong just there, where a small face lies close to a large one.
-    """
-    turn = np.empty((len(geoms), 9))
-    for k, g in enumerate(geoms):
-        mujoco.mju_quat2Mat(turn[k], model.geom_quat[g])
-    rotation, origin = turn.reshape(-1, 3, 3), np.asarray(model.geom_pos)[geoms]
-    points = np.einsum("vij,vj->vi", rotation[vertex_geom], vertices) + origin[vertex_geom]
-    owner = vertex_geom[faces[:, 0]]
-    normal = np.einsum("fij,fj->fi", rotation[owner], normals)
-    centre = points[faces].mean(axis=1)
-    radius = np.linalg.norm(points[faces] - centre[:, None], axis=2).max(axis=1, initial=0.0)
-    found = []
-    for k, g in enumerate(geoms):
-        thing = points[vertex_geom == k]
-        middle, reach = thing.mean(axis=0), np.linalg.norm(thing - thing.mean(axis=0), axis=1).max()
-        same = np.asarray(model.geom_bodyid)[geoms[owner]] == model.geom_bodyid[g]
-        close = np.linalg.norm(centre - middle, axis=1) < radius + reach
-        below = np.flatnonzero(same & close & (owner != k))
-        height = np.einsum("fj,fvj->fv", normal[below], thing[None] - centre[below][:, None])
-        lies = (height.min(axis=1) > -_SINK) & (height.max(axis=1) < _LID) & (height.max(axis=1) > 1e-6)
-        if lies.any():
-            found.append((np.flatnonzero(owner == k), below[lies]))
-    return tuple(found)
+
+_NOTHING = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
 
 
 def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
@@ -132,37 +136,26 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
     ``segments``: of each geom of the model, faces round a round one; usual numbers when not given.
     """
     counts_round = segments or (0,) * model.ngeom
-    parts = [
-        (g, m)
-        for g in visible_geoms(model, planes=planes)
-        if (m := triangulate(model, g, counts_round[g])) is not None
-    ]
-    empty = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
-    meshes = [m for _, m in parts] or [empty]
-    counts = [len(m.vertices) for m in meshes]
-    offsets = np.cumsum([0, *counts[:-1]])
-    vertices = np.concatenate([m.vertices for m in meshes])
-    faces = np.concatenate([m.faces + o for m, o in zip(meshes, offsets, strict=True)])
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    # diagonals of a triangle a b c c: (c - a) x (c - b) is its normal just as well
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    edges, edge_faces, crease = _edges(faces, normals)
-    geom_ids = np.array([g for g, _ in parts], dtype=np.int64)
-    vertex_geom = np.repeat(np.arange(len(meshes)), counts)
+    known = _kept(model).parts
+    geoms = visible_geoms(model, planes=planes)
+    for g in geoms:
+        if (g, counts_round[g]) not in known:
+            known[g, counts_round[g]] = _part(triangulate(model, g, counts_round[g]) or _NOTHING)
+    parts = [known[g, counts_round[g]] for g in geoms] or [_part(_NOTHING)]
+    vertex_counts, face_counts = [len(p.vertices) for p in parts], [len(p.faces) for p in parts]
+    first_vertex = np.cumsum([0, *vertex_counts[:-1]])
+    first_face = np.cumsum([0, *face_counts[:-1]])
     return ModelMesh(
-        geoms=geom_ids,
-        vertices=vertices,
-        vertex_geom=vertex_geom,
-        vertex_normals=_vertex_normals(len(vertices), faces, normals),
-        faces=faces,
-        face_geom=np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes]),
-        normals=normals,
-        centres=corners.mean(axis=1),
-        edges=edges,
-        edge_faces=edge_faces,
-        crease=crease,
-        overlays=_overlays(model, geom_ids, vertices, vertex_geom, faces, normals) if parts else (),
+        vertices=np.concatenate([p.vertices for p in parts]),
+        faces=np.concatenate([p.faces + o for p, o in zip(parts, first_vertex, strict=True)]),
+        normals=np.concatenate([p.normals for p in parts]),
+        corner_normals=np.concatenate([p.corner_normals for p in parts]),
+        edges=np.concatenate([p.edges + o for p, o in zip(parts, first_vertex, strict=True)]),
+        edge_faces=np.concatenate([p.edge_faces + o for p, o in zip(parts, first_face, strict=True)]),
+        crease=np.concatenate([p.crease for p in parts]),
+        geoms=np.array(geoms, dtype=np.int64),
+        vertex_geom=np.repeat(np.arange(len(parts)), vertex_counts),
+        face_geom=np.repeat(np.arange(len(parts)), face_counts),
     )
 
 
@@ -174,6 +167,7 @@ class _Kept:
     data: mujoco.MjData
     radius: Array
     reach: Array
+    parts: dict[tuple[int, int], Part]
     meshes: OrderedDict[tuple[bool, Segments], ModelMesh]
 
 
@@ -189,7 +183,7 @@ def _kept(model: mujoco.MjModel) -> _Kept:
             model.geom_type, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)]
         )
         reach = np.where(long, np.asarray(model.geom_size)[:, 1], 0.0)
-        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), radius, reach, OrderedDict())
+        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), radius, reach, {}, OrderedDict())
         while len(_CACHE) > _MODELS:
             _CACHE.popitem(last=False)
     _CACHE.move_to_end(id(model))
@@ -215,8 +209,8 @@ def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segmen
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
     """How finely each round geom must be cut so that nobody sees corners: one of ``SEGMENTS`` each.
 
-    A sphere of n segments, whose faces are widened to the true area, leaves its outline by at most
-    (2 pi / n)^2 / 6 of its radius; that shall be ``ROUND_PX`` in the picture at its nearest point.
+    A sphere of n segments leaves its outline by at most (2 pi / n)^2 / 8 of its radius, inwards at the middle
+    of faces and outwards at corners; that shall be ``ROUND_PX`` in the picture at its nearest point.
 
     Args:
         model: The model; geoms that are not round get 0.
@@ -228,7 +222,7 @@ def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: floa
     nearest = centres[:, 2] - kept.reach * np.abs(axes[:, 2]) - kept.radius
     # a thing at the lens or behind it is cut as one at half its radius
     seen = focal * kept.radius / np.maximum(nearest, 0.5 * np.maximum(kept.radius, 1e-9))
-    needed = np.sqrt((2.0 * np.pi) ** 2 / 6.0 * seen / ROUND_PX)
+    needed = np.sqrt((2.0 * np.pi) ** 2 / 8.0 * seen / ROUND_PX)
     levels = np.array(SEGMENTS)
     chosen = levels[np.minimum(np.searchsorted(levels, needed), len(levels) - 1)]
     return tuple(np.where(kept.radius > 0, chosen, 0).tolist())

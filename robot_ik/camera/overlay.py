@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.painter import NEAR, bounding_box, face_colours, paint, visible_polygons
+from robot_ik.camera.layer import EMPTY
+from robot_ik.camera.painter import (
+    NEAR,
+    Samples,
+    base_colours,
+    bounding_box,
+    faces_in_picture,
+    visible_lines,
+)
 from robot_ik.camera.text import text_size, write
 from robot_ik.geometry import Pose
 
@@ -75,25 +83,19 @@ def draw_robot(
     height, width = image.shape[:2]
     intrinsics.require_size(width, height)
     result = image.copy()
-    polygons = visible_polygons(model, qpos, intrinsics, pose_world_camera, lines=style != "solid")
-    x0, y0, x1, y1 = bounding_box(polygons, width, height, margin=3 + line_width)
-    if x1 <= x0:
+    faces = faces_in_picture(model, qpos, intrinsics, pose_world_camera)
+    box = bounding_box(faces, width, height, margin=3 + line_width)
+    if box == EMPTY:
         return result
-    region = result[y0:y1, x0:x1]
-    colours = face_colours(model, polygons, tint)
-    if style == "solid":
-        # outside its faces the layer is the picture itself: blending needs no mask
-        layer = region.copy()
-        paint(layer, polygons, colours, (x0, y0))
-        cv2.addWeighted(region, 1.0 - alpha, layer, alpha, 0.0, dst=region)
-        return result
-    # the fourth channel says where lines are
-    layer = np.dstack([region, np.zeros(region.shape[:2], dtype=np.uint8)])
-    fill = np.concatenate([colours, np.zeros((len(colours), 1))], axis=1)
-    paint(layer, polygons, fill, (x0, y0), line_colour=(*line_colour, 255), line_width=line_width)
-    if style == "registered":
-        cv2.addWeighted(region, 1.0 - alpha, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR), alpha, 0.0, dst=region)
-    _stain(region, layer[..., 3], line_colour)
+    samples = Samples(box)
+    samples.fill(faces)
+    if style != "outline":
+        samples.layer(base_colours(model, tint)).over(result, alpha)
+    if style != "solid":
+        mask = np.zeros((box[3] - box[1], box[2] - box[0]), dtype=np.uint8)
+        lines = _fixed(visible_lines(faces, samples) - box[:2])
+        cv2.polylines(mask, list(lines), False, 255, line_width, cv2.LINE_AA, _SHIFT)
+        _stain(result[box[1] : box[3], box[0] : box[2]], mask, line_colour)
     return result
 
 

@@ -1,8 +1,8 @@
-"""Painter's algorithm: a MuJoCo model drawn into a camera picture without OpenGL.
+"""A MuJoCo model drawn into a camera picture without OpenGL.
 
-All geometry is numpy on whole arrays; only the fills are a loop.  Vertices go through the lens model
-themselves, so a drawing lies on the raw, distorted picture.  Faces are sorted one by one by distance:
-right for geoms that do not pass through each other, nearly right where they do.
+Vertices go through the lens model themselves, so a drawing lies on the raw, distorted picture.  Faces are
+filled by compiled code that keeps the nearest surface at several samples of every pixel (``scanline.py``):
+what passes through something else is cut where it passes, and edges are smooth.
 """
 
 from __future__ import annotations
@@ -10,58 +10,76 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.camera import scanline
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.layer import EMPTY, Box, Image, Layer
 from robot_ik.camera.mesh import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Image = NDArray[np.uint8]
 
 # Nothing nearer to the lens is drawn, metres.
 NEAR = 0.02
-# Faces are clipped this fraction of the view outside it, where the lens model still holds.
+# Clipped faces are cut this fraction of the view outside it, where the lens model still holds.
 _MARGIN = 0.06
-# cv2's anti-aliased fill reaches 0.67 px beyond its polygon (measured over random squares): outlines are
-# drawn in by as much, along the vertex normals in the picture.
-BLEED = 0.67
-# cv2's fixed point coordinates: 1/256 px.
-_SHIFT = 8
+# Faces that reach beyond this part of the radius at which a lens model folds back are clipped.
+_SAFE_RADIUS = 0.98
 # Direction to the light in the camera frame (x right, y down, z forward): above, left, behind the lens.
-_LIGHT = np.array([-0.35, -0.75, -0.55]) / np.linalg.norm([-0.35, -0.75, -0.55])
-_AMBIENT = 0.45
+_LIGHT = np.array([-0.45, -0.75, -0.55]) / np.linalg.norm([-0.45, -0.75, -0.55])
+_HALFWAY = (_LIGHT - [0.0, 0.0, 1.0]) / np.linalg.norm(_LIGHT - [0.0, 0.0, 1.0])
+_AMBIENT, _GLOSS = 0.36, 55.0
+# Lines may lie this part of their distance behind the surface they belong to.
+_LINE_SLACK = 0.01
+# Points along a line at which it is asked whether something hides it, pixels.
+_LINE_STEP, _LINE_PIECES = 2.0, 1000
+
+
+def _samples(count: int) -> Array:
+    """Places (count, 2) in a pixel, its centre at 0: a lattice with no two in one row or column."""
+    k = np.arange(count)
+    column = (k * {8: 3, 16: 7}[count]) % count
+    return np.stack([(column + 0.5) / count - 0.5, (k + 0.5) / count - 0.5], axis=1)
+
+
+SAMPLES: dict[int, Array] = {
+    1: np.zeros((1, 2)),
+    4: np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]]),
+    8: _samples(8),
+    16: _samples(16),
+}
+"""Sample places in a pixel by their number."""
 
 
 @dataclass(frozen=True)
-class Polygons:
-    """Visible faces in drawing order, far to near.
+class Faces:
+    """Faces of a model in a picture.
 
     Attributes:
-        quads: (n, 4, 2) int32 corners in 1/256 px; ``clipped`` replaces those that leave the view by
-            polygons (k, 2), k = 0 when nothing is left.
-        shade: (n,) brightness 0..1; ``geom`` (n,) model geom id.
-        lines: For each polygon its outline edges (j, 2, 2) in 1/256 px; empty when not asked for.
+        pixels: (v, 2) vertices through the lens; ``inverse`` (v,) one over depth, 1/m.
+        inverse: See ``pixels``.
+        faces: (f, 4) vertices; ``chosen`` which of them to fill; ``geom`` (f,) model geom id.
+        chosen: See ``faces``.
+        geom: See ``faces``.
+        lit: (f, 4, 2) diffuse light and highlight at the corners.
+        within: (v,) vertices that the lens can see; the others' pixels mean nothing.
+        mesh: The faces before clipping, in geom frames.
     """
 
-    quads: NDArray[np.int32]
-    clipped: dict[int, NDArray[np.int32]]
-    shade: Array
-    geom: Index
-    lines: list[NDArray[np.int32]]
-
-    def moved(self, corner: tuple[int, int]) -> list[NDArray[np.int32]]:
-        """The polygons in coordinates of a canvas whose pixel (0, 0) is ``corner`` of the picture."""
-        offset = np.array(corner, dtype=np.int32) << _SHIFT
-        points = list(self.quads - offset)
-        for k, polygon in self.clipped.items():
-            points[k] = polygon - offset
-        return points
+    pixels: Array
+    inverse: Array
+    faces: Index
+    chosen: Index
+    geom: NDArray[np.int32]
+    lit: Float32
+    within: Mask
+    mesh: ModelMesh
 
 
 @lru_cache(maxsize=16)
@@ -103,20 +121,6 @@ def _clip(polygon: Array, planes: Array) -> Array:
     return polygon
 
 
-def _fixed(pixels: Array) -> NDArray[np.int32]:
-    # far outside the picture OpenCV's fixed point would overflow
-    return np.rint(np.clip(pixels, -8000.0, 8000.0) * (1 << _SHIFT)).astype(np.int32)
-
-
-def _project(points: Array, intrinsics: CameraIntrinsics) -> Array:
-    z = np.maximum(points[:, 2:], NEAR * 0.5)
-    ideal = points[:, :2] / z
-    radius = np.hypot(ideal[:, 0], ideal[:, 1])
-    # a lens model folds back beyond this radius; a clipped corner may lie just outside
-    squeeze = np.minimum(1.0, 0.999 * intrinsics.radius_limit / np.maximum(radius, 1e-12))
-    return intrinsics.distort(ideal * squeeze[:, None])
-
-
 def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Pose) -> tuple[Array, Array]:
     """Rotations (ngeom, 3, 3) and positions (ngeom, 3) of the model's geoms in the camera frame."""
     data = scratch_data(model)
@@ -128,164 +132,195 @@ def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Po
     return rotation, np.asarray(data.geom_xpos) @ turn.T + camera.position
 
 
-def _turned(rotation: Array, vectors: Array, geom: Index) -> Array:
-    """Vectors (n, 3), each turned by the rotation of its geom; ``geom`` (n,) ascends."""
-    starts = np.searchsorted(geom, np.arange(len(rotation) + 1))
-    result = np.empty_like(vectors)
-    for turn, a, b in zip(rotation, starts[:-1], starts[1:], strict=True):
-        np.matmul(vectors[a:b], turn.T, out=result[a:b])
-    return result
+def _project(points: Array, intrinsics: CameraIntrinsics) -> tuple[Array, Array, Mask]:
+    """Pixels (n, 2), one over depth (n,), and which of the points (n, 3) the lens can see."""
+    inverse = 1.0 / np.maximum(points[:, 2], 0.5 * NEAR)
+    ideal = points[:, :2] * inverse[:, None]
+    radius = np.sqrt(ideal[:, 0] ** 2 + ideal[:, 1] ** 2)
+    limit = _SAFE_RADIUS * intrinsics.radius_limit
+    within = (points[:, 2] > NEAR) & (radius < limit)
+    if not within.all():
+        ideal *= np.minimum(1.0, limit / np.maximum(radius, 1e-12))[:, None]
+    return intrinsics.distort(ideal), inverse, within
 
 
-def _outline(mesh: ModelMesh, front: Mask) -> tuple[Index, Index]:
-    """Edges worth a line (silhouettes of each geom, creases) and the front face (e, 2) each belongs to."""
-    facing = front[mesh.edge_faces]
-    chosen = np.flatnonzero((facing[:, 0] != facing[:, 1]) | (mesh.crease & facing[:, 0]))
-    faces = mesh.edge_faces[chosen]
-    owner = np.where(front[faces], faces, faces[:, ::-1])
-    return chosen, owner
-
-
-def visible_polygons(
+def faces_in_picture(
     model: mujoco.MjModel,
     qpos: ArrayLike,
     intrinsics: CameraIntrinsics,
     pose_world_camera: Pose,
     *,
-    lines: bool = False,
     planes: bool = False,
-    inset: float = BLEED,
-) -> Polygons:
-    """Faces of the model that look towards the camera and touch its view, sorted far to near.
+) -> Faces:
+    """Faces of the model where this camera sees them; round geoms are cut as finely as they are seen.
 
     Args:
         model: Any MuJoCo model; geoms of groups 0-2 with a colour that is not fully transparent.
         qpos: (model.nq,) full configuration.
         intrinsics: Lens of the picture to draw on.
         pose_world_camera: OpenCV camera axes (x right, y down, z forward) seen from the world.
-        lines: Also give silhouette and crease edges with the faces they belong to.
         planes: Also draw plane geoms (floors).
-        inset: Pixels by which outlines are drawn in, to make up for the fill's reach.
     """
     rotation, position = geom_placement(model, qpos, pose_world_camera)
     segments = segments_for(model, rotation[:, :, 2], position, max(intrinsics.fx, intrinsics.fy))
     mesh = cached_mesh(model, planes=planes, segments=segments)
     rotation, position = rotation[mesh.geoms], position[mesh.geoms]
-    points = _turned(rotation, mesh.vertices, mesh.vertex_geom) + position[mesh.vertex_geom]
-    normals = _turned(rotation, mesh.normals, mesh.face_geom)
-    centres = _turned(rotation, mesh.centres, mesh.face_geom) + position[mesh.face_geom]
-    front = np.einsum("fi,fi->f", normals, centres) < 0.0
-
-    view = _view_planes(intrinsics)
-    inside = points @ view[:, :3].T + view[:, 3] >= 0.0
-    corners = inside[mesh.faces]
-    touching = np.logical_and.reduce(np.logical_or.reduce(corners, axis=1), axis=1)
-    drawn = np.flatnonzero(front & touching)
-    distance = _drawing_distance(mesh, centres, front)
-    order = drawn[np.argsort(-distance[drawn], kind="stable")]
-
-    pixels = _project(points, intrinsics)
-    slant = _turned(rotation, mesh.vertex_normals, mesh.vertex_geom)[:, :2]
-    fixed = _fixed(pixels - inset * slant)
-    clipped = {}
-    within: Mask = np.logical_and.reduce(inside, axis=1)
-    for k in np.flatnonzero(~np.logical_and.reduce(within[mesh.faces[order]], axis=1)):
-        cut = _clip(points[mesh.faces[order[k]]], view)
-        clipped[int(k)] = _fixed(_project(cut, intrinsics)) if len(cut) >= 3 else np.zeros((0, 2), np.int32)
-    shade = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals[order] @ _LIGHT, 0.0)
-    outline = _face_lines(mesh, front, order, _fixed(pixels), within) if lines else []
-    return Polygons(fixed[mesh.faces[order]], clipped, shade, mesh.geoms[mesh.face_geom[order]], outline)
+    points = np.empty_like(mesh.vertices)
+    lit = np.empty((len(mesh.faces), 4, 2), dtype=np.float32)
+    if len(mesh.faces):
+        scanline.place_vertices(mesh.vertices, mesh.vertex_geom, rotation, position, points)
+        light, half = _LIGHT @ rotation, _HALFWAY @ rotation
+        scanline.light_corners(mesh.corner_normals, mesh.face_geom, light, half, _AMBIENT, lit)
+    pixels, inverse, within = _project(points, intrinsics)
+    geom = mesh.geoms[mesh.face_geom].astype(np.int32)
+    whole = Faces(pixels, inverse, mesh.faces, np.arange(len(mesh.faces)), geom, lit, within, mesh)
+    return whole if within.all() else _clipped(whole, points, intrinsics)
 
 
-def _drawing_distance(mesh: ModelMesh, centres: Array, front: Mask) -> Array:
-    """Distance (f,) by which faces are sorted: lids and labels come just after what they lie on."""
-    distance = np.sqrt(np.einsum("ij,ij->i", centres, centres))
-    for above, below in mesh.overlays:
-        base = below[front[below]]
-        if len(base):
-            limit = distance[base].min() - 1e-5
-            distance[above] = np.minimum(distance[above], limit)
-    return distance
+def _clipped(whole: Faces, points: Array, intrinsics: CameraIntrinsics) -> Faces:
+    """The faces with those replaced that leave the part of space which the lens can see."""
+    planes = _view_planes(intrinsics)
+    inside = points @ planes[:, :3].T + planes[:, 3] >= 0.0
+    touching = np.logical_and.reduce(np.logical_or.reduce(inside[whole.faces], axis=1), axis=1)
+    seen = whole.within[whole.faces].all(axis=1)
+    added, fans, origin = (
+        [np.zeros((0, 3))],
+        [np.zeros((0, 4), dtype=np.int64)],
+        [np.zeros(0, dtype=np.int64)],
+    )
+    count = len(points)
+    for f in np.flatnonzero(touching & ~seen):
+        cut = _clip(points[whole.faces[f]], planes)
+        if len(cut) >= 3:
+            k = np.arange(1, len(cut) - 1)
+            fans.append(count + np.stack([0 * k, k, k + 1, k + 1], axis=1))
+            added.append(cut)
+            origin.append(np.full(len(k), f))
+            count += len(cut)
+    extra = np.concatenate(added)
+    pixels, inverse, _ = _project(extra, intrinsics)
+    source, fan = np.concatenate(origin), np.concatenate(fans)
+    flat = np.repeat(whole.lit[source].mean(axis=1, keepdims=True), 4, axis=1)
+    return Faces(
+        np.concatenate([whole.pixels, pixels]),
+        np.concatenate([whole.inverse, inverse]),
+        np.concatenate([whole.faces, fan]),
+        np.concatenate([np.flatnonzero(touching & seen), len(whole.faces) + np.arange(len(fan))]),
+        np.concatenate([whole.geom, whole.geom[source]]),
+        np.concatenate([whole.lit, flat]).astype(np.float32),
+        np.concatenate([whole.within, np.ones(len(extra), dtype=bool)]),
+        whole.mesh,
+    )
 
 
-def _face_lines(
-    mesh: ModelMesh, front: Mask, order: Index, fixed: NDArray[np.int32], inside: Mask
-) -> list[NDArray[np.int32]]:
-    """Outline segments by polygon of ``order``; an edge goes with the nearer (later drawn) of its faces."""
-    rank = np.full(len(mesh.faces), -1)
-    rank[order] = np.arange(len(order))
-    chosen, owner = _outline(mesh, front)
-    keep = inside[mesh.edges[chosen]].all(axis=1)
-    chosen, owner = chosen[keep], owner[keep]
-    late = np.where(front[owner], rank[owner], -1).max(axis=1)
-    result: list[NDArray[np.int32]] = [np.zeros((0, 2, 2), np.int32)] * len(order)
-    if len(chosen):
-        by_face = np.argsort(late, kind="stable")
-        keys, starts = np.unique(late[by_face], return_index=True)
-        groups = np.split(fixed[mesh.edges[chosen[by_face]]], starts[1:])
-        for key, group in zip(keys, groups, strict=True):
-            if key >= 0:
-                result[int(key)] = group
-    return result
+def bounding_box(faces: Faces, width: int, height: int, margin: int = 3) -> Box:
+    """Columns and rows (x0, y0, x1, y1), half open, that the faces touch; an empty box when none."""
+    every = faces.pixels if faces.within.all() else faces.pixels[faces.within]
+    if not len(every) or not len(faces.chosen):
+        return EMPTY
+    sides = []
+    for column, limit in ((every[:, 0], width), (every[:, 1], height)):
+        sides.append(max(int(np.floor(column.min())) - margin, 0))
+        sides.append(min(int(np.ceil(column.max())) + margin + 1, limit))
+    x0, x1, y0, y1 = sides
+    return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else EMPTY
 
 
-def bounding_box(polygons: Polygons, width: int, height: int, margin: int = 3) -> tuple[int, int, int, int]:
-    """Columns and rows (x0, y0, x1, y1), half open, that the polygons touch; empty box when none."""
-    whole = np.ones(len(polygons.quads), dtype=bool)
-    whole[list(polygons.clipped)] = False
-    every = np.concatenate([polygons.quads[whole].reshape(-1, 2), *polygons.clipped.values()])
-    if not len(every):
-        return 0, 0, 0, 0
-    low = (every.min(axis=0) >> _SHIFT) - margin
-    high = (every.max(axis=0) >> _SHIFT) + margin + 1
-    x0, y0 = np.clip(low, 0, (width, height))
-    x1, y1 = np.clip(high, 0, (width, height))
-    return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else (0, 0, 0, 0)
+class Samples:
+    """The nearest surface at each sample of the pixels of ``box``; fill it with things, then look.
 
-
-def face_colours(model: mujoco.MjModel, polygons: Polygons, tint: tuple[float, float, float] | None) -> Array:
-    """BGR (n, 3) in 0..255 of each polygon: the geom's own colour, or ``tint``, times the light on it."""
-    if tint is None:
-        base = geom_rgba(model)[polygons.geom][:, 2::-1] * 255.0
-    else:
-        base = np.broadcast_to(np.array(tint, dtype=float), (len(polygons.geom), 3))
-    return np.clip(base * polygons.shade[:, None], 0.0, 255.0)
-
-
-def paint(
-    canvas: Image,
-    polygons: Polygons,
-    colours: Array,
-    corner: tuple[int, int] = (0, 0),
-    *,
-    line_colour: tuple[int, ...] | None = None,
-    line_width: int = 1,
-) -> None:
-    """Fills the polygons, far to near, into ``canvas``, whose pixel (0, 0) is ``corner`` of the picture.
-
-    Lines are drawn right after the face they belong to, so that nearer faces hide them.
-
-    Args:
-        canvas: (h, w), (h, w, 3) or (h, w, 4) uint8, changed in place, anti-aliased.
-        polygons: What to fill.
-        colours: (n, channels) of each polygon.
-        corner: (x, y) pixel of the picture at the canvas' (0, 0).
-        line_colour: One value a channel; ``None`` draws no lines.
-        line_width: Pixels.
+    Attributes:
+        box: (x0, y0, x1, y1) pixels, half open.
+        depth: (n, h, w) float32 one over depth, 0 where nothing is.
     """
-    offset = np.array(corner, dtype=np.int32) << _SHIFT
-    fill, smooth, shift = cv2.fillConvexPoly, cv2.LINE_AA, _SHIFT
-    rows = np.rint(colours).astype(int).tolist()
-    for k, (points, colour) in enumerate(zip(polygons.moved(corner), rows, strict=True)):
-        if len(points):
-            fill(canvas, points, colour, smooth, shift)
-        if line_colour is not None and len(polygons.lines[k]):
-            segments = list(polygons.lines[k] - offset)
-            cv2.polylines(canvas, segments, False, line_colour, line_width, smooth, shift)
+
+    def __init__(self, box: Box, count: int = 4) -> None:
+        self.box, self._places = box, SAMPLES[count]
+        shape = (count, box[3] - box[1], box[2] - box[0])
+        self.depth = np.zeros(shape, dtype=np.float32)
+        self._whose = np.empty(shape, dtype=np.int32)
+        self._light = np.zeros((0, 6))
+        self._owner = np.zeros(0, dtype=np.int64)
+
+    def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
+        """Adds faces; ``phantoms`` (ngeom,) or all: they hide what is behind them and are not drawn.
+
+        Only one model may be there that is not all phantoms: the last.
+        """
+        hidden = phantoms[faces.geom] if isinstance(phantoms, np.ndarray) else phantoms
+        before = len(self._owner)
+        self._owner = np.concatenate([self._owner, np.where(hidden, -1, faces.geom)])
+        light = np.zeros((2 * len(faces.faces), 6))
+        if len(faces.chosen):
+            scanline.fill_faces(
+                faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, self._places,
+                self.box[0], self.box[1], self.depth, self._whose, light,
+            )  # fmt: skip
+        self._light = np.concatenate([self._light, light]) if before else light
+
+    def geoms(self) -> Index:
+        """Geom id at each sample (n, h, w); -1 where nothing is, or a phantom."""
+        found = np.full(self.depth.shape, -1, dtype=np.int64)
+        on = self.depth > 0
+        found[on] = self._owner[self._whose[on] // 2]
+        return found
+
+    def layer(self, base: Array) -> Layer:
+        """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
+        shape = self.depth.shape[1:]
+        colour, coverage = np.empty((*shape, 3), dtype=np.uint8), np.empty(shape, dtype=np.uint8)
+        scanline.resolve(
+            self.depth, self._whose, self._light, self._owner, base, _GLOSS,
+            self.box[0], self.box[1], colour, coverage,
+        )  # fmt: skip
+        return Layer(self.box, colour, coverage)
 
 
-def paint_mask(shape: tuple[int, int], polygons: Polygons, corner: tuple[int, int] = (0, 0)) -> Image:
-    """Silhouette (h, w), 255 inside, anti-aliased."""
-    mask = np.zeros(shape, dtype=np.uint8)
-    paint(mask, polygons, np.full((len(polygons.quads), 1), 255.0), corner)
-    return mask
+def base_colours(model: mujoco.MjModel, tint: tuple[float, float, float] | None = None) -> Array:
+    """BGR (ngeom, 3) of 0..255: each geom's own colour, or ``tint``."""
+    own = geom_rgba(model)[:, 2::-1] * 255.0
+    return np.ascontiguousarray(
+        own if tint is None else np.broadcast_to(np.array(tint, dtype=float), own.shape)
+    )
+
+
+def paint_mask(
+    shape: tuple[int, int], faces: Faces, corner: tuple[int, int] = (0, 0), count: int = 4
+) -> Image:
+    """Silhouette (h, w), 255 inside, smooth; its pixel (0, 0) is ``corner`` of the picture."""
+    samples = Samples((corner[0], corner[1], corner[0] + shape[1], corner[1] + shape[0]), count)
+    samples.fill(faces)
+    return np.rint((samples.depth > 0).mean(axis=0) * 255).astype(np.uint8)
+
+
+def visible_lines(faces: Faces, samples: Samples) -> Array:
+    """Silhouettes of each geom and sharp edges, (n, 2, 2) pixels, where nothing in ``samples`` hides them."""
+    mesh = faces.mesh
+    corners = faces.pixels[mesh.faces]
+    across, along = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+    front = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0] < 0.0
+    facing = front[mesh.edge_faces]
+    worth = (facing[:, 0] != facing[:, 1]) | (mesh.crease & facing[:, 0])
+    spots = faces.pixels[mesh.edges]
+    x0, y0, x1, y1 = samples.box
+    near = (spots.max(axis=1) > (x0, y0)).all(axis=1) & (spots.min(axis=1) < (x1, y1)).all(axis=1)
+    ends = mesh.edges[worth & near & faces.within[mesh.edges].all(axis=1)]
+    if not len(ends):
+        return np.zeros((0, 2, 2))
+    a, b = faces.pixels[ends[:, 0]], faces.pixels[ends[:, 1]]
+    pieces = np.maximum(1, np.ceil(np.hypot(*(b - a).T) / _LINE_STEP)).astype(int)
+    pieces = np.minimum(pieces, _LINE_PIECES)
+    edge = np.repeat(np.arange(len(ends)), pieces)
+    share = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[edge]
+    step = 1.0 / pieces[edge]
+
+    def at(shares: Array, first: Array, second: Array) -> Array:
+        return first[edge] + (second - first)[edge] * (shares[:, None] if first.ndim == 2 else shares)
+
+    middle = share + 0.5 * step
+    seen = np.empty(len(edge), dtype=bool)
+    depths = at(middle, faces.inverse[ends[:, 0]], faces.inverse[ends[:, 1]])
+    scanline.hide_lines(
+        at(middle, a, b), depths, _LINE_SLACK, samples.depth, samples.box[0], samples.box[1], seen
+    )
+    return np.stack([at(share, a, b)[seen], at(share + step, a, b)[seen]], axis=1)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.painter import bounding_box, paint_mask, visible_polygons
+from robot_ik.camera.painter import bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.view import Box, Quality, View, enlarged, lattice, softened, tiles
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ class RobotRenderer:
 
     def __init__(self, view: View, model: mujoco.MjModel) -> None:
         self._view, self._model = view, model
-        # planes and height fields are not bounded by the painter's polygons: then look everywhere
+        # planes and height fields are not bounded by the painter's faces: then look everywhere
         endless = [int(k) for k in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)]
         self._bounded = not np.isin(np.asarray(model.geom_type), endless).any()
 
@@ -53,11 +53,11 @@ class RobotRenderer:
         w, h = self._view.field.intrinsics.size
         if not self._bounded:
             return (0, 0, w, h), np.ones((h, w), dtype=bool)
-        polygons = visible_polygons(self._model, qpos, self._view.field.intrinsics, self._view.camera)
-        box = bounding_box(polygons, w, h, margin=6)
+        faces = faces_in_picture(self._model, qpos, self._view.field.intrinsics, self._view.camera)
+        box = bounding_box(faces, w, h, margin=6)
         if box[2] <= box[0]:
             return None
-        mask = paint_mask((box[3] - box[1], box[2] - box[0]), polygons, box[:2])
+        mask = paint_mask((box[3] - box[1], box[2] - box[0]), faces, box[:2])
         return box, cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0
 
     def render(self, qpos: ArrayLike, quality: Quality) -> RobotLayer | None:

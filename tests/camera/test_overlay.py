@@ -46,10 +46,10 @@ def test_styles_and_blending(model_of: Callable[..., mujoco.MjModel]) -> None:
     x, y = (int(v) for v in np.rint(LENS.project([0.0, 0.0, 0.9])))
     assert (picture == 100).all(), "the picture handed in must not change"
     assert (clear == 100).all()
-    assert full[y, x, 0] == full[y, x, 1] == 0 and full[y, x, 2] > 80
+    assert full[y, x, :2].max() < 10 and full[y, x, 2] > 80
     assert np.abs(half[y, x].astype(int) - (full[y, x].astype(int) + 100) / 2).max() <= 1
     tinted = overlay.draw_robot(picture, model, [], LENS, Pose(), alpha=1.0, tint=(200, 0, 0))
-    assert tinted[y, x, 0] > 80 and tinted[y, x, 2] == 0
+    assert tinted[y, x, 0] > 80 and tinted[y, x, 2] < 10
     lines = overlay.draw_robot(picture, model, [], LENS, Pose(), style="outline", line_colour=(0, 255, 0))
     assert (lines[y, x] == 100).all() and (lines[..., 1] > 200).any()
 
