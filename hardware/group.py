@@ -11,7 +11,8 @@ question asks for a byte more than the last: an answer that comes late has anoth
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from builtins import id as identity
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -52,11 +53,14 @@ _FORGET = 0.98  # share of the longest answer time kept from one cycle to the ne
 
 
 class _Plan(NamedTuple):
-    """A question to many servos, as bytes."""
+    """A question to many servos: in words, as bytes, and what comes back."""
 
+    asks: str
     request: bytes
     bytes_back: int
     fast: bool
+    sizes: tuple[tuple[int, int], ...]  # (id, bytes of data)
+    registers: tuple[Register, ...]  # kept alive: plans are found by their identity
 
 
 class _Wanted(NamedTuple):
@@ -148,7 +152,8 @@ class GroupTraffic:
         found: dict[int, Status] = {}
         # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
-        with self._wire.transaction(_question(registers)) as port:
+        plan = self._plan(registers, plain=bool(self._silent))
+        with self._wire.transaction(plan.asks) as port:
             end = self._wire.now() + (CYCLE_TIME if within is None else within)
             self._counters.cycles += 1
             self._counters.asked += len(registers)
@@ -158,13 +163,16 @@ class GroupTraffic:
                 asked = registers
                 if extra or attempt or self._silent:
                     asked = {id: _widened(registers[id], extra) if extra else registers[id] for id in missing}
-                plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
+                    plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
                 self._once(port, plan, before, _Wanted(registers, asked, found))
                 before = b""
+                if len(found) == len(registers):
+                    missing = []
+                    break
                 missing = [id for id in missing if id not in found]
-                if missing and guarded:
+                if guarded:
                     self._phase = (self._phase + 1) % PHASES
-                if not missing or self._silent.issuperset(missing):
+                if self._silent.issuperset(missing):
                     break
                 if self._wire.now() + self._patience(plan, port) > end:
                     break
@@ -176,7 +184,7 @@ class GroupTraffic:
     def _close_books(
         self, registers: Mapping[int, Register], missing: list[int], found: Mapping[int, Status]
     ) -> None:
-        refused = sum(status.data is None for status in found.values())
+        refused = [status.data for status in found.values()].count(None)
         self._counters.refused += refused
         self._counters.answered += len(found) - refused
         self._counters.timeouts += len(missing)
@@ -185,18 +193,17 @@ class GroupTraffic:
 
     def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _Plan:
         fast = not plain and len(registers) > 1 and self.fast and self.fast_ids.issuperset(registers)
-        key = (fast, *((id, r.address, r.size) for id, r in registers.items()))
+        rows = tuple(registers.values())
+        key = (fast, *registers, *map(identity, rows))
         plan = self._plans.get(key)
         if plan is None:
-            sizes = [register.size for register in registers.values()]
-            back = (
-                FAST_HEAD + sum(sizes) + FAST_FRAME * len(sizes)
-                if fast
-                else sum(sizes) + SHORTEST_STATUS * len(sizes)
-            )
+            sizes = tuple((id, register.size) for id, register in registers.items())
+            each = FAST_FRAME if fast else SHORTEST_STATUS
+            back = FAST_HEAD * fast + sum(size + each for _, size in sizes)
             if len(self._plans) > 1000:  # questions about changing sets of servos
                 self._plans.clear()
-            plan = _Plan(read_request(registers, fast=fast), back, fast)
+            request = read_request(registers, fast=fast)
+            plan = _Plan(_question(registers), request, back, fast, sizes, rows)
             self._plans[key] = plan
         return plan
 
@@ -209,9 +216,7 @@ class GroupTraffic:
 
     def _once(self, port: QuietPortHandler, plan: _Plan, before: bytes, wanted: _Wanted) -> None:
         """One request and the answers to it; puts the usable ones into ``wanted.found``."""
-        parser: StatusParser | FastParser = (
-            FastParser([(id, r.size) for id, r in wanted.asked.items()]) if plan.fast else StatusParser()
-        )
+        parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
         port.clear()
         port.send(before + plan.request)
         sent = self._wire.now()
@@ -221,9 +226,7 @@ class GroupTraffic:
         damaged = 0
         while len(waiting) > damaged:
             data = port.receive(deadline)
-            for answer in parser.feed(data, last=not data):
-                damaged += not self._take(answer, wanted, waiting)
-            damaged += parser.damaged
+            damaged += self._take(parser.feed(data, last=not data), wanted, waiting) + parser.damaged
             self._counters.corrupt += parser.damaged
             if not data or (plan.fast and parser.damaged):
                 break
@@ -236,25 +239,30 @@ class GroupTraffic:
         if plan.fast:
             self._judge_fast(failed=bool(waiting))
 
-    def _take(self, answer: Answer, wanted: _Wanted, waiting: set[int]) -> bool:
-        """Whether the answer may be what was asked; takes it if somebody waits for it."""
-        id, code, alert, data = answer
-        if id not in waiting:
-            return True
-        register, size = wanted.registers[id], wanted.asked[id].size
-        value = None
-        if not code:
-            if len(data) != size:
-                late = register.size <= len(data) < register.size + PHASES and size > register.size
-                self._counters.late += late
-                self._counters.corrupt += not late
-                return late
-            value = register.decode(data[: register.size])
-        self._counters.alerts += alert
-        wanted.found[id] = Status(id, value, code, alert)
-        self._wire.last_good[id] = self._wire.now()
-        waiting.discard(id)
-        return True
+    def _take(self, answers: Iterable[Answer], wanted: _Wanted, waiting: set[int]) -> int:
+        """Takes the answers that somebody waits for; how many of them cannot be what was asked."""
+        registers, asked, found = wanted
+        last_good, now = self._wire.last_good, self._wire.now()
+        strange = 0
+        for id, code, alert, data in answers:
+            if id not in waiting:
+                continue
+            register, value = registers[id], None
+            if not code:
+                least, size = register.size, asked[id].size
+                if len(data) != size:
+                    late = least <= len(data) < least + PHASES and size > least
+                    self._counters.late += late
+                    self._counters.corrupt += not late
+                    strange += not late
+                    continue
+                value = register.decode(data if size == least else data[:least])
+            if alert:
+                self._counters.alerts += 1
+            found[id] = Status(id, value, code, alert)
+            last_good[id] = now
+            waiting.discard(id)
+        return strange
 
     def _judge_fast(self, *, failed: bool) -> None:
         self._fast_misses = self._fast_misses + 1 if failed else 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -80,6 +81,13 @@ def _where(register: Register) -> bytes:
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
 
+@lru_cache(maxsize=64)
+def _packer(count: int, size: int, signed: bool) -> struct.Struct:
+    """So many times an id and a value.  Raises ``KeyError`` for sizes that no number has."""
+    letter = {1: "b", 2: "h", 4: "i"}[size]
+    return struct.Struct("<" + ("B" + (letter if signed else letter.upper())) * count)
+
+
 def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
     """Sync write if all registers lie at one place, else bulk write.
 
@@ -88,6 +96,12 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
     """
     registers = [register for register, _ in values.values()]
     if _same_place(registers):
+        numbers = [number for id, (_, value) in values.items() for number in (id, value)]
+        try:  # all at once; what does not fit is told by the register
+            packed = _packer(len(registers), registers[0].size, registers[0].signed).pack(*numbers)
+            return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + packed)
+        except (KeyError, struct.error):
+            pass
         body = [bytes((id,)) + register.encode(value) for id, (register, value) in values.items()]
         return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + b"".join(body))
     body = [bytes((id,)) + _where(r) + r.encode(value) for id, (r, value) in values.items()]
@@ -160,6 +174,16 @@ def _status(packet: bytes) -> Answer | None:
     return Answer(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
+@lru_cache(maxsize=256)
+def _fast_layout(expected: tuple[tuple[int, int], ...]) -> tuple[bytes, list[tuple[int, int]], int]:
+    """Of a fast status: its first bytes; of each servo the first byte and the end of its data; its length."""
+    places, at = [], FAST_HEAD
+    for _, size in expected:
+        places.append((at, at + 2 + size))
+        at += size + FAST_FRAME
+    return HEADER + bytes((BROADCAST_ID,)) + (at - 7).to_bytes(2, "little") + bytes((STATUS,)), places, at
+
+
 class FastParser:
     """The one status in which all servos answer a fast read; gives each as soon as its checksum is there.
 
@@ -175,7 +199,7 @@ class FastParser:
 
     def __init__(self, expected: Sequence[tuple[int, int]]) -> None:
         self._expected = expected
-        self._total = FAST_HEAD + sum(size + FAST_FRAME for _, size in expected)
+        self._head_bytes, self._places, self._total = _fast_layout(tuple(expected))
         self._buffer = b""
         self._head = -1
         self._next = self._at = self._crc = 0
@@ -183,6 +207,8 @@ class FastParser:
 
     def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
         """Answers that are complete now; ``last``: nothing more will come."""
+        if len(data) == self._total and not self._buffer and (found := self._whole(data)):
+            return found
         buffer = self._buffer = self._buffer + data
         if self._head < 0 and not self._found_head(buffer):
             return []
@@ -201,6 +227,18 @@ class FastParser:
             self._crc = crc(frame[-2:], value)
             self._at = end
             self._next += 1
+        return answers
+
+    def _whole(self, data: bytes) -> list[Answer] | None:
+        """The answers, where ``data`` are just the packet: its last checksum runs over all of it."""
+        if not data.startswith(self._head_bytes) or crc(data[:-2]) != data[-2] | data[-1] << 8:
+            return None
+        answers = [
+            Answer(data[k + 1], data[k] & 127, data[k] > 127, data[k + 2 : e]) for k, e in self._places
+        ]
+        if [answer.id for answer in answers] != [id for id, _ in self._expected]:
+            return None
+        self._head, self._at, self._next, self._buffer = 0, self._total, len(answers), data
         return answers
 
     def _found_head(self, buffer: bytes) -> bool:

@@ -141,12 +141,18 @@ class QuietPortHandler(PortHandler):
         else:
             # Not pyserial's write: it reports a timeout for bytes that are out if this process was stalled.
             left = bytes(packet)
-            while left:
-                if not select.select([], [self.ser.fileno()], [], WRITE_TIMEOUT)[1]:
+            while left := left[self._write(left) :]:
+                if not select.select([], [self._file], [], WRITE_TIMEOUT)[1]:
                     raise serial.SerialTimeoutException(f"the port takes no bytes for {WRITE_TIMEOUT} s")
-                left = left[os.write(self.ser.fileno(), left) :]
         self._counters.bytes_sent += len(packet)
         return len(packet)
+
+    def _write(self, data: bytes) -> int:
+        """How many bytes the system takes at once; it rarely takes less than all."""
+        try:
+            return os.write(self._file, data)
+        except BlockingIOError:
+            return 0
 
     def drain(self, quiet: float, longest: float = 0.1) -> None:
         """Throws away what comes in until the line was silent for ``quiet`` s; at most ``longest`` s."""

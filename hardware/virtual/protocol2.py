@@ -219,7 +219,7 @@ class Parser:
         valid = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
         if valid:
             del self._buffer[:size]
-        else:  # perhaps a byte was lost: then the next packet begins inside this one, if only by its first bytes
+        else:  # perhaps a byte was lost: the next packet may begin inside this one, if only by a byte
             self._seek(1)
         body = unstuff(raw[7:-2])
         return Packet(raw[4], body[0], body[1:], valid)

@@ -53,6 +53,9 @@ HARMLESS = frozenset(
 )
 """Instructions after which a servo stands where it stood."""
 
+TORSO = frozenset((Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ))
+"""Instructions to which the answer breaks off at the first servo that is missing."""
+
 
 def known_inputs() -> list[tuple[str, bytes]]:
     """(law, bytes) that once broke it: lines of ``inputs.txt``."""
@@ -207,7 +210,8 @@ def servos(data: bytes) -> None:
         parser = StatusParser()
         parser.feed(bus.handle(piece))
         parser.feed(b"", last=True)
-        assert not parser.damaged
+        fast = any(instruction in TORSO for _, instruction, _ in checked(stream))
+        assert fast or not parser.damaged
     clock.sleep_until(clock.now() + 1.0)
     bus.advance()
     said = {instruction for _, instruction, _ in checked(stream)}
