@@ -128,7 +128,7 @@ class ViewGatherer:
         elif last:
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in any of the pictures",
-                hint="the whole of a chessboard must be in view, with a white margin; check size, pattern and "
+                hint="a chessboard must be in view as a whole, with a white margin; check size, pattern and "
                 "dictionary, light and focus",
             )
 

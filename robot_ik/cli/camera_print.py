@@ -51,7 +51,9 @@ class CameraPrintOptions:
 
 def run(options: CameraPrintOptions) -> int:
     """Writes the sheet and says what is on it."""
-    from robot_ik.camera.sheets import SheetWish, make_sheet_page, write_sheet
+    from robot_ik.camera.sheet_blocks import SheetWish
+    from robot_ik.camera.sheet_page import write_sheet
+    from robot_ik.camera.sheets import make_sheet_page
 
     wish = SheetWish(**{name: getattr(options, name) for name in SheetWish.__dataclass_fields__})
     page = make_sheet_page(wish)
