@@ -164,7 +164,8 @@ def locate_camera(
     w, rows = np.repeat(weights, 2), shared[:, :6]
     squares, freedom = float(w @ miss**2), max(float(w.sum()) - 6.0, 0.0)
     variance = (_PRIOR * view.sigma**2 + squares) / (_PRIOR + freedom)
-    covariance = variance * np.linalg.pinv(rows.T @ (w[:, None] * rows), rcond=1e-14, hermitian=True)
+    normal = rows.T @ (w[:, None] * rows)
+    covariance = np.asarray(variance * np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=float)
     pixels = float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
     depth = float(np.median(mount.pose_camera_board(sample).apply(view.points)[:, 2]))
     if not (np.isfinite(pixels) and depth > 0.0):

@@ -9,7 +9,9 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from robot_ik.cli.camera_calibrate import CameraCalibrateOptions
+from robot_ik.cli.camera_handeye import CameraHandeyeOptions
 from robot_ik.cli.camera_list import CameraListOptions
+from robot_ik.cli.camera_locate import CameraLocateOptions
 from robot_ik.cli.camera_print import CameraPrintOptions
 
 # Each module has its options and a function run(options) -> exit code.
@@ -17,6 +19,8 @@ Subcommand = (
     Annotated[CameraListOptions, subcommand("list")]
     | Annotated[CameraPrintOptions, subcommand("print")]
     | Annotated[CameraCalibrateOptions, subcommand("calibrate")]
+    | Annotated[CameraLocateOptions, subcommand("locate")]
+    | Annotated[CameraHandeyeOptions, subcommand("handeye")]
 )
 
 
