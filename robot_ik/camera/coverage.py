@@ -89,17 +89,12 @@ def _spacing(view: FoundPattern) -> float:
 
 
 def _missing(parts: NDArray[np.int64], leans: Array, spacings: Array) -> list[str]:
-    words = [
-        f"the board in the {PARTS[r][c]} of the picture"
-        for r in range(3)
-        for c in range(3)
-        if parts[r, c] < _VIEWS
-    ]
+    words = [f"the board in the {PARTS[r][c]}" for r in range(3) for c in range(3) if parts[r, c] < _VIEWS]
     for side, way in LEANS.items():
         if not len(leans) or (leans @ np.array(way)).max() < LEAN_DEG:
-            words.append(f"the board with its {side} side tilted away")
+            words.append(f"its {side} side tilted away")
     if len(spacings) > 1 and spacings.max() < _DEPTH_RATIO * spacings.min():
-        words.append("the board nearer and farther")
+        words.append("it nearer and farther")
     return words
 
 

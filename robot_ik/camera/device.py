@@ -12,11 +12,11 @@ from typing import Any
 
 import cv2
 
-from robot_ik.camera.device_list import list_cameras
+from robot_ik.camera.device_list import find_cameras, list_cameras
 from robot_ik.camera.opencv import quiet
 from robot_ik.camera.picture_files import Image
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
 DEFAULT_TIMEOUT = 2.0
 # Opening a camera switches it on and may take seconds; a dead URL must not hang the program.
@@ -24,6 +24,8 @@ _OPEN_TIMEOUT_S = 10.0
 _CLOSE_TIMEOUT_S = 1.0
 # A camera drops a picture now and then; this many in a row mean that it is gone.
 _FAILURES_ALLOWED = 5
+# 29.97 is 30.
+_RATE_TOLERANCE = 0.95
 
 
 class DeviceSource(ClosingSource):
@@ -35,13 +37,14 @@ class DeviceSource(ClosingSource):
     Args:
         device: Index, device path or URL.
         size: (width, height) in pixels to ask for; what comes is verified.
-        rate_hz: Rate to ask for; cameras treat it as a wish.
+        rate_hz: Pictures a second to ask for; what the camera then says it does is verified.
         timeout: Seconds that ``read`` waits.
         opener: For tests: gives a ``cv2.VideoCapture`` or something with its methods.
 
     Raises:
         CameraNotFoundError: It cannot be opened, or gives no first picture.
         FrameSizeError: Pictures have another size than asked for.
+        CameraError: It runs slower than asked for.
     """
 
     def __init__(
@@ -54,6 +57,8 @@ class DeviceSource(ClosingSource):
         opener: Callable[[], Any] | None = None,
     ) -> None:
         self.device = device
+        #: What it is called in errors: number or path, and the name that the camera gives itself.
+        self.label = _label(device)
         self.timeout = timeout
         self._capture: Any = opener() if opener else _open(device)
         if size is not None:
@@ -71,6 +76,7 @@ class DeviceSource(ClosingSource):
         self._thread = threading.Thread(target=self._grab, name=f"camera {device}", daemon=True)
         self._thread.start()
         self._check_first(size)
+        self._check_rate(rate_hz)
 
     def _check_first(self, size: tuple[int, int] | None) -> None:
         with self._news:
@@ -79,17 +85,29 @@ class DeviceSource(ClosingSource):
         if first is None:
             self.close()
             raise CameraNotFoundError(
-                f"camera {self.device} opens but delivers no picture",
+                f"camera {self.label} opens but delivers no picture",
                 hint="is another program using it? Unplug it and plug it in again",
             )
         if size is not None and first.size != size:
             self.close()
             raise FrameSizeError(
-                f"camera {self.device} was asked for {size[0]}x{size[1]} px and delivers "
+                f"camera {self.label} was asked for {size[0]}x{size[1]} px and delivers "
                 f"{first.size[0]}x{first.size[1]} px",
                 hint="ask for a size that the camera has; the calibration must be made at that size",
             )
         self.size = first.size
+
+    def _check_rate(self, asked: float | None) -> None:
+        """Drivers answer a wish with the nearest rate that they have, or with 0 when they do not tell."""
+        if asked is None:
+            return
+        set_to = float(self._capture.get(cv2.CAP_PROP_FPS))
+        if 0.0 < set_to < _RATE_TOLERANCE * asked:
+            self.close()
+            raise CameraError(
+                f"camera {self.label} was asked for {asked:g} pictures/s and does {set_to:g}",
+                hint="ask for fewer, or for a smaller picture; in poor light many cameras halve their rate",
+            )
 
     def _grab(self) -> None:
         sequence = failures = 0
@@ -126,11 +144,11 @@ class DeviceSource(ClosingSource):
             ended = self._ended
         if ended:
             raise FrameTimeoutError(
-                f"camera {self.device} stopped delivering pictures after {self._given + 1}",
-                hint="was it unplugged? Open the source again",
+                f"camera {self.label} stopped delivering pictures after {self._given + 1}",
+                hint="was it unplugged? Plug it in and open the source again; its number may have changed",
             )
         raise FrameTimeoutError(
-            f"no new picture from camera {self.device} for {self.timeout:g} s",
+            f"no new picture from camera {self.label} for {self.timeout:g} s",
             hint="check cable and network, or allow more time",
         )
 
@@ -154,6 +172,13 @@ class DeviceSource(ClosingSource):
         if self._thread is not threading.current_thread():
             # A read() that hangs is left behind; its thread releases the camera when it returns.
             self._thread.join(timeout=_CLOSE_TIMEOUT_S)
+
+
+def _label(device: int | str) -> str:
+    for camera in find_cameras():
+        if device in (camera.index, camera.path, camera.stable) and camera.name:
+            return f"{device} ({camera.name})"
+    return str(device)
 
 
 def _open(device: int | str) -> Any:

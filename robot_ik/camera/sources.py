@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
@@ -28,8 +28,10 @@ from robot_ik.camera.picture_files import (
 )
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
-# Films that do not tell their rate are taken for this one.
-_DEFAULT_RATE_HZ = 30.0
+if TYPE_CHECKING:
+    from robot_ik.camera.moving_set import MovingSource
+
+_DEFAULT_RATE_HZ = 30.0  # of films that do not tell theirs
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +150,8 @@ class FolderSource(ClosingSource):
             raise CameraNotFoundError(f"there is no folder {self.path}", hint=neighbours(self.path))
         self.files = natural_sort(f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
         if not self.files:
-            raise CameraNotFoundError(
-                f"the folder {self.path} holds no pictures", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
-            )
+            kinds = f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
+            raise CameraNotFoundError(f"the folder {self.path} holds no pictures", hint=kinds)
         first = read_image(self.files[0])
         self.size = (int(first.shape[1]), int(first.shape[0]))
         self._next = 0
@@ -170,9 +171,15 @@ class FolderSource(ClosingSource):
 
 
 class VideoSource(ClosingSource):
-    """A film, every picture in turn, as fast as it is read."""
+    """A film: every picture in turn as fast as it is read, or at its own pace.
 
-    def __init__(self, path: Path | str) -> None:
+    Args:
+        path: The film.
+        real_time: Give each picture when its time has come, and skip those that a slow reader missed, as a
+            camera would.
+    """
+
+    def __init__(self, path: Path | str, *, real_time: bool = False) -> None:
         self.path = Path(path)
         if not self.path.is_file():
             raise CameraNotFoundError(f"there is no film {self.path}", hint=neighbours(self.path))
@@ -188,6 +195,7 @@ class VideoSource(ClosingSource):
             )
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.rate_hz = rate if np.isfinite(rate) and 0.1 < rate < 1000.0 else _DEFAULT_RATE_HZ
+        self._real_time = real_time
         self._start = time.monotonic()
         self._count = 0
         # One picture is read ahead: only so is the end known before it is asked for.
@@ -199,15 +207,32 @@ class VideoSource(ClosingSource):
         return self._ahead is None
 
     def read(self) -> Frame:
+        if self._real_time:
+            self._keep_pace()
         image = self._ahead
         if image is None:
             raise FrameTimeoutError(f"the film {self.path} ended after {self._count} pictures")
         frame = Frame(image, self._start + self._count / self.rate_hz, self._count)
+        self._advance()
+        return frame
+
+    def _advance(self) -> None:
         self._count += 1
         with quiet():
             good, following = self._capture.read()
         self._ahead = np.asarray(following, dtype=np.uint8) if good else None
-        return frame
+
+    def _keep_pace(self) -> None:
+        early = self._start + self._count / self.rate_hz - time.monotonic()
+        if early > 0:
+            time.sleep(early)
+        # The last picture is never skipped: a late reader still sees how the film ends.
+        while self._start + (self._count + 1) / self.rate_hz < time.monotonic():
+            last = self._ahead
+            self._advance()
+            if self._ahead is None:
+                self._ahead, self._count = last, self._count - 1
+                return
 
     def close(self) -> None:
         self._ahead = None
@@ -215,18 +240,26 @@ class VideoSource(ClosingSource):
 
 
 def open_source(
-    text: str, *, size: tuple[int, int] | None = None, timeout: float | None = None
+    text: str,
+    *,
+    size: tuple[int, int] | None = None,
+    rate_hz: float | None = None,
+    timeout: float | None = None,
+    real_time: bool = False,
 ) -> FrameSource:
-    """Opens what ``text`` names: ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``.
+    """Opens ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
 
     Args:
         text: Index of a camera, path or URL.
         size: (width, height) in pixels; asked of a camera, required of everything else.
+        rate_hz: Pictures a second, asked of a camera.
         timeout: Seconds a camera or stream may stay without a new picture.
+        real_time: Let a film run at its own pace.
 
     Raises:
         CameraNotFoundError: It cannot be opened; the hint says what exists.
         FrameSizeError: A camera does not deliver ``size``, or the file has another one.
+        CameraError: A camera does not run at ``rate_hz``.
     """
     # Imported here: device.py builds on this module.
     from robot_ik.camera.device import DEFAULT_TIMEOUT, DeviceSource
@@ -234,11 +267,10 @@ def open_source(
     text = text.strip()
     seconds = DEFAULT_TIMEOUT if timeout is None else timeout
     if text.isdigit():
-        return DeviceSource(int(text), size=size, timeout=seconds)
+        return DeviceSource(int(text), size=size, rate_hz=rate_hz, timeout=seconds)
     if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text) or text.startswith("/dev/"):
-        return DeviceSource(text, size=size, timeout=seconds)
-    path = Path(text).expanduser()
-    source = _open_file(path, text)
+        return DeviceSource(text, size=size, rate_hz=rate_hz, timeout=seconds)
+    source = _open_file(Path(text).expanduser(), text, real_time)
     if size is not None and source.size != size:
         source.close()
         raise FrameSizeError(
@@ -248,7 +280,14 @@ def open_source(
     return source
 
 
-def _open_file(path: Path, text: str) -> ImageSource | FolderSource | VideoSource:
+def _open_file(
+    path: Path, text: str, real_time: bool
+) -> ImageSource | FolderSource | VideoSource | MovingSource:
+    if text.startswith("synthetic:"):
+        # Imported here: it builds on this module.
+        from robot_ik.camera.moving_set import open_moving
+
+        return open_moving(text)
     if path.is_dir():
         return FolderSource(path)
     if not path.exists():
@@ -256,4 +295,5 @@ def _open_file(path: Path, text: str) -> ImageSource | FolderSource | VideoSourc
             f"there is no camera, file or folder {text!r}",
             hint=f"give a camera index (0), picture, film, folder of pictures or URL; {neighbours(path)}",
         )
-    return VideoSource(path) if path.suffix.lower() in VIDEO_SUFFIXES else ImageSource(path)
+    film = path.suffix.lower() in VIDEO_SUFFIXES
+    return VideoSource(path, real_time=real_time) if film else ImageSource(path)

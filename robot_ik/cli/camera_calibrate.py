@@ -132,7 +132,7 @@ def _gather_moving(
         if live:
             _keep(frame, len(gatherer.views), options.out)
         missing = gatherer.coverage.missing
-        console.say(f"view {len(gatherer.views)}: {missing_words(missing)}")
+        console.say(f"view {len(gatherer.views)} of {options.views}: {missing_words(missing)}")
         if len(gatherer.views) >= options.views and not missing:
             return
 
