@@ -216,10 +216,11 @@ class GroupTraffic:
 
     def _once(self, port: QuietPortHandler, plan: _Plan, before: bytes, wanted: _Wanted) -> None:
         """One request and the answers to it; puts the usable ones into ``wanted.found``."""
-        parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
         port.clear()
         port.send(before + plan.request)
         sent = self._wire.now()
+        # From here on the wire is busy: what is done now costs nothing.
+        parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
         deadline = sent + len(before) * port.seconds_per_byte + self._patience(plan, port)
         waiting = set(wanted.asked)
         # As many damaged packets as servos are missing: nothing more will come, ask again at once.

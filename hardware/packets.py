@@ -95,7 +95,7 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
         ValueError: A value does not fit its register.
     """
     registers = [register for register, _ in values.values()]
-    if _same_place(registers):
+    if registers.count(registers[0]) == len(registers) or _same_place(registers):
         numbers = [number for id, (_, value) in values.items() for number in (id, value)]
         try:  # all at once; what does not fit is told by the register
             packed = _packer(len(registers), registers[0].size, registers[0].signed).pack(*numbers)

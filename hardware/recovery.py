@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import dataclass, replace
 
 from robot_ik.errors import (
     BusCorruptError,
@@ -13,8 +14,8 @@ from robot_ik.errors import (
     HardwareError,
 )
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_TURN
+from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.registers import joint_named, read_all
 from robot_ik.hardware.samples import Samples
@@ -25,6 +26,12 @@ log = logging.getLogger(__name__)
 
 RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
+
+TRIPPED = -1
+"""Bus Watchdog of a servo that has stopped because the bus was silent."""
+
+WATCHDOG = "bus_watchdog"
+"""What a servo whose watchdog has tripped is said to have, beside hardware errors."""
 
 _POLL = 0.05  # s between two looks
 
@@ -42,32 +49,115 @@ def verify(bus: ServoBus, config: ArmConfig) -> Feedback:
     return feedback
 
 
-def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str, ...]:
-    """Reboots the servos that report a hardware error, and waits until they answer.
+@dataclass(frozen=True)
+class Reset:
+    """What became of one servo.
+
+    Attributes:
+        joint, id: Whose.
+        before: Hardware errors, and ``WATCHDOG`` if that had tripped; empty: nothing to reset.
+        after: The same now; None: it does not answer.
+        turned: Ticks by which its reading changed: whole turns that it has forgotten.
+        silence: The error of the bus, where it does not answer.
+    """
+
+    joint: str
+    id: int
+    before: tuple[str, ...]
+    after: tuple[str, ...] | None
+    turned: int = 0
+    silence: BusTimeoutError | BusCorruptError | None = None
+
+    @property
+    def restarted(self) -> bool:
+        """It was rebooted: it has no torque, and its RAM registers are at their defaults."""
+        return bool(set(self.before) - {WATCHDOG})
+
+    @property
+    def ok(self) -> bool:
+        """Healthy now, and its angle is what it was."""
+        return self.after == () and abs(self.turned) < TICKS_PER_TURN // 2
+
+
+def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[Reset]:
+    """Reboots servos with a hardware error, clears watchdogs that have tripped, and looks at all again.
 
     Returns:
-        Their joints.
+        A row for every servo of the arm, also where it does not answer.
+
+    Raises:
+        BusDisconnectedError, BusNotOpenError, ServoRefusedError: By joint name.
+    """
+    found = [_first_look(bus, config, servo) for servo in config.servos]
+    with joint_named(config):
+        for row, servo in zip(found, config.servos, strict=True):
+            if row.restarted:
+                log.info("rebooting servo %d (%s)", servo.id, servo.name)
+                bus.reboot(servo.id)
+            elif row.before and row.silence is None:
+                bus.write(servo.id, servo.table["bus_watchdog"], 0)
+    return [
+        _second_look(bus, config, servo, row, clock) if row.before and row.silence is None else row
+        for row, servo in zip(found, config.servos, strict=True)
+    ]
+
+
+def _first_look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> Reset:
+    """Its troubles; ``turned`` is where it stands, in ticks."""
+    try:
+        with joint_named(config):
+            here = bus.read(servo.id, servo.table["present_position"]).data or 0
+            before = _troubles(bus, servo)
+    except (BusTimeoutError, BusCorruptError) as error:
+        return Reset(servo.name, servo.id, (), None, silence=error)
+    return Reset(servo.name, servo.id, before, before, here if before else 0)
+
+
+def _second_look(bus: ServoBus, config: ArmConfig, servo: JointMap, row: Reset, clock: Clock) -> Reset:
+    try:
+        with joint_named(config):
+            if row.restarted:
+                _wait(bus, servo.id, clock)
+            there = bus.read(servo.id, servo.table["present_position"]).data or 0
+            return replace(row, after=_troubles(bus, servo), turned=there - row.turned)
+    except (BusTimeoutError, BusCorruptError) as error:
+        return replace(row, after=None, turned=0, silence=error)
+
+
+def _troubles(bus: ServoBus, servo: JointMap) -> tuple[str, ...]:
+    found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
+    if "bus_watchdog" in servo.table and bus.read(servo.id, servo.table["bus_watchdog"]).data == TRIPPED:
+        found += (WATCHDOG,)
+    return found
+
+
+def _wait(bus: ServoBus, id: int, clock: Clock) -> None:
+    """Until it answers after its reboot; raises what the last ping raises."""
+    end = clock.now() + RESTART_TIME
+    while True:
+        clock.sleep_until(clock.now() + _POLL)
+        try:
+            bus.ping(id)
+            return
+        except (BusTimeoutError, BusCorruptError):
+            if clock.now() > end:
+                raise
+
+
+def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str, ...]:
+    """``reset_servos`` where all must answer afterwards.
+
+    Returns:
+        The joints of those that were rebooted.
 
     Raises:
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
     """
-    errors = read_all(bus, config, "hardware_error_status")
-    faulty = [servo for servo in config.servos if errors[servo.id]]
-    with joint_named(config):
-        for servo in faulty:
-            log.info("rebooting servo %d (%s)", servo.id, servo.name)
-            bus.reboot(servo.id)
-        end = clock.now() + RESTART_TIME
-        for servo in faulty:
-            while True:
-                clock.sleep_until(clock.now() + _POLL)
-                try:
-                    bus.ping(servo.id)
-                    break
-                except (BusTimeoutError, BusCorruptError):
-                    if clock.now() > end:
-                        raise
-    return tuple(dict.fromkeys(servo.name for servo in faulty))
+    rows = reset_servos(bus, config, clock)
+    for row in rows:
+        if row.silence is not None:
+            raise row.silence
+    return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
 
 def find_again(bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float) -> Feedback:

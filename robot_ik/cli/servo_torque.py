@@ -14,7 +14,7 @@ from robot_ik.cli.servo_scan import checked_rates
 
 if TYPE_CHECKING:
     from robot_ik.hardware.control_table import Register
-    from robot_ik.hardware.fault_reset import Reset
+    from robot_ik.hardware.recovery import Reset
 
 _ATTEMPTS = 3  # writes before a servo is given up
 
@@ -111,15 +111,18 @@ class ResetFaultOptions(BusOptions):
 def run_reset_fault(options: ResetFaultOptions) -> int:
     """1 when something is still wrong."""
     from robot_ik.cli.sim_bus import load_arm
-    from robot_ik.hardware.fault_reset import reset_faults
+    from robot_ik.hardware.recovery import reset_servos
 
     config = joints_of(load_arm(options.arm), options.joints)
     with opened(options, config) as link:
-        rows = reset_faults(link.bus, config.servos, link.clock)
+        rows = reset_servos(link.bus, config, link.clock)
     shown = console.table("joint", "id", "was", "is", "what to do")
     for row in rows:
         now = "no answer" if row.after is None else (", ".join(row.after) or "healthy")
-        shown.add_row(row.joint, str(row.id), ", ".join(row.before) or "healthy", now, _advice(row))
+        was = (
+            "no answer" if row.silence is not None and not row.before else ", ".join(row.before) or "healthy"
+        )
+        shown.add_row(row.joint, str(row.id), was, now, _advice(row))
     console.out().print(shown)
     return console.DONE if all(row.ok for row in rows) else console.NOT_ACHIEVED
 
