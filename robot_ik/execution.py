@@ -35,6 +35,8 @@ START_TOLERANCE = 0.02
 
 # Steps a tick may take: a few are enough from the last command; the rest is for restarts out of a dead end.
 _TICK_ITERATIONS, _TICK_RESTARTS = 1000, 100
+# Kinds of goals whose problems are kept: a source that changes between a few of them costs no set-up.
+_KINDS_KEPT = 4
 
 
 def execute(
@@ -203,7 +205,7 @@ class _Chase:
         self.solution: Solution | None = None
         self.ticks = self.held = self.capped = 0
         self._largest_allowed = step
-        self._problem: Problem | None = None
+        self._problems: dict[tuple[object, ...], Problem] = {}
         self._last: Solution | None = None
         self._statuses: Counter[str] = Counter()
         self._largest_step = np.zeros_like(start)
@@ -236,15 +238,22 @@ class _Chase:
         return np.array(measured, dtype=float)
 
     def _aim(self, goal: Goals) -> Problem:
-        """The problem for ``goal``: the one at hand with a new target where only the target changed."""
+        """The problem for ``goal``: one at hand with new targets and weights where only those changed."""
         from robot_ik.problem import Budget, Problem
 
         goals = [goal] if isinstance(goal, Goal) else list(goal)
-        problem = self._problem
-        if problem is None or [_kind(g) for g in goals] != [_kind(g) for g in problem.goals]:
+        kind = tuple(_kind(g) for g in goals)
+        problem = self._problems.get(kind)
+        if problem is None:
             budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
-            self._problem = problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
+            problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
+            kept = list(self._problems.items())[-(_KINDS_KEPT - 1) :]
+            self._problems = dict(kept) | {kind: problem}
         for index, one in enumerate(goals):
+            if one.weights != problem.goals[index].weights:
+                metres, radians = one.weights
+                problem.weights[index] = metres / problem.length(one), radians
+                problem.goals[index] = one
             problem.retarget(one, index)
         return problem
 
@@ -266,8 +275,9 @@ class _Chase:
 
 
 def _kind(goal: Goal) -> tuple[object, ...]:
-    """What a problem is compiled for; goals that agree in it differ only in their target."""
-    return goal.frame, *goal.signature
+    """What a problem is made for; goals that agree in it differ only in target and size of weights."""
+    kind, _, *others = goal.signature  # the second part is the weights
+    return goal.frame, kind, tuple(weight > 0.0 for weight in goal.weights), *others
 
 
 def _frozen(q: ArrayLike) -> Array:

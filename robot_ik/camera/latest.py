@@ -25,10 +25,12 @@ SYNTHETIC_RATE_HZ = 15.0
 class LatestGoals:
     """Asks a goal source on a thread of its own (real time), or whenever a picture is due (virtual time).
 
-    Taking a picture and finding a marker in it takes several periods of a control loop.
+    Taking a picture and finding a marker in it takes several periods of a control loop.  A source with
+    ``look`` and ``goal_at`` (``MarkerGoalSource``) looks there and is asked for the goal at each tick's own
+    time; any other is polled there, and its newest goal given.
 
     Args:
-        goals: What looks; asked from one thread only.
+        goals: What looks.
         clock: The run's clock.
         rate_hz: How often to look; None, real time only: as fast as pictures come, for cameras that
             have a rate of their own.
@@ -39,6 +41,8 @@ class LatestGoals:
 
     def __init__(self, goals: GoalSource[Any], clock: Clock, rate_hz: float | None = None) -> None:
         self._goals, self._clock = goals, clock
+        self._look_at = getattr(goals, "look", None)
+        self._goal_at = getattr(goals, "goal_at", None)
         self._period = 0.0 if rate_hz is None else 1.0 / rate_hz
         self._virtual = isinstance(clock, VirtualClock)
         self._due = -float("inf")
@@ -73,6 +77,7 @@ class LatestGoals:
 
         Raises:
             CameraError: What looking raised, except that pictures came to an end.
+            MarkerNotFoundError: The source's policy for a lost marker says stop.
         """
         if self._virtual and now >= self._due and not self.ended:
             self._due = now + self._period
@@ -81,11 +86,16 @@ class LatestGoals:
             if self._failure is not None:
                 raise self._failure
             fresh = now - self._seen_at <= max(_MAX_AGE_S, 2.0 * self._period)
-            return self._latest if fresh else None
+            latest = self._latest if fresh else None
+        return latest if self._goal_at is None else self._goal_at(now)
 
     def _look(self, now: float) -> None:
+        goal = None
         try:
-            goal = self._goals.poll(now)
+            if self._look_at is not None:
+                self._look_at(now)
+            else:
+                goal = self._goals.poll(now)
         except FrameTimeoutError as error:
             _log.info("no more pictures: %s", error)
             self.ended = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.text import Text
 from tyro.conf import arg
@@ -88,6 +88,12 @@ class ReachOptions:
     """Then go on following the marker (the synthetic one is pushed about)."""
     seconds: float = 10.0
     """How long to follow."""
+    when_lost: Literal["hold", "park", "stop"] = "hold"
+    """While following, when the marker stays out of sight: hold there, park at home, or stop."""
+    lost_after: Annotated[float, arg(metavar="S")] = 2.0
+    """Out of sight for so many seconds; until then the arm holds."""
+    lead: Annotated[float, arg(metavar="S")] = 0.0
+    """Predict the marker's motion so far beyond each tick: the lag of the servos."""
     view: bool = False
     """Mirror the motion in MuJoCo's window."""
     out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-reach)")] = ""
@@ -142,6 +148,10 @@ def make_request(options: ReachOptions) -> ReachRequest:
         raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
     if options.follow and not options.seconds > 0.0:
         raise _wrong("--seconds", f"{options.seconds:g} s", "above 0")
+    if not 0.0 <= options.lost_after < math.inf:
+        raise _wrong("--lost-after", f"{options.lost_after:g} s", "0 or more")
+    if not 0.0 <= options.lead <= 0.2:
+        raise _wrong("--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
     return ReachRequest(
         robot=options.robot or _robot_meant(options),
         solver=options.solver,
@@ -158,6 +168,9 @@ def make_request(options: ReachOptions) -> ReachRequest:
         speed=options.speed,
         line=options.line,
         follow=options.seconds if options.follow else 0.0,
+        when_lost=options.when_lost,
+        lost_after=options.lost_after,
+        lead=options.lead,
         view=options.view,
         seed=options.seed,
         rehearsal=_rehearsal(options.rehearse),

@@ -97,6 +97,11 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
     if report.behind is not None:
         median, largest = (1e3 * metres for metres in report.behind)
         rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
+    delays = None if report.eyes is None else report.eyes.delays
+    if delays is not None and delays[1].count:
+        made, used = delays
+        ready = f"goal after {made}; " if made.count else ""
+        rows.append(("delay", f"{ready}age of the picture at a tick {used}"))
     if report.counters:
         rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
         counts = ", ".join(

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.lost import WhenLost
 from robot_ik.camera.sources import open_source
 from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.goals import PostureGoal
 from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, RECORDED, Eyes
 from robot_ik.jobs.stage import Stage, stage_for
 
@@ -44,6 +46,7 @@ def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib
     eyes = Eyes(
         stage, source, stage.intrinsics, stage.pose_world_camera, limbs, frame, synthetic=source,
         why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
+        when_lost=_when_lost(request, limbs), lead=request.lead,
     )  # fmt: skip
     if request.rehearsal.cover_gripper:
         eyes.cover_gripper_later()
@@ -86,7 +89,15 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
         why = "the arm is simulated, so a real camera cannot see it"
     elif stage.made_up:
         why = "robot.toml says of no marker on this robot's gripper"
-    return Eyes(stage, source, intrinsics, pose, limbs, frame, why_blind=why)
+    return Eyes(
+        stage, source, intrinsics, pose, limbs, frame, why_blind=why,
+        when_lost=_when_lost(request, limbs), lead=request.lead,
+    )  # fmt: skip
+
+
+def _when_lost(request: ReachRequest, limbs: Limbs) -> WhenLost:
+    park = PostureGoal(q=limbs.robot.home) if request.when_lost == "park" else None
+    return WhenLost(request.when_lost, request.lost_after, park)
 
 
 def _stage(request: ReachRequest, limbs: Limbs, frame: str) -> Stage:

@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.filter import FilterOptions
 from robot_ik.camera.goals import MarkerGoalSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.latency import Delays
 from robot_ik.camera.latest import SYNTHETIC_RATE_HZ, LatestGoals
+from robot_ik.camera.lost import WhenLost
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import (
     FolderSource,
@@ -77,6 +80,7 @@ class Eyes:
         recorded: Its pictures were taken before; a photograph is not live either.
         sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
         last_image: The last picture taken.
+        delays: After following: from grab to goal, and the age of the picture at each tick.
     """
 
     def __init__(
@@ -91,7 +95,11 @@ class Eyes:
         why_blind: str = "",
         synthetic: SyntheticSource | None = None,
         seed: int = 0,
+        when_lost: WhenLost = WhenLost(),  # noqa: B008 - frozen
+        lead: float = 0.0,
     ) -> None:
+        self._when_lost, self._lead = when_lost, lead
+        self.delays: tuple[Delays, Delays] | None = None
         self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
         self.live = source.live
         self.recorded = isinstance(source, RECORDED)
@@ -134,8 +142,9 @@ class Eyes:
                 goal = self._goals.poll(self._limbs.clock.now())
             except FrameTimeoutError:
                 break
-            if goal is not None and self._goals.last is not None:
-                return self.seen(goal, self._goals.last, self._source.truth)
+            last = self._goals.last
+            if isinstance(goal, PoseGoal | PositionGoal) and isinstance(last, MarkerObservation):
+                return self.seen(goal, last, self._source.truth)
             if self._source.exhausted:
                 break
             tries -= 1
@@ -183,7 +192,7 @@ class Eyes:
             aimed = _Aimed(self, self._source)
             with LatestGoals(aimed, clock, self._rate) as latest:
                 yield latest
-            self._followed = aimed.seen
+            self._followed, self.delays = aimed.seen, aimed.delays
             return
         scene = self._synthetic.scene
         home = next(m.pose for m in scene.markers if m.id == self.stage.marker_id)
@@ -194,19 +203,26 @@ class Eyes:
         begin, size = clock.now() + REST_SECONDS, _WANDER * self.stage.hover
         path = Wandering(home, begin, seconds - REST_SECONDS, size)
         moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
-        with LatestGoals(_Aimed(self, Blindfold(moving)), clock, self._rate) as latest:
+        aimed = _Aimed(self, Blindfold(moving))
+        with LatestGoals(aimed, clock, self._rate) as latest:
             yield latest
+        self.delays = aimed.delays
         self._synthetic.scene = scene.with_marker(self.stage.marker_id, pose=path(clock.now()))
 
-    def goal_source(self, source: Blindfold, *, window: bool = False) -> MarkerGoalSource:
-        """Goals from the target marker in the pictures of ``source``; ``window``: for following."""
+    def goal_source(self, source: Blindfold, *, follow: bool = False) -> MarkerGoalSource:
+        """Goals from the target marker; each picture of ``source`` for itself, unless to ``follow``."""
         return MarkerGoalSource(
             source,
-            self._tracker(window),
+            self._tracker(follow),
             self.pose_world_camera,
             self.stage.marker_id,
             self.stage.pose_marker_tool,
             self._frame,
+            motion=FilterOptions() if follow else None,
+            predict=follow and not self.recorded,
+            lead=self._lead if follow else 0.0,
+            when_lost=self._when_lost if follow else WhenLost(),
+            clock=self._limbs.clock,
         )
 
     def _tracker(self, window: bool) -> MarkerTracker:
@@ -220,11 +236,16 @@ class Eyes:
         )
 
     def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> Seen:
-        """What an observation means for this arm: with too few joints only the place counts."""
-        if self._limbs.freedoms < FREEDOMS_OF_A_POSE:
-            goal = PositionGoal(self._frame, goal.position)
+        """What an observation means for this arm."""
         true_pose = (truth or {}).get("pose_world_marker", {}).get(self.stage.marker_id)
-        return Seen(goal, observation, self.pose_world_camera.compose(observation.pose), true_pose)
+        pose = self.pose_world_camera.compose(observation.pose)
+        return Seen(self.for_arm(goal), observation, pose, true_pose)
+
+    def for_arm(self, goal: Any) -> Any:
+        """``goal`` as this arm can have it: with too few joints only the place counts."""
+        if isinstance(goal, PoseGoal) and self._limbs.freedoms < FREEDOMS_OF_A_POSE:
+            return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
+        return goal
 
     def _not_found(self) -> MarkerNotFoundError:
         wanted = f"marker {self.stage.marker_id} of {self.stage.dictionary}"
@@ -248,13 +269,26 @@ class _Aimed:
 
     def __init__(self, eyes: Eyes, source: Blindfold) -> None:
         self._eyes, self._source = eyes, source
-        self._goals = eyes.goal_source(source, window=True)
+        self._goals = eyes.goal_source(source, follow=True)
         self.seen: Seen | None = None
 
-    def poll(self, now: float) -> PoseGoal | PositionGoal | None:
+    @property
+    def delays(self) -> tuple[Delays, Delays]:
+        """From grab to goal, and the age of the picture at each tick."""
+        return self._goals.made.figures(), self._goals.used.figures()
+
+    def look(self, now: float) -> None:
+        """Looks at the next picture."""
+        self._goals.look(now)
+        goal, last = self._goals.measured, self._goals.last
+        if goal is not None and isinstance(last, MarkerObservation):
+            self.seen = self._eyes.seen(goal, last, self._source.truth)
+
+    def goal_at(self, now: float) -> Any:
         """The goal at ``now``, or None."""
-        goal = self._goals.poll(now)
-        if goal is None or self._goals.last is None:
-            return None
-        self.seen = self._eyes.seen(goal, self._goals.last, self._source.truth)
-        return self.seen.goal
+        return self._eyes.for_arm(self._goals.goal_at(now))
+
+    def poll(self, now: float) -> Any:
+        """Looks, and gives the goal at ``now``, or None."""
+        self.look(now)
+        return self.goal_at(now)

@@ -19,6 +19,7 @@ from robot_ik.errors import (
 )
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose
+from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.ahead import CompiledAhead
 from robot_ik.jobs.cameras import open_eyes
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
@@ -218,7 +219,7 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
     def show(tick: Any) -> None:
         q = tick.q if tick.measured is None else tick.measured
         limbs.scene.send(q, tick.time)
-        if tick.goal is not None:
+        if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
             place = report.robot.forward(q, report.frame).position
             behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
         if window is not None:

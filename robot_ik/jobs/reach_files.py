@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from robot_ik.camera.latency import Delays
 from robot_ik.camera.overlay import (
     GREEN,
     ORANGE,
@@ -185,6 +186,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "tracking_error_rad": report.following.tracking_error,
             "behind_median_m": None if report.behind is None else report.behind[0],
             "behind_largest_m": None if report.behind is None else report.behind[1],
+            **_delays(report),
         },
         "q": report.q_end,
         "read_back": _judgement(report.read_back),
@@ -192,6 +194,16 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "verdict": report.verdict,
         "bus_counters": report.counters,
     }  # fmt: skip
+
+
+def _delays(report: ReachReport) -> dict[str, Any]:
+    """Seconds from grab to goal, and age of the picture at each tick; None where nothing was measured."""
+    pair = None if report.eyes is None else report.eyes.delays
+    facts: dict[str, Any] = {}
+    for name, delays in zip(("grab_to_goal", "picture_age"), pair or (Delays(), Delays()), strict=True):
+        for part in ("p50", "p95"):
+            facts[f"{name}_{part}_s"] = getattr(delays, part) if delays.count else None
+    return facts
 
 
 def _marker_facts(report: ReachReport) -> dict[str, Any] | None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from robot_ik.camera.lost import LostPolicy
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 
@@ -47,6 +48,9 @@ class ReachRequest:
         speed: Share of the joints' speed limits.
         line: Move the tool on a straight line.
         follow: Seconds to go on following the marker; 0: not at all.
+        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many seconds without
+            the marker while following.
+        lead: Seconds to predict the marker beyond each tick.
         view: Mirror the motion in a window.
         seed: Of restarts and of the synthetic camera's noise.
         rehearsal: What shall go wrong.
@@ -67,6 +71,9 @@ class ReachRequest:
     speed: float = 1.0
     line: bool = False
     follow: float = 0.0
+    when_lost: LostPolicy = "hold"
+    lost_after: float = 2.0
+    lead: float = 0.0
     view: bool = False
     seed: int = 0
     rehearsal: Rehearsal = Rehearsal()

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from robot_ik.camera.goals import AMBIGUITY_LIMIT, MarkerGoalSource
+from robot_ik.camera.goals import MarkerGoalSource
 from robot_ik.camera.pose import estimate_marker, marker_points
 from robot_ik.camera.refine import unrefined
+from robot_ik.camera.sight import AMBIGUITY_LIMIT
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.standard_set import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.standard_set import render_marker
@@ -58,7 +59,12 @@ class PatientSource(ListSource):
 
 
 def frame(
-    poses: dict[int, Pose], number: int = 0, *, time: float = 0.0, size: float = 0.05, seed: int = 0
+    poses: dict[int, Pose],
+    number: int = 0,
+    *,
+    time: float | None = None,
+    size: float = 0.05,
+    seed: int = 0,
 ) -> Frame:
     """Markers on one wall: rendered one by one and joined by the darker pixel where both show paper."""
     image = None
@@ -74,7 +80,8 @@ def frame(
             image[y0:y1, x0:x1] = one[y0:y1, x0:x1]
     if image is None:
         image = np.full((480, 640), 128, np.uint8)
-    return Frame(np.repeat(image[:, :, None], 3, axis=2), time, number, truth=Poison())
+    stamp = 0.03 * number if time is None else time
+    return Frame(np.repeat(image[:, :, None], 3, axis=2), stamp, number, truth=Poison())
 
 
 def marker_at(x: float, y: float, z: float, turn: np.ndarray = LEAN) -> Pose:

@@ -1,0 +1,168 @@
+"""Laws of the motion filter, and what it gains on a moving hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.bench.camera_motion import compare_filters
+from robot_ik.camera.filter import FilterOptions, MotionFilter, Update, difference, moved
+from robot_ik.camera.one_euro import OneEuro
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose, rotation_exp
+
+SIGMA_M, SIGMA_RAD = 3e-4, 2e-3
+NOISE = np.diag([SIGMA_M**2] * 3 + [SIGMA_RAD**2] * 3)
+PERIOD = 1 / 30
+
+vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def noisy(pose: Pose, rng: np.random.Generator) -> Pose:
+    return moved(pose, rng.normal(0.0, [SIGMA_M] * 3 + [SIGMA_RAD] * 3))
+
+
+@settings(max_examples=8)
+@given(seeds, vectors, vectors)
+def test_a_still_target_gives_the_mean_and_is_not_predicted(
+    seed: int, place: np.ndarray, turn: np.ndarray
+) -> None:
+    """With no restlessness and no speed the filter is recursive least squares: the mean of all."""
+    rng = np.random.default_rng(seed)
+    truth, seen = Pose(place, rotation_exp(turn)), []
+    still = MotionFilter(FilterOptions(restlessness=(1e-9, 1e-9), fastest=(1e-9, 1e-9), least=(0.0, 0.0)))
+    usual = MotionFilter()
+    for k in range(40):
+        seen.append(noisy(truth, rng))
+        still.update(k * PERIOD, seen[-1], NOISE)
+        usual.update(k * PERIOD, seen[-1], NOISE)
+    mean = np.mean([difference(pose, truth) for pose in seen], axis=0)
+    found, covariance, _ = still.predict(39 * PERIOD)
+    np.testing.assert_allclose(difference(found, truth), mean, atol=2e-6)
+    np.testing.assert_allclose(covariance, NOISE / 40, rtol=1e-3, atol=1e-12)
+    # Seen with the usual options: the prediction of a thing at rest is where it is, at any horizon.
+    now, later = usual.predict(39 * PERIOD), usual.predict(39 * PERIOD + 0.1)
+    np.testing.assert_array_equal(now.pose.position, later.pose.position)
+    assert not later.velocity.any() and np.abs(difference(later.pose, truth)[:3]).max() < 5 * SIGMA_M
+
+
+@settings(max_examples=8)
+@given(vectors, vectors, st.floats(0.2, 1.0), st.floats(1.0, 3.0), st.floats(0.0, 0.15))
+def test_constant_velocity_is_tracked_and_predicted_without_lag(
+    way: np.ndarray, axis: np.ndarray, speed: float, turning: float, ahead: float
+) -> None:
+    velocity = speed * (way + 2.0) / np.linalg.norm(way + 2.0)
+    rate = turning * (axis - 2.0) / np.linalg.norm(axis - 2.0)
+    tracked = MotionFilter()
+    for k in range(60):
+        t = k * PERIOD
+        tracked.update(t, Pose(velocity * t, rotation_exp(rate * t)), NOISE)
+    t = 59 * PERIOD + ahead
+    found = tracked.predict(t)
+    off = difference(found.pose, Pose(velocity * t, rotation_exp(rate * t)))
+    assert np.linalg.norm(off[:3]) < 1e-5 and np.linalg.norm(off[3:]) < 1e-3
+    np.testing.assert_allclose(found.velocity, [*velocity, *rate], atol=5e-3)
+
+
+@settings(max_examples=10)
+@given(seeds, st.lists(st.floats(1e-4, 2.0), min_size=1, max_size=25))
+def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(seed: int, gaps: list[float]) -> None:
+    rng = np.random.default_rng(seed)
+    kept, time, truth = MotionFilter(), 0.0, Pose()
+    for gap in gaps:
+        time += gap
+        truth = moved(truth, rng.normal(0.0, 0.02, 6))
+        root = rng.normal(0.0, 1e-3, (6, 6))
+        kept.update(time, noisy(truth, rng), root @ root.T)
+        for covariance in (kept.covariance, kept.predict(time + gap).covariance):
+            np.testing.assert_array_equal(covariance, covariance.T)
+            assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    assert np.isfinite(difference(kept.predict(time + 9.0).pose, truth)).all()
+
+
+def test_the_covariance_is_honest() -> None:
+    """Normalised errors of a walk that is what the filter assumes: six degrees of freedom."""
+    rng, options = np.random.default_rng(3), FilterOptions(restlessness=(0.5, 2.0), least=(0.0, 0.0))
+    squares = []
+    for _ in range(6):
+        tracked, truth, rate = MotionFilter(options), Pose(), np.zeros(6)
+        for k in range(60):
+            tracked.update(k * PERIOD, noisy(truth, rng), NOISE)
+            found = tracked.predict(k * PERIOD)
+            off = difference(found.pose, truth)
+            squares.append(off @ np.linalg.solve(found.covariance, off))
+            change = rng.normal(0.0, np.repeat(options.restlessness, 3)) * np.sqrt(PERIOD)
+            truth, rate = moved(truth, PERIOD * (rate + 0.5 * change)), rate + change
+    assert 5.0 < np.mean(squares) < 7.0
+
+
+def test_time_going_backwards_is_ignored() -> None:
+    tracked = MotionFilter()
+    assert tracked.update(1.0, Pose(), NOISE) is Update.STARTED
+    assert tracked.update(1.1, Pose((0.01, 0, 0)), NOISE) is Update.TAKEN
+    before = tracked.covariance, tracked.predict(1.1)
+    for time in (1.1, 1.05, -3.0):
+        assert tracked.update(time, Pose((5.0, 0, 0)), NOISE) is Update.LATE
+    np.testing.assert_array_equal(tracked.covariance, before[0])
+    assert tracked.predict(1.1).pose.position.tolist() == before[1].pose.position.tolist()
+    assert tracked.predict(0.2).pose.position.tolist() == before[1].pose.position.tolist()
+
+
+def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> None:
+    tracked = MotionFilter()
+    for k in range(10):
+        tracked.update(k * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE)
+    away = Pose((0.2, 0.0, 0.5), rotation_exp([0.0, 2.0, 0.0]))
+    assert tracked.update(10 * PERIOD, away, NOISE) is Update.OUTLIER
+    assert tracked.predict(10 * PERIOD).pose.position[0] == 0.0
+    assert tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN  # counts anew
+    said = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
+    assert said == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
+    assert np.abs(difference(tracked.predict(15 * PERIOD).pose, away)).max() < 1e-9
+
+
+def test_after_a_long_gap_it_starts_again_and_after_a_short_one_it_goes_on() -> None:
+    for gap, what in ((0.4, Update.TAKEN), (1.5, Update.RESTARTED)):
+        tracked = MotionFilter()
+        for k in range(20):
+            tracked.update(k * PERIOD, Pose((0.3 * k * PERIOD, 0.0, 0.0)), NOISE)
+        time = 19 * PERIOD + gap
+        assert tracked.update(time, Pose((0.3 * time, 0.0, 0.0)), NOISE) is what
+        assert tracked.predict(time).pose.position[0] == pytest.approx(0.3 * time, abs=1e-6)
+
+
+@pytest.mark.parametrize("broken", [np.eye(3), np.full((6, 6), np.nan), -np.eye(6)])
+def test_what_is_no_covariance_is_refused(broken: np.ndarray) -> None:
+    with pytest.raises(CameraError, match="covariance"):
+        MotionFilter().update(0.0, Pose(), broken)
+    with pytest.raises(CameraError, match="at nan s"):
+        MotionFilter().update(float("nan"), Pose(), NOISE)
+    with pytest.raises(CameraError, match="before its first observation"):
+        MotionFilter().predict(0.0)
+
+
+def test_prediction_halves_the_error_of_66_ms_and_shakes_nothing_at_rest() -> None:
+    """The table of the documentation: a hand at 0.2 m/s, 30 pictures a second, 0.3 mm of noise."""
+    hand, still = compare_filters(hands=2, seconds=8.0)
+    at = {row.delay: row for row in hand}
+    assert 12.0e-3 < at[0.066].hold < 14.5e-3
+    assert at[0.066].predicted < 6.5e-3 and at[0.033].predicted < 3e-3
+    assert at[0.0].predicted <= 1.1 * at[0.0].hold
+    for row in still:
+        assert row.predicted <= row.hold, row
+        assert row.calmed < 0.6 * row.hold, row
+
+
+def test_the_calm_filter_starts_where_it_is_put_and_follows() -> None:
+    calm = OneEuro()
+    pose = Pose((1.0, 2.0, 3.0), rotation_exp([0.1, 0.2, 0.3]))
+    assert calm.update(5.0, pose) is pose
+    assert calm.update(4.0, Pose()) is pose  # no later: nothing changes
+    for k in range(90):
+        shown = calm.update(5.0 + (k + 1) * PERIOD, Pose())
+    assert np.abs(difference(shown, Pose())).max() < 1e-3
+    with pytest.raises(CameraError, match="cut-off"):
+        OneEuro(cutoff=0.0)
