@@ -10,14 +10,14 @@ import logging
 from collections.abc import Mapping
 from typing import Self
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError
-from robot_ik.hardware.arm_base import MOVABLE, ArmBase
+from robot_ik.hardware.arm_base import MOVABLE
 from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.gripping import Gripping
 from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
 from robot_ik.hardware.registers import read_all
 from robot_ik.hardware.shutdown import torque_off
@@ -30,7 +30,7 @@ __all__ = ["Arm", "ArmState"]
 log = logging.getLogger(__name__)
 
 
-class Arm(ArmBase):
+class Arm(Gripping):
     """Servos of one arm file on one bus: a ``JointSink`` and a ``JointSource``.
 
     Args:
@@ -88,7 +88,7 @@ class Arm(ArmBase):
             self._guard.remove()
             raise
         if first:  # later it is somewhere it never stood without torque
-            self._rest = self._cycle.limits.q
+            self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
         self.state = ArmState.ENABLED
         self._start_heartbeat()
 
@@ -135,7 +135,7 @@ class Arm(ArmBase):
                 samples.take(ticks, self.clock.now())
             elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
                 self._latching(self._cycle.measure)
-            return JointReading(samples.q.copy(), float(samples.times.min()))
+            return JointReading(samples.q[: len(self.joints)].copy(), float(samples.times.min()))
 
     def hold(self) -> None:
         """Stay where you are; the next ``send`` goes on from here, from rest.
@@ -164,9 +164,10 @@ class Arm(ArmBase):
             self._streaming = False
             off = self._go(q, timeout, stop=lambda: False)
         if off.any():
-            worst = int(off.argmax())
+            worst = self.config.whole.joints[int((off / self.config.whole.resolution).argmax())]
+            way = worst.text(float(off[self.config.whole.names.index(worst.name)]))
             raise HardwareError(
-                f"{self.joints[worst]!r} is still {np.degrees(off[worst]):.1f} deg from where it was sent",
+                f"{worst.name!r} is still {way} from where it was sent",
                 hint="is something in its way?",
             )
 

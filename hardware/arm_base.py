@@ -78,7 +78,7 @@ class ArmBase:
     @property
     def ages(self) -> Array:
         """(n,) s since each joint's last good sample; infinite before the first."""
-        return self.clock.now() - self._cycle.samples.times
+        return self.clock.now() - self._cycle.samples.times[: len(self.joints)]
 
     @property
     def fault(self) -> HardwareError | None:
@@ -88,7 +88,7 @@ class ArmBase:
     def _go(
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
     ) -> Array:
-        """(n,) rad still to go."""
+        """(n and joints aside,) rad still to go."""
         self.state = ArmState.PARKING
         try:
             return self._latching(lambda: self._cycle.go(q, timeout, stop))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnknownJointError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.config_check import check_arm
-from robot_ik.hardware.config_file import ArmFile, arm_file_text, parse_arm_file
+from robot_ik.hardware.config_file import ArmFile, JointFile, SlideFile, arm_file_text, parse_arm_file
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import MODES, JointMap, Twin
+from robot_ik.hardware.joint_map import ARM, MODES, JointMap, Twin
 
 __all__ = ["MAX_SERVOS", "MODES", "ArmConfig", "JointMap", "Twin"]
 
@@ -35,6 +35,8 @@ class ArmConfig:
         watchdog_ms: Bus Watchdog of every servo, ms, a multiple of 20; 0 = off.
         on_exit: ``torque_off``, ``hold`` or ``park``.
         joints: In the order of q.
+        aside: Joints of other groups, such as a gripper's: no part of q.  An arm holds them where they are,
+            and moves them by name.
         file: Where it was read from; ``None`` when made by a program.
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
         on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
@@ -50,6 +52,7 @@ class ArmConfig:
     file: Path | None = field(default=None, compare=False)
     stale_ms: int = 250
     on_stale: str = "hold"
+    aside: tuple[JointMap, ...] = ()
 
     def __post_init__(self) -> None:
         check_arm(self, self.file or self.name)
@@ -128,9 +131,15 @@ class ArmConfig:
         return tuple(joint.id for joint in self.joints)
 
     @cached_property
+    def whole(self) -> ArmConfig:
+        """The same arm with all joints in its q: first ``joints``, then ``aside``."""
+        return replace(self, joints=self.joints + self.aside, aside=()) if self.aside else self
+
+    @cached_property
     def servos(self) -> tuple[JointMap, ...]:
-        """Every servo as a map of its joint: those of ``joints`` in the order of q, then the second ones."""
-        return self.joints + tuple(other for joint in self.joints for other in joint.servos[1:])
+        """Every servo as a map of its joint: of ``joints`` in the order of q, ``aside``, the second ones."""
+        joints = self.joints + self.aside
+        return joints + tuple(other for joint in joints for other in joint.servos[1:])
 
     @cached_property
     def servo_ids(self) -> tuple[int, ...]:
@@ -138,8 +147,8 @@ class ArmConfig:
         return tuple(servo.id for servo in self.servos)
 
     def spread(self, q: ArrayLike) -> Array:
-        """(number of servos,) from (n,): what each of ``servos`` has to do with its joint's value."""
-        where = {name: k for k, name in enumerate(self.names)}
+        """(number of servos,) from (joints and joints aside,): the value of each servo's joint."""
+        where = {name: k for k, name in enumerate(self.whole.names)}
         return np.asarray(q, dtype=float)[[where[servo.name] for servo in self.servos]]
 
     @property
@@ -168,36 +177,31 @@ class ArmConfig:
         return np.array([joint.resolution for joint in self.joints])
 
     def joint(self, name: str) -> JointMap:
-        """A joint by name.
+        """A joint by name, also one that is no part of q.
 
         Raises:
             UnknownJointError: No such joint; close ones are named.
         """
-        for joint in self.joints:
+        for joint in (*self.joints, *self.aside):
             if joint.name == name:
                 return joint
-        raise UnknownJointError(name, self.names)
+        raise UnknownJointError(name, self.whole.names)
+
+    def group(self, name: str) -> tuple[JointMap, ...]:
+        """The joints of a group; none where there is no such group."""
+        return tuple(joint for joint in (*self.joints, *self.aside) if joint.group == name)
 
 
 def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
-    joints = tuple(
-        JointMap(
-            name=j.name,
-            id=j.id,
-            model=j.model,
-            mode=MODES[j.mode],
-            direction=j.direction,
-            zero_ticks=j.zero_ticks,
-            ratio=float(j.ratio),
-            lower=math.radians(j.lower_deg),
-            upper=math.radians(j.upper_deg),
-            velocity=math.radians(j.velocity_deg),
-            acceleration=math.radians(j.acceleration_deg),
-            current=j.current_ma,
-            twin=None if j.twin is None else Twin(**j.twin.model_dump()),
+    maps = [_joint_map(table) for table in arm.joints]
+    joints = tuple(joint for joint in maps if joint.group == ARM)
+    if maps[: len(joints)] != list(joints) or not joints:
+        raise ConfigError(
+            f"joints of the group {ARM!r} come first, and there is at least one",
+            file=file,
+            key=f"joints[{next((k for k, joint in enumerate(maps) if joint.group != ARM), 0)}].group",
+            allowed=f"{ARM} (the default)",
         )
-        for j in arm.joints
-    )
     bus = arm.bus
     return ArmConfig(
         arm.name,
@@ -210,4 +214,30 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
         file,
         bus.stale_ms,
         bus.on_stale,
+        tuple(maps[len(joints) :]),
+    )
+
+
+def _joint_map(j: JointFile) -> JointMap:
+    slide = isinstance(j, SlideFile)
+    unit, one = ("mm", 1e-3) if slide else ("deg", math.radians(1.0))
+    lower, upper, velocity, acceleration = (
+        one * getattr(j, f"{key}_{unit}") for key in ("lower", "upper", "velocity", "acceleration")
+    )
+    return JointMap(
+        name=j.name,
+        id=j.id,
+        model=j.model,
+        mode=MODES[j.mode],
+        direction=j.direction,
+        zero_ticks=j.zero_ticks,
+        ratio=float(j.ratio),
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        acceleration=acceleration,
+        current=j.current_ma,
+        twin=None if j.twin is None else Twin(**j.twin.model_dump()),
+        pinion=1e-3 * j.pinion_mm if isinstance(j, SlideFile) else None,
+        group=j.group,
     )

@@ -26,7 +26,7 @@ def check_arm(config: ArmConfig, file: Path | str) -> None:
     """
     names: dict[str, int] = {}
     ids: dict[int, str] = {}
-    for k, joint in enumerate(config.joints):
+    for k, joint in enumerate((*config.joints, *config.aside)):
         at = f"joints[{k}]"
         table = _table(joint, at, file)
         _check_model(config, joint, table, at, file)
@@ -101,22 +101,23 @@ def _check_current(joint: JointMap, table: ControlTable, at: str, file: Path | s
 def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
     if not joint.lower < joint.upper:
         raise ConfigError(
-            f"the range of {joint.name!r} is empty: {math.degrees(joint.lower):g} to "
-            f"{math.degrees(joint.upper):g} deg",
+            f"the range of {joint.name!r} is empty: {joint.lower / joint.per_unit:g} to "
+            f"{joint.upper / joint.per_unit:g} {joint.unit}",
             file=file,
-            key=f"{at}.lower_deg",
-            allowed="lower_deg < upper_deg",
+            key=f"{at}.lower_{joint.unit}",
+            allowed=f"lower_{joint.unit} < upper_{joint.unit}",
         )
-    for key, value in (("velocity_deg", joint.velocity), ("acceleration_deg", joint.acceleration)):
+    for key, value in (("velocity", joint.velocity), ("acceleration", joint.acceleration)):
         if not 0.0 < value < math.inf:
-            raise ConfigError(f"{value} is no cap", file=file, key=f"{at}.{key}", allowed="a number > 0")
+            at_key = f"{at}.{key}_{joint.unit}"
+            raise ConfigError(f"{value} is no cap", file=file, key=at_key, allowed="a number > 0")
     lower, upper = joint.limits
     if not lower < upper:
-        ends = sorted(math.degrees(joint.to_radians(t)) for t in MODE_TICKS[joint.mode])
+        ends = sorted(joint.to_radians(t) / joint.per_unit for t in MODE_TICKS[joint.mode])
         raise ConfigError(
             f"nothing of the range of {joint.name!r} can be reached in mode {joint.mode.name.lower()}",
             file=file,
-            key=f"{at}.lower_deg",
-            allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg",
+            key=f"{at}.lower_{joint.unit}",
+            allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}",
             hint='use mode = "extended_position", or another zero_ticks',
         )

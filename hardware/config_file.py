@@ -10,10 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from robot_ik.errors import ConfigError, close_matches
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
+from robot_ik.hardware.joint_map import ARM, JointMap
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -54,7 +55,7 @@ class TwinFile(_Table):
 
 
 class JointFile(_Table):
-    """One table of ``[[joints]]``."""
+    """What both kinds of table of ``[[joints]]`` have."""
 
     name: _Word
     id: Annotated[int, Field(ge=0, le=252)]
@@ -63,12 +64,39 @@ class JointFile(_Table):
     direction: Literal[1, -1] = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
     ratio: _Positive = 1.0
+    current_ma: _Positive | None = None
+    group: _Word = ARM
+    twin: TwinFile | None = None
+
+
+class HingeFile(JointFile):
+    """A joint that turns."""
+
     lower_deg: _Finite
     upper_deg: _Finite
     velocity_deg: _Positive
     acceleration_deg: _Positive
-    current_ma: _Positive | None = None
-    twin: TwinFile | None = None
+
+
+class SlideFile(JointFile):
+    """A joint that slides on a rack: a pinion of this radius moves it."""
+
+    pinion_mm: _Positive
+    lower_mm: _Finite
+    upper_mm: _Finite
+    velocity_mm: _Positive
+    acceleration_mm: _Positive
+
+
+def _kind(table: Any) -> str:
+    """``slide`` where anything is said in millimetres, else ``hinge``."""
+    return "slide" if isinstance(table, dict) and any(key.endswith("_mm") for key in table) else "hinge"
+
+
+_JOINT_FILES: Mapping[str, type[JointFile]] = {"hinge": HingeFile, "slide": SlideFile}
+_AnyJoint = Annotated[
+    Annotated[HingeFile, Tag("hinge")] | Annotated[SlideFile, Tag("slide")], Discriminator(_kind)
+]
 
 
 class ArmFile(_Table):
@@ -79,7 +107,7 @@ class ArmFile(_Table):
     name: _Word
     robot: _Word
     bus: BusFile = BusFile()
-    joints: Annotated[list[JointFile], Field(min_length=1, max_length=252)]
+    joints: Annotated[list[_AnyJoint], Field(min_length=1, max_length=252)]
 
 
 def parse_arm_file(text: str, file: Path | str) -> ArmFile:
@@ -114,7 +142,7 @@ def _explain(error: ValidationError, file: Path | str) -> ConfigError:
     key = _key(first["loc"])
     if first["type"] == "extra_forbidden":
         name = str(first["loc"][-1])
-        known = _known_keys(first["loc"][:-1])
+        known = _known_keys(first["loc"][:-1])  # in degrees or in millimetres
         close = close_matches(name, known)
         text = f"unknown key {name!r}" + (f": did you mean {' or '.join(close)}?" if close else "")
         return ConfigError(text, file=file, key=key, allowed=", ".join(known), hint=hint)
@@ -127,16 +155,19 @@ def _explain(error: ValidationError, file: Path | str) -> ConfigError:
 def _key(location: tuple[int | str, ...]) -> str:
     """``("joints", 2, "id")`` -> ``joints[2].id``."""
     text = ""
-    for part in location:
+    for k, part in enumerate(location):
+        if k == 2 and part in _JOINT_FILES:
+            continue  # the kind, which pydantic puts there
         text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
     return text
 
 
 def _model(location: tuple[int | str, ...]) -> type[_Table]:
-    tables: dict[str, type[_Table]] = {"bus": BusFile, "joints": JointFile}
-    if location[2:3] == ("twin",):
-        return TwinFile
-    return tables.get(str(location[0]), ArmFile) if location else ArmFile
+    if not location:
+        return ArmFile
+    if location[0] == "joints":
+        return TwinFile if "twin" in location else _JOINT_FILES[str((*location, "", "hinge")[2] or "hinge")]
+    return BusFile if location[0] == "bus" else ArmFile
 
 
 def _known_keys(location: tuple[int | str, ...]) -> list[str]:
@@ -190,7 +221,8 @@ def arm_file_text(config: ArmConfig) -> str:
         f"stale_ms = {config.stale_ms}",
         f"on_stale = {json.dumps(config.on_stale)}",
     ]
-    for joint in config.joints:
+    for joint in (*config.joints, *config.aside):
+        unit = joint.unit
         values: dict[str, Any] = {
             "name": joint.name,
             "id": joint.id,
@@ -199,10 +231,12 @@ def arm_file_text(config: ArmConfig) -> str:
             "direction": joint.direction,
             "zero_ticks": joint.zero_ticks,
             "ratio": joint.ratio,
-            "lower_deg": _degrees(max(joint.lower, joint.limits[0])),
-            "upper_deg": _degrees(min(joint.upper, joint.limits[1])),
-            "velocity_deg": _degrees(joint.velocity),
-            "acceleration_deg": _degrees(joint.acceleration),
+            **({} if joint.group == ARM else {"group": joint.group}),
+            **({} if joint.pinion is None else {"pinion_mm": round(1e3 * joint.pinion, 9)}),
+            f"lower_{unit}": _number(joint, max(joint.lower, joint.limits[0])),
+            f"upper_{unit}": _number(joint, min(joint.upper, joint.limits[1])),
+            f"velocity_{unit}": _number(joint, joint.velocity),
+            f"acceleration_{unit}": _number(joint, joint.acceleration),
         }
         if joint.current is not None:
             values["current_ma"] = joint.current
@@ -216,6 +250,6 @@ def _rows(values: Mapping[str, Any]) -> list[str]:
     return [f"{key} = {json.dumps(value)}" for key, value in values.items()]
 
 
-def _degrees(angle: float) -> float:
-    """Degrees without the tail of a binary conversion (160.00000000000003)."""
-    return round(math.degrees(angle), 12)
+def _number(joint: JointMap, value: float) -> float:
+    """Degrees or millimetres without the tail of a binary conversion (160.00000000000003)."""
+    return round(math.degrees(value) if joint.pinion is None else 1e3 * value, 12)

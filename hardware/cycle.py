@@ -28,7 +28,8 @@ PAUSE = 0.25
 """s between two commands after which the arm is taken to stand: the next command starts from rest."""
 
 SAG = 0.05
-"""rad between goal and shaft up to which holding keeps the goal.  Beyond, something pushes: it yields."""
+"""rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.  Beyond, something
+pushes: it yields."""
 
 FOLLOWING_ALARM = 0.15
 """rad of tracking error at which a servo is asked whether it still has torque (it may have restarted)."""
@@ -42,8 +43,16 @@ GRACE = 2.0
 _ALARM_PERIOD = 0.5  # s; asking costs a cycle
 
 
+def _presses(servo: JointMap) -> bool:
+    """It is told how hard to press: what it grips keeps it from its goal, and that goal is kept."""
+    return servo.mode == OperatingMode.CURRENT_BASED_POSITION
+
+
 class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
+
+    Commands are of the arm's q, or by name; what they do not speak of stays at its last command.  All else
+    here is of all joints: those of q, then those aside.
 
     Attributes:
         samples: Measured positions; ``limits``: state of the limiter; ``goals``: servo id -> ticks last sent.
@@ -53,6 +62,7 @@ class Cycle:
     def __init__(
         self, config: ArmConfig, bus: ServoBus, clock: Clock, feedback: Feedback | None = None
     ) -> None:
+        driven, config = len(config.joints), config.whole
         n = len(config.joints)
         self.samples = Samples(config)
         self.limits = LimiterState.at_rest(np.zeros(n))
@@ -61,8 +71,9 @@ class Cycle:
         self.period = 1.0 / config.rate_hz
         self._config, self._bus, self._clock = config, bus, clock
         self._limiter = SafetyLimiter(
-            config.lower, config.upper, config.velocity, config.acceleration, joints=config.names
-        )
+            config.lower, config.upper, config.velocity, config.acceleration, joints=config.names,
+            commanded=driven,
+        )  # fmt: skip
         self._goal = shared_register(config, "goal_position")
         self.feedback = feedback or Feedback(config)
         # A shadow hears what is written to its first servo.
@@ -87,7 +98,10 @@ class Cycle:
             UnsafeCommandError: Nothing was sent.
             MotorFaultError, BusTimeoutError, BusDisconnectedError: See ``measure``.
         """
-        command = self._limiter.command(q, self.limits.command)
+        self._drive(self._limiter.command(q, self.limits.command), now)
+
+    def _drive(self, command: tuple[float, ...], now: float) -> None:
+        """``drive`` for a command of all joints."""
         if not math.isfinite(now):
             raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
         # The time before the packet, and before the last look at the clock: this process may be stalled
@@ -152,7 +166,7 @@ class Cycle:
             stop: Asked in every cycle.
 
         Returns:
-            (n,) rad still to go; 0 where arrived.
+            (all joints,) rad still to go; 0 where arrived, and where nobody sent it.
 
         Raises:
             UnsafeCommandError, MotorFaultError, BusTimeoutError, BusDisconnectedError: As ``drive``.
@@ -160,18 +174,20 @@ class Cycle:
         now = self._clock.now()
         wanted = self._limiter.command(q, self.limits.command)
         command = np.clip(wanted, self._config.lower, self._config.upper)
-        self.drive(command, now)
+        self._drive(tuple(command.tolist()), now)
+        names, driven = self._limiter.joints, self._limiter.joints[: self._limiter.commanded]
+        asked = np.array([name in (q if isinstance(q, Mapping) else driven) for name in names])
         velocity, acceleration = self._config.velocity, self._config.acceleration
         needed = np.abs(command - self.samples.q) / velocity + 2.0 * velocity / acceleration
         end = now + (float(needed.max()) + GRACE if timeout is None else timeout)
         while True:
             off = np.abs(self.samples.q - command)
-            off[off <= ARRIVED_TICKS * self._config.resolution] = 0.0
+            off[~asked | (off <= ARRIVED_TICKS * self._config.resolution)] = 0.0
             if stop() or now > end or (self.limits.q == tuple(command) and not off.any()):
                 return off
             now = max(now + self.period, self._clock.now())
             self._clock.sleep_until(now)
-            self.drive(command, now)
+            self._drive(tuple(command.tolist()), now)
 
     def hold(self) -> None:
         """Goals of joints that answered: where they are, or where they were sent if they are nearly there."""
@@ -184,10 +200,10 @@ class Cycle:
         """Servo id -> ticks.  Taking the present position every time would let a loaded joint creep down."""
         goals = dict(self.goals)
         for joint in self._config.servos:
-            if joint.mode == OperatingMode.CURRENT_BASED_POSITION:
+            if _presses(joint):
                 continue  # it is meant to press: yielding would let go of what it grips
             present = self.samples.ticks.get(joint.id)
-            if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG:
+            if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:
                 goals[joint.id] = present
         return goals
 
@@ -211,9 +227,10 @@ class Cycle:
         log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
         self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
         present = read_all(self._bus, self._config, "present_position")
-        self._bus.sync_write(self._goal, present)
+        pressing = {s.id: self.goals[s.id] for s in self._config.servos if s.id in self.goals and _presses(s)}
+        self._bus.sync_write(self._goal, present | pressing)
         arm_watchdog(self._bus, self._config)
-        self.stand(present)
+        self.stand(present | pressing)
 
     def _tick(self, now: float) -> float:
         """Seconds this command is after the last one; 0: no time has passed, nothing may move."""

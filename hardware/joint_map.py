@@ -1,6 +1,7 @@
-"""One joint and its servo: the only change between radians and ticks.
+"""One joint and its servo: the only change between radians (metres, where a joint slides) and ticks.
 
-``ticks = zero_ticks + direction * ratio * q / (2 pi) * 4096``; outside this package angles are radians.
+``ticks = zero_ticks + direction * ratio * q / lever / (2 pi) * 4096``; ``lever`` is 1 for a hinge and the
+radius of the pinion, in metres, for a slide on a rack.  Outside this package angles are radians, ways metres.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ MODE_TICKS = {
 }
 """Operating mode -> smallest and largest goal, ticks."""
 
+ARM = "arm"
+"""Group of the joints that make up q."""
+
 
 @dataclass(frozen=True)
 class Twin:
@@ -55,10 +59,12 @@ class JointMap:
         name: Joint name in the model; ``id``, ``model``, ``mode``: of its servo.
         direction: +1 or -1; ``zero_ticks``: servo position at q = 0; ``ratio``: servo turns per joint turn.
         lower, upper: Range allowed in software, rad at the joint.
-        velocity, acceleration: Caps, rad/s and rad/s^2 at the joint.
+        velocity, acceleration: Caps, rad/s and rad/s^2 at the joint (of a slide all four are in m).
         current: Largest motor current, mA, in current-based position mode; None: the servo's own limit.
         twin: The other servo, where two turn this joint.
         shadow_of: Id of the first servo, where this row stands for its shadow.
+        pinion: Radius of the pinion that moves a slide, m; None: a hinge.
+        group: ``arm``: part of q; another, such as ``gripper``: held, and moved by its name.
     """
 
     name: str
@@ -75,6 +81,27 @@ class JointMap:
     current: float | None = None
     twin: Twin | None = None
     shadow_of: int | None = None
+    pinion: float | None = None
+    group: str = ARM
+
+    @property
+    def lever(self) -> float:
+        """What a radian of the last gear is at the joint: 1 rad, or so many metres of a slide."""
+        return 1.0 if self.pinion is None else self.pinion
+
+    @property
+    def unit(self) -> str:
+        """In what people are told of it: ``deg`` or ``mm``."""
+        return "deg" if self.pinion is None else "mm"
+
+    @property
+    def per_unit(self) -> float:
+        """One degree in rad, one millimetre in m."""
+        return math.radians(1.0) if self.pinion is None else 1e-3
+
+    def text(self, q: float, digits: int = 1) -> str:
+        """``q`` for people: ``12.3 deg``, ``4.5 mm``."""
+        return f"{q / self.per_unit:.{digits}f} {self.unit}"
 
     @property
     def servos(self) -> tuple[JointMap, ...]:
@@ -94,25 +121,25 @@ class JointMap:
 
     @property
     def ticks_per_radian(self) -> float:
-        """Signed: negative where servo and joint turn in opposite directions."""
-        return self.direction * self.ratio * TICKS_PER_TURN / (2.0 * math.pi)
+        """Of the joint (per metre of a slide); negative where servo and joint turn in opposite directions."""
+        return self.direction * self.ratio * TICKS_PER_TURN / (2.0 * math.pi) / self.lever
 
     @property
     def resolution(self) -> float:
-        """Joint angle of one tick, rad, positive."""
+        """Joint angle of one tick, rad (m), positive."""
         return 1.0 / abs(self.ticks_per_radian)
 
     def to_ticks(self, q: float) -> int:
-        """Nearest servo position of a joint angle in rad; not clipped."""
+        """Nearest servo position of a joint value in rad (m of a slide); not clipped."""
         return round(self.zero_ticks + self.ticks_per_radian * q)
 
     def to_radians(self, ticks: float) -> float:
-        """Joint angle, rad, of a servo position; not clipped."""
+        """Joint value, rad (m of a slide), of a servo position; not clipped."""
         return (ticks - self.zero_ticks) / self.ticks_per_radian
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Smallest, largest q, rad: software range and what the mode can reach.  Empty if lower > upper."""
+        """Smallest, largest q, rad (m): software range and what the mode reaches.  Empty if lower > upper."""
         lower, upper = self.lower, self.upper
         for servo in self.servos:
             ends = sorted(servo.to_radians(ticks) for ticks in MODE_TICKS[self.mode])

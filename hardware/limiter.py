@@ -96,6 +96,7 @@ class SafetyLimiter:
         *,
         margin: float = 0.0,
         joints: Sequence[str] | None = None,
+        commanded: int | None = None,
     ) -> None:
         """Checks the caps once, so that no step need.
 
@@ -106,6 +107,7 @@ class SafetyLimiter:
             acceleration: (n,) or one cap, rad/s², positive.
             margin: rad kept free at both ends of the range.
             joints: n names for reports and named commands; "joint1" … by default.
+            commanded: Arrays of angles speak of so many joints, the first ones; the others move by name.
 
         Raises:
             ValueError: Shapes, signs or an empty range.
@@ -125,30 +127,38 @@ class SafetyLimiter:
         if len(self.joints) != size:
             raise ValueError(f"{len(self.joints)} joint names for {size} joints")
         self.size = size
+        self.commanded = size if commanded is None else commanded
         self._caps = tuple(zip(low.tolist(), high.tolist(), fast.tolist(), brisk.tolist(), strict=True))
 
     def command(self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]) -> tuple[float, ...]:
         """Checks a command without looking at the limits.
 
         Args:
-            q: (n,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
+            q: (``commanded``,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
             fill: n angles, rad.
 
         Raises:
             UnsafeCommandError: NaN, infinity, wrong length, not numbers, unknown joint.
         """
+        return self._checked(q, fill, self.commanded)
+
+    def _checked(
+        self, q: ArrayLike | Mapping[str, float], fill: Sequence[float], size: int
+    ) -> tuple[float, ...]:
+        named = isinstance(q, Mapping)
         if isinstance(q, Mapping):
             q = self._from_names(q, fill)
         try:
             array = np.asarray(q, dtype=float)
         except (TypeError, ValueError):
-            raise UnsafeCommandError(f"a command of {q!r}", f"{self.size} angles in radians") from None
-        if array.shape != (self.size,):
+            raise UnsafeCommandError(f"a command of {q!r}", f"{size} angles in radians") from None
+        size = self.size if named else size
+        if array.shape != (size,):
             raise UnsafeCommandError(
                 f"a command of shape {array.shape}",
-                f"{self.size} angles, one for each of {', '.join(self.joints)}",
+                f"{size} angles, one for each of {', '.join(self.joints[:size])}",
             )
-        values = tuple(array.tolist())
+        values = (*array.tolist(), *fill[size:])
         if not all(map(math.isfinite, values)):
             bad = [n for n, x in zip(self.joints, values, strict=True) if not math.isfinite(x)]
             raise UnsafeCommandError(f"NaN or infinity for {', '.join(bad)}", "finite angles in radians")
@@ -173,7 +183,7 @@ class SafetyLimiter:
         Raises:
             UnsafeCommandError: see ``command``; dt not positive and finite.
         """
-        wanted = self.command(command, state.command)
+        wanted = self._checked(command, state.command, self.size)
         if not (math.isfinite(dt) and dt > 0.0):
             raise UnsafeCommandError(f"a tick of {dt} s", "a positive time")
         if len(state.q) != self.size:

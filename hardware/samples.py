@@ -17,7 +17,7 @@ SILENT_CYCLES = 3
 """Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""
 
 TWIST = 0.1
-"""rad between the two servos of one joint beyond which they fight each other, or one slips."""
+"""rad (of a slide's pinion) between the two servos of one joint beyond which they fight, or one slips."""
 
 
 class Samples:
@@ -80,6 +80,6 @@ class Samples:
     def twisted(self) -> JointMap | None:
         """A servo that stands more than ``TWIST`` apart from the other one of its joint."""
         for k, joint in self._twins:
-            if abs(self._angles[k] - self._angles[joint]) > TWIST:
+            if abs(self._angles[k] - self._angles[joint]) > TWIST * self._servos[k].lever:
                 return self._servos[k]
         return None

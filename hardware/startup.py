@@ -219,12 +219,13 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
         first, last = joint.ticks_range
         low, high = lowest[joint.id], highest[joint.id]
         if joint.mode == OperatingMode.POSITION and not low <= first <= last <= high:
-            ends = sorted(math.degrees(joint.to_radians(ticks)) for ticks in (low, high))
+            ends = sorted(joint.to_radians(ticks) / joint.per_unit for ticks in (low, high))
             raise ConfigError(
-                f"the servo's own limits (ticks {low} to {high}) are narrower than lower_deg .. upper_deg",
+                f"the servo's own limits (ticks {low} to {high}) are narrower than "
+                f"lower_{joint.unit} .. upper_{joint.unit}",
                 file=config.file or config.name,
-                key=f"joints[{config.names.index(joint.name)}]",
-                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} deg, or other limits in the servo",
+                key=f"joints[{config.whole.names.index(joint.name)}]",
+                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
             )
 
 
@@ -232,7 +233,7 @@ def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
     """Profile velocity and acceleration by servo id, in register units."""
     velocity, acceleration = {}, {}
     for joint in config.servos:
-        speed = SPEED_HEADROOM * joint.velocity * joint.ratio  # rad/s at the servo
+        speed = SPEED_HEADROOM * joint.velocity * joint.ratio / joint.lever  # rad/s at the servo
         ramp = speed * config.rate_hz / RAMP_SHARE
         velocity[joint.id] = min(max(math.ceil(speed / VELOCITY_UNIT), 1), _LARGEST_PROFILE)
         acceleration[joint.id] = min(max(math.ceil(ramp / ACCELERATION_UNIT), 1), _LARGEST_PROFILE)

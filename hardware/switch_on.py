@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
@@ -97,8 +95,8 @@ def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
         outside = max(lower - q, q - upper, 0.0)
         if outside / joint.resolution > TICKS_PER_TURN / 2:
             raise HardwareError(
-                f"joint {joint.name!r} reads {math.degrees(q):.1f} deg, more than half a servo turn outside "
-                f"{math.degrees(lower):.1f} .. {math.degrees(upper):.1f} deg; nothing was switched on",
+                f"joint {joint.name!r} reads {joint.text(q)}, more than half a servo turn outside "
+                f"{joint.text(lower)} .. {joint.text(upper)}; nothing was switched on",
                 hint="the servo has probably lost count of its turns: turn the joint by hand, or correct "
                 "zero_ticks in the arm file",
             )
@@ -106,11 +104,11 @@ def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
 
 def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
     """Two servos of one joint that do not agree where it is would fight each other."""
-    for joint in config.joints:
+    for joint in config.whole.joints:
         angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
-        if abs(angles[-1] - angles[0]) > TWIST:
+        if abs(angles[-1] - angles[0]) > TWIST * joint.lever:
             raise HardwareError(
-                f"the two servos of joint {joint.name!r} read {math.degrees(angles[0]):.1f} and "
-                f"{math.degrees(angles[-1]):.1f} deg; nothing was switched on",
+                f"the two servos of joint {joint.name!r} read {joint.text(angles[0])} and "
+                f"{joint.text(angles[-1])}; nothing was switched on",
                 hint="correct direction or zero_ticks of joints.twin in the arm file",
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +23,7 @@ class ServoState:
     Attributes:
         joint, id: Whose; everything else is None where it did not answer.
         position_deg, velocity_deg: At the joint, deg and deg/s; ``ticks``: Present Position.
+        position_mm, velocity_mm: Instead, where the joint slides.
         current_ma: Motor current, mA; ``load_percent``: what an XL430 has in its place.
         voltage: V; ``temperature``: C; ``torque``: on or off; ``errors``: latched hardware errors.
     """
@@ -39,6 +39,8 @@ class ServoState:
     temperature: int | None = None
     torque: bool | None = None
     errors: tuple[str, ...] = ()
+    position_mm: float | None = None
+    velocity_mm: float | None = None
 
     @property
     def answered(self) -> bool:
@@ -92,17 +94,17 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
         return values[name] * factor if name in values else None
 
     position = servo.to_radians(values["present_position"]) if "present_position" in values else None
-    speed = VELOCITY_UNIT / (servo.direction * servo.ratio)
+    speed = VELOCITY_UNIT / (servo.direction * servo.ratio) * servo.lever / servo.per_unit
+    place = None if position is None else position / servo.per_unit
     return ServoState(
         servo.name,
         servo.id,
-        None if position is None else math.degrees(position),
-        scaled("present_velocity", math.degrees(speed)),
-        values.get("present_position"),
-        scaled("present_current", unit),
-        scaled("present_load", 0.1),
-        scaled("present_input_voltage", 0.1),
-        values.get("present_temperature"),
-        bool(values["torque_enable"]) if "torque_enable" in values else None,
-        hardware_error_names(values.get("hardware_error_status", 0)),
+        ticks=values.get("present_position"),
+        current_ma=scaled("present_current", unit),
+        load_percent=scaled("present_load", 0.1),
+        voltage=scaled("present_input_voltage", 0.1),
+        temperature=values.get("present_temperature"),
+        torque=bool(values["torque_enable"]) if "torque_enable" in values else None,
+        errors=hardware_error_names(values.get("hardware_error_status", 0)),
+        **{f"position_{servo.unit}": place, f"velocity_{servo.unit}": scaled("present_velocity", speed)},
     )

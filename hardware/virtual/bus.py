@@ -86,7 +86,8 @@ class VirtualBus:
         Args:
             config: The arm.
             clock: Time of the servos.
-            start: (n,) joint angles at first, rad; default 0, or the limit next to it.
+            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Joints aside stand in
+                the middle of their ranges.
             faults: What is wrong from the start.
 
         Raises:
@@ -99,6 +100,7 @@ class VirtualBus:
                 f"start {q.tolist()} is no pose", file=config.file or config.name, allowed=f"{n} angles, rad"
             )
         q = np.clip(q, config.lower, config.upper)
+        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.aside])
         servos = [
             VirtualServo(
                 joint.model,

@@ -145,9 +145,9 @@ def _servo_id(entry: _Entry, config: ArmConfig, wrong: Any) -> int | None:
         try:
             return config.joint(entry.joint).id
         except UnknownJointError as error:
-            raise wrong(str(error), "joint", ", ".join(config.names)) from None
-    if entry.id is not None and entry.id not in config.ids:
-        raise wrong(f"no servo has the id {entry.id}", "id", ", ".join(map(str, config.ids)))
+            raise wrong(str(error), "joint", ", ".join(config.whole.names)) from None
+    if entry.id is not None and entry.id not in config.servo_ids:
+        raise wrong(f"no servo has the id {entry.id}", "id", ", ".join(map(str, config.servo_ids)))
     return entry.id
 
 

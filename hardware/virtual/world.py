@@ -1,7 +1,8 @@
 """The arm of a virtual bus as a MuJoCo model: one world, seen from the bus and by whoever looks at the model.
 
 The servos put torques on the joints, MuJoCo moves them, and what they read is where the joints are.  A load
-shows up as current, an arm without torque falls, one that is too weak sags and shuts down.
+shows up as current, an arm without torque falls, one that is too weak sags and shuts down.  Two servos of one
+joint share it: its shafts are rigidly coupled, and each gives half of what the joint needs.
 """
 
 from __future__ import annotations
@@ -14,9 +15,7 @@ import numpy as np
 
 from robot_ik.errors import UnknownJointError
 from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.control_table import RADIANS_PER_TICK, OperatingMode
-from robot_ik.hardware.virtual import drive
-from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.hardware.virtual.world_motor import Motor, Seat
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -26,11 +25,6 @@ STEP = 0.002
 """s of one step of the physics."""
 LONGEST = 30.0
 """s; of a longer silence only the last part is computed: the arm is at rest by then."""
-STIFFNESS = 60.0
-"""rad/s; natural frequency with which a servo pulls its joint to the profile.  There is no integral part (the
-manual's initial Position I Gain is 0): a load of a rad/s^2 leaves it 1 / STIFFNESS^2 off its goal."""
-DAMPING = 1.0
-"""Critical: no overshoot that the profile has not."""
 FRICTION_SHARE = 0.03
 """Of the stall torque; friction of the gear, where the model of the arm has none of its own."""
 ROTOR_ACCELERATION = 300.0
@@ -65,9 +59,13 @@ class World:
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
         if not contacts:
             options.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self._joints = [_Joint(self, joint, bus.servo(joint.id)) for joint in config.joints]
+        self._joints = [_Joint(self, joint, bus) for joint in config.whole.joints]
+        self._followers = _followers(self.model, {joint.dof for joint in self._joints})
         self._wanted = np.zeros(self.model.nv)
         self._force = np.zeros(self.model.nv)
+        for leader, follower, share in self._followers:
+            at, to = (self._place(dof) for dof in (leader, follower))
+            self.data.qpos[to] = self.model.qpos0[to] + share * (self.data.qpos[at] - self.model.qpos0[at])
         mujoco.mj_forward(self.model, self.data)
         for joint in self._joints:
             joint.attach()
@@ -89,8 +87,12 @@ class World:
         self._wanted[:] = 0.0
         for joint in self._joints:
             self._wanted[joint.dof] = joint.wanted(self._time)
+        for leader, follower, share in self._followers:
+            self._wanted[follower] = share * self._wanted[leader]
         # Torque for the accelerations that the controllers want; gravity is left for them to feel.
         mujoco.mj_mulM(model, data, self._force, self._wanted)
+        for leader, follower, share in self._followers:
+            self._force[leader] += share * self._force[follower]
         for joint in self._joints:
             data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof]) + joint.outside()
         mujoco.mj_step2(model, data)
@@ -98,122 +100,115 @@ class World:
             joint.hold()
         self._time += STEP
 
+    def _place(self, dof: int) -> int:
+        """Index in qpos of a hinge or slide."""
+        return int(self.model.jnt_qposadr[self.model.dof_jntid[dof]])
+
+
+def _followers(model: mujoco.MjModel, driven: set[int]) -> list[tuple[int, int, float]]:
+    """(leading dof, dof that an equality makes follow it, ratio): one servo moves both fingers."""
+    found = []
+    for k in range(model.neq):
+        if model.eq_type[k] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[k] or model.eq_obj2id[k] < 0:
+            continue
+        follower, leader = (int(model.jnt_dofadr[j[k]]) for j in (model.eq_obj1id, model.eq_obj2id))
+        if leader in driven and follower not in driven:
+            found.append((leader, follower, float(model.eq_data[k][1])))
+    return found
+
 
 class _Joint:
-    """One joint and its servo; the ``Body`` of that servo's shaft.
+    """One joint of the model, and the motors that turn it.
 
     Attributes:
-        position, velocity, torque: Encoder ticks, ticks/s and N m at the servo's shaft, as last seen.
         dof: Of the joint in the model.
     """
 
-    def __init__(self, world: World, joint: JointMap, servo: VirtualServo) -> None:
+    def __init__(self, world: World, joint: JointMap, bus: VirtualBus) -> None:
         model = world.model
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
         if number < 0:
             names = [model.joint(k).name for k in range(model.njnt)]
             raise UnknownJointError(joint.name, names)
         self.dof = int(model.jnt_dofadr[number])
-        self._at = int(model.jnt_qposadr[number])
-        self._world, self._map, self._servo = world, joint, servo
-        motor = servo.table.motor
-        # N m at the joint for one at the shaft, and ticks for a radian: both signed.
-        self._gear = joint.direction * joint.ratio
-        self._no_load = motor.no_load_speed
-        self._stall = motor.stall_torque
-        strength = motor.stall_torque * joint.ratio
+        self.at = int(model.jnt_qposadr[number])
+        self._world = world
+        first = bus.servo(joint.id)
+        start = joint.to_radians(first.shaft.encoder + first.zero_offset_ticks)
+        world.data.qpos[self.at] = start
+        seat = Seat(model, world.data, self.at, self.dof, self.look)
+        self.motors = [Motor(seat, row, bus.servo(row.id), start) for row in joint.servos]
+        strength = sum(motor.strength for motor in self.motors)
         if not model.dof_frictionloss[self.dof]:
             model.dof_frictionloss[self.dof] = FRICTION_SHARE * strength
         if not model.dof_armature[self.dof]:
-            model.dof_armature[self.dof] = strength * joint.ratio / ROTOR_ACCELERATION
-        self.position = servo.shaft.encoder
-        self.velocity = self.torque = 0.0
+            heft = sum(motor.strength * abs(motor.gear) for motor in self.motors)
+            model.dof_armature[self.dof] = heft / ROTOR_ACCELERATION
         self._held: float | None = None
-        world.data.qpos[self._at] = self._angle(self.position)
+        self._wishes: list[float | None] = []
 
     def attach(self) -> None:
-        """From here on the joint moves the shaft."""
-        self._servo.shaft.stop()
-        self._servo.shaft.body = self
+        """From here on the joint moves the shafts."""
+        for motor in self.motors:
+            motor.attach()
 
     def look(self) -> None:
-        """What the encoder says now."""
-        data = self._world.data
-        self.position = self._ticks(float(data.qpos[self._at]))
-        self.velocity = float(data.qvel[self.dof]) * self._map.ticks_per_radian
-
-    def turn_by(self, ticks: float) -> None:
-        """Somebody turns the joint by hand."""
-        self._world.data.qpos[self._at] = self._angle(self.position + ticks)
-        self._world.data.qvel[self.dof] = 0.0
-        mujoco.mj_forward(self._world.model, self._world.data)
-        self.look()
+        """What the encoders say now."""
+        for motor in self.motors:
+            motor.look()
 
     def wanted(self, t: float) -> float:
-        """Acceleration that the position or velocity controller wants, rad/s^2 at the joint."""
-        servo, data = self._servo, self._world.data
-        servo.controller.watch(t)
-        shaft = servo.shaft
-        if not shaft.powered or servo.memory.get("operating_mode") in drive.TORQUE_MODES:
-            return 0.0
-        position, velocity = shaft.motion.at(t)
-        q, dq = float(data.qpos[self._at]), float(data.qvel[self.dof])
-        error = self._angle(position) - q
-        if servo.memory.get("operating_mode") == OperatingMode.VELOCITY:
-            error = max(-0.1, min(0.1, error))  # it minds its speed, not how far it has fallen behind
-        rate = velocity / self._map.ticks_per_radian - dq
-        return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
+        """Acceleration that the controllers want, rad/s^2 (m/s^2): of two the mean."""
+        self._wishes = [motor.wanted(t) for motor in self.motors]
+        wishes = [wish for wish in self._wishes if wish is not None]
+        return sum(wishes) / len(wishes) if wishes else 0.0
 
-    def push(self, wish: float) -> float:
-        """Torque at the joint, N m: ``wish`` within what the motor can do and is allowed to."""
-        servo = self._servo
-        shaft = servo.shaft
+    def push(self, force: float) -> float:
+        """N m (N) at the joint of all motors together: ``force`` within what each can do and is allowed to.
+
+        Two that want different things pull against each other, as hard as they differ.
+        """
         self._hold_if_told()
-        if not shaft.powered or shaft.stuck_at is not None:
-            self.torque = 0.0
-            return 0.0
-        volts = shaft.volts
-        stall = self._stall * volts / servo.table.motor.volts
-        # The faster it turns, the less torque the voltage that is left can give.
-        lost = stall * self._speed() / (self._no_load * volts / servo.table.motor.volts)
-        limit = drive.torque_limit(servo.memory, volts)
-        mode = servo.memory.get("operating_mode")
-        torque = wish / self._gear
-        if mode in drive.TORQUE_MODES:
-            torque = shaft.sign * drive.effort(servo.memory, volts)
-            torque -= lost if mode == OperatingMode.PWM else 0.0
-            limit = stall
-        torque = max(-limit, min(limit, torque))
-        self.torque = max(min(-stall - lost, 0.0), min(max(stall - lost, 0.0), torque))
-        return self.torque * self._gear
+        wishes = [wish for wish in self._wishes if wish is not None]
+        mean = sum(wishes) / len(wishes) if wishes else 0.0
+        inertia = self._inertia() if len(wishes) > 1 else 0.0
+        total = 0.0
+        for motor, wish in zip(self.motors, self._wishes, strict=True):
+            share = 0.0 if wish is None else (force + inertia * (wish - mean)) / len(wishes)
+            total += motor.push(share)
+        return total
 
     def outside(self) -> float:
-        """Torque at the joint that the fault ``push`` puts there, N m: the motor has to hold against it."""
-        return -self._servo.shaft.load.push * self._gear
+        """N m (N) at the joint that the fault ``push`` puts there: the motors have to hold against it."""
+        return sum(motor.outside() for motor in self.motors)
 
     def hold(self) -> None:
-        """A joint that something holds stays where it is."""
+        """A joint that something holds stays where it is; one that meets a stop goes no further."""
+        data = self._world.data
+        q = float(data.qpos[self.at])
         if self._held is not None:
-            self._world.data.qpos[self._at] = self._held
-            self._world.data.qvel[self.dof] = 0.0
+            q = self._held
+        else:
+            for motor in self.motors:
+                low, high = motor.stops
+                q = min(max(q, low), high)
+        if q != data.qpos[self.at]:
+            data.qpos[self.at] = q
+            data.qvel[self.dof] = 0.0
+
+    def _inertia(self) -> float:
+        model, data = self._world.model, self._world.data
+        unit, column = np.zeros(model.nv), np.zeros(model.nv)
+        unit[self.dof] = 1.0
+        mujoco.mj_mulM(model, data, column, unit)
+        return float(column[self.dof])
 
     def _hold_if_told(self) -> None:
-        shaft = self._servo.shaft
-        held = shaft.stuck_at is not None or shaft.stops[0] == shaft.stops[1]
+        held = any(motor.stuck for motor in self.motors)
         if held and self._held is None:
-            self._held = float(self._world.data.qpos[self._at])
+            self._held = float(self._world.data.qpos[self.at])
         elif not held:
             self._held = None
-
-    def _speed(self) -> float:
-        """rad/s of the shaft."""
-        return float(self._world.data.qvel[self.dof]) * self._map.ticks_per_radian * RADIANS_PER_TICK
-
-    def _angle(self, ticks: float) -> float:
-        return self._map.to_radians(ticks + self._servo.zero_offset_ticks)
-
-    def _ticks(self, angle: float) -> float:
-        return self._map.zero_ticks + self._map.ticks_per_radian * angle - self._servo.zero_offset_ticks
 
 
 def joint_torques(world: World) -> Array:

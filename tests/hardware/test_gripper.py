@@ -1,0 +1,211 @@
+"""A gripper's servo beside those of the arm: slides in millimetres, held, moved by name, pressing softly."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import robot_ik as rik
+from robot_ik.errors import ConfigError, UnsafeCommandError
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.telemetry import read_states
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.things import Thing, model_with
+from robot_ik.hardware.virtual.world import World
+from robot_ik.ports import VirtualClock
+
+ID = 7
+TICKS_PER_MM = 4096 / (2 * math.pi * 8.0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> rik.Robot:
+    return rik.load_robot("tabletop_puma")
+
+
+@pytest.fixture(scope="module")
+def desk(robot: rik.Robot) -> ArmConfig:
+    return ArmConfig.load(robot.arm_file)
+
+
+@pytest.fixture
+def desk_arm(desk: ArmConfig, robot: rik.Robot) -> Iterator[Arm]:
+    with open_arm(desk, "sim", start=robot.home) as arm:
+        arm.enable()
+        yield arm
+
+
+def thing(arm: Arm, opening: float) -> None:
+    """Something between the fingers at which the pinion stops."""
+    finger = arm.config.joint("finger_left")
+    arm.virtual_bus.servo(ID).shaft.stops = (finger.to_ticks(opening), math.inf)
+
+
+def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(desk: ArmConfig, robot: rik.Robot) -> None:
+    finger = desk.joint("finger_left")
+    assert desk.names == robot.joints and len(desk.servos) == 7 and desk.aside == (finger,)
+    assert desk.whole.names == (*robot.joints, "finger_left") and desk.group("gripper") == (finger,)
+    assert finger.to_ticks(0.009) - finger.to_ticks(0.004) == pytest.approx(5 * TICKS_PER_MM, abs=1)
+    assert finger.to_radians(2048) == pytest.approx(0.009, abs=finger.resolution)
+    assert finger.limits == (0.0, pytest.approx(0.018)) and finger.text(0.0045) == "4.5 mm"
+    # The fingers' range in the model, and one lead of the gear by MuJoCo: pinion angle times radius.
+    full = rik.load_robot("tabletop_puma", joints=desk.whole.names)
+    assert (full.lower[6], full.upper[6]) == pytest.approx(finger.limits)
+    again = ArmConfig.parse(desk.to_toml())
+    assert again.aside == desk.aside and again.joints == desk.joints
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "said"),
+    [
+        ("pinion_mm = 8.0", "pinion_mm = -8.0", "joints[6].pinion_mm", "> 0"),
+        ("pinion_mm = 8.0\n", "", "joints[6].pinion_mm", "missing"),
+        ("lower_mm = 0.0", "lower_deg = 0.0", "joints[6].lower_deg", "lower_mm"),
+        ("lower_mm = 0.0", "lower_mm = 19.0", "joints[6].lower_mm", "19 to 18 mm"),
+        ("upper_mm = 18.0", "upper_mm = 18.0\nlowr = 1", "joints[6].lowr", "unknown key"),
+        ("current_ma = 450.0", "current_ma = 4500.0", "joints[6].current_ma", "1750"),
+        ("id = 7", "id = 6", "joints[6].id", "already joints[5]"),
+        ('name = "joint1"', 'group = "x"\nname = "joint1"', "joints[0].group", "come first"),
+    ],
+)
+def test_what_is_wrong_of_a_slide_is_said_with_its_key(
+    robot: rik.Robot, old: str, new: str, key: str, said: str
+) -> None:
+    text = robot.arm_file.read_text()
+    assert old in text
+    with pytest.raises(ConfigError) as caught:
+        ArmConfig.parse(text.replace(old, new))
+    assert caught.value.key == key and said in str(caught.value)
+
+
+def test_moves_of_the_arm_leave_the_gripper_where_it_is(desk_arm: Arm, robot: rik.Robot) -> None:
+    servo = desk_arm.virtual_bus.servo(ID)
+    before = servo.memory.get("goal_position")
+    here = desk_arm.read().q
+    assert here.shape == (6,) and desk_arm.joints == robot.joints and servo.torque
+    rik.execute(rik.joint_move(robot, here, here + 0.2, speed=0.5), [desk_arm], source=desk_arm, settle=0.2)
+    assert servo.memory.get("goal_position") == before
+    assert desk_arm.positions()["finger_left"] == pytest.approx(0.009, abs=2e-5)
+    with pytest.raises(UnsafeCommandError, match="6 angles, one for each of joint1"):
+        desk_arm.send(np.zeros(7), desk_arm.clock.now())
+
+
+def test_by_name_it_moves_within_its_limits_and_caps(desk_arm: Arm) -> None:
+    desk_arm.park({"finger_left": 0.018, "joint6": 0.2})
+    assert desk_arm.positions()["finger_left"] == pytest.approx(0.018, abs=3e-5)
+    begin, goals = desk_arm.clock.now(), []
+    for k in range(1, 61):
+        desk_arm.clock.sleep_until(begin + 0.01 * k)
+        desk_arm.send({"finger_left": -1.0}, desk_arm.clock.now())
+        goals.append(desk_arm.virtual_bus.servo(ID).memory.get("goal_position"))
+    assert desk_arm.reports.clipped == {"finger_left": 60}
+    assert np.abs(np.diff(goals)).max() <= 0.050 * 0.01 * 1e3 * TICKS_PER_MM + 1  # 50 mm/s
+    assert goals[-1] == desk_arm.config.joint("finger_left").to_ticks(0.0)
+
+
+def test_a_grip_stops_at_what_is_there_and_presses_as_hard_as_told(desk_arm: Arm, robot: rik.Robot) -> None:
+    (empty,) = desk_arm.grip(0.0)
+    assert not empty.held and empty.q == pytest.approx(0.0, abs=1e-4)
+    (opened,) = desk_arm.grip({"finger_left": 0.018})
+    assert not opened.held
+    thing(desk_arm, 0.010)
+    begin = desk_arm.clock.now()
+    (grip,) = desk_arm.grip(0.0, current=200.0)
+    assert grip.held and grip.q == pytest.approx(0.010, abs=1e-4)
+    assert grip.current == pytest.approx(200.0, abs=2.0)
+    assert desk_arm.clock.now() - begin < 1.0  # not the 2 s of patience
+    # It presses on while the arm moves, is held, and comes back from a pause in which the watchdog tripped.
+    here = desk_arm.read().q
+    rik.execute(rik.joint_move(robot, here, here + 0.1, speed=0.5), [desk_arm], source=desk_arm)
+    desk_arm.clock.sleep_until(desk_arm.clock.now() + 1.0)
+    assert desk_arm.virtual_bus.servo(ID).torque and desk_arm.virtual_bus.servo(ID).tripped
+    desk_arm.hold()
+    (state,) = [s for s in read_states(desk_arm.bus, desk_arm.config.servos) if s.id == ID]
+    assert state.current_ma == pytest.approx(-200.0, abs=2.0)
+    assert state.position_deg is None and state.position_mm == pytest.approx(10.0, abs=0.1)
+    with pytest.raises(UnsafeCommandError, match=r"30.0 mm.*0.0 mm to 18.0 mm"):
+        desk_arm.grip(0.030)
+
+
+def test_it_is_part_of_torque_off_and_of_faults(desk: ArmConfig) -> None:
+    with open_arm(desk, "sim") as arm:
+        arm.enable()
+        arm.virtual_bus.servo(ID).inject_error("overload")
+        with pytest.raises(rik.errors.MotorFaultError) as caught:
+            arm.read(), arm.clock.sleep_until(1.0), arm.read()
+        assert caught.value.joint == "finger_left"
+    assert arm.exit_report.verified == (*desk.names, "finger_left")
+    assert not any(servo.torque for servo in arm.virtual_bus.servos)
+
+
+def test_all_joints_in_q_where_that_is_wanted(desk: ArmConfig) -> None:
+    with open_arm(desk.whole, "sim", start=[0.0] * 6 + [0.004]) as arm:
+        arm.enable()
+        assert arm.read().q[6] == pytest.approx(0.004, abs=1e-5)
+        arm.park([*arm.read().q[:6], 0.012])
+        assert arm.read().q[6] == pytest.approx(0.012, abs=3e-5)
+        assert arm.virtual_bus.true_angles(desk.whole)[6] == pytest.approx(0.012, abs=3e-5)
+    with open_arm(dataclasses.replace(desk, aside=()), "sim") as arm:
+        arm.enable()
+        with pytest.raises(UnsafeCommandError, match="an arm file with joints of the group gripper"):
+            arm.grip(0.0)
+
+
+# ---------------------------------------------------------------------------- in a MuJoCo world
+
+BLOCK = 0.012
+
+
+@pytest.fixture
+def world_of(desk: ArmConfig, robot: rik.Robot) -> Callable[..., tuple[World, VirtualBus]]:
+    def make(block: bool) -> tuple[World, VirtualBus]:
+        place = tuple(robot.forward(robot.home).position)
+        things = [Thing("block", place, (BLOCK,) * 3, 0.05)] if block else []
+        model = model_with(robot.path, things)
+        bus = VirtualBus.from_config(desk, VirtualClock(), robot.home)
+        return World(model, desk, bus, contacts=block), bus
+
+    return make
+
+
+def test_both_fingers_of_the_world_follow_one_servo(world_of, desk: ArmConfig) -> None:
+    world, bus = world_of(False)
+    with open_arm(desk, "sim", virtual_bus=bus) as arm:
+        arm.enable()
+        (grip,) = arm.grip(0.016)
+        assert not grip.held
+        left, right = (world.data.joint(name).qpos[0] for name in ("finger_left", "finger_right"))
+        assert left == pytest.approx(0.016, abs=2e-4) and right == pytest.approx(left, abs=2e-4)
+
+
+def test_a_block_is_taken_lifted_and_let_go(world_of, desk: ArmConfig, robot: rik.Robot) -> None:
+    """Nothing here says that it is held but MuJoCo's contacts."""
+    world, bus = world_of(True)
+    world.model.opt.gravity[:] = 0.0  # until it is held
+    block = world.data.body("block")
+    with open_arm(desk, "sim", virtual_bus=bus) as arm:
+        arm.enable()
+        arm.grip(0.016)
+        (grip,) = arm.grip(0.0)
+        assert grip.held and 2.0 * grip.q == pytest.approx(BLOCK, abs=0.0003)
+        assert grip.current == pytest.approx(450.0, abs=5.0)
+        world.model.opt.gravity[2] = -9.81
+        here = arm.read().q
+        up = rik.solve(
+            robot,
+            rik.PoseGoal("gripper", (block.xpos[0], block.xpos[1], block.xpos[2] + 0.03), [0, 1, 0, 0]),
+            start=here,
+        )
+        rik.execute(rik.joint_move(robot, here, up.require().q, speed=0.4), [arm], source=arm, settle=0.2)
+        hand = robot.forward(arm.read().q).position
+        assert block.xpos == pytest.approx(hand, abs=0.004)
+        arm.grip(0.016)
+        arm.clock.sleep_until(arm.clock.now() + 0.1)
+        bus.advance()
+        assert block.xpos[2] < hand[2] - 0.02
