@@ -17,9 +17,9 @@ Image = NDArray[np.uint8]
 
 #: Names of the nine parts of a picture, by row and column.
 PARTS = (
-    ("upper left", "top", "upper right"),
+    ("upper left", "upper middle", "upper right"),
     ("left", "middle", "right"),
-    ("lower left", "bottom", "lower right"),
+    ("lower left", "lower middle", "lower right"),
 )
 # A part counts as shown by a view that has this many corners in it, and is covered by so many views.
 _CORNERS, _VIEWS = 2, 2
