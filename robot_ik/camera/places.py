@@ -223,6 +223,11 @@ def _numbers(values: Any) -> str:
     return "[" + ", ".join(repr(float(v)) for v in values) + "]"
 
 
+def _words(text: str) -> str:
+    """A TOML string: JSON's, which leaves one control character as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _text(place: CameraPlace) -> str:
     pose, covariance = place.pose_parent_camera, place.covariance
     rows = "".join(f"  {_numbers(row)},\n" for row in covariance)
@@ -230,7 +235,7 @@ def _text(place: CameraPlace) -> str:
         "# Where a camera is.  Lengths in m, angles in rad, quaternions w x y z; camera axes are OpenCV's:\n"
         "# x right, y down, z forward.\n"
         f"schema = {_SCHEMA}\n"
-        f"parent = {json.dumps(place.parent, ensure_ascii=False)}\n"
+        f"parent = {_words(place.parent)}\n"
         f"position = {_numbers(pose.position)}\n"
         f"wxyz = {_numbers(pose.wxyz)}\n"
         "# translation over rotation, along the parent's axes, rotation about the camera's origin\n"
@@ -239,10 +244,10 @@ def _text(place: CameraPlace) -> str:
         f"sigma_angle = {place.sigma_angle!r}\n"
         f"residual_px = {float(place.residual_px)!r}\n"
         f"residual_mm = {float(place.residual_mm)!r}\n"
-        f"method = {json.dumps(place.method, ensure_ascii=False)}\n"
+        f"method = {_words(place.method)}\n"
         f"views = {int(place.views)}\n"
-        f"date = {json.dumps(place.date)}\n"
-        f"intrinsics = {json.dumps(place.intrinsics_hash)}\n"
+        f"date = {_words(place.date)}\n"
+        f"intrinsics = {_words(place.intrinsics_hash)}\n"
     )
 
 

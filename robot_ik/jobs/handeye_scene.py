@@ -25,7 +25,7 @@ from robot_ik.jobs.views import ViewTask
 # What is planned with is wrong by this much on purpose: nobody knows his camera's place before.
 _WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
 # The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
-_BESIDE, _BEHIND, _INWARDS = 0.07, 0.10, 0.15
+_BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
 # The simulated board on the table: columns, rows, first id, and parts of the stage's marker.
 _GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.

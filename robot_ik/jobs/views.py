@@ -36,7 +36,9 @@ _LEAST_FACING, _LEAST_SIDE = 0.40, 28.0
 # Wanted tilts and off-centre places, for which joint angles are sought.
 _LARGEST_TILT = np.deg2rad(50.0)
 # Random starts in all, and candidates wanted for each view that is chosen.
-_TRIES, _POOL = 4000, 5
+_TRIES, _POOL = 3000, 5
+# Where not one of so many shows anything, none will.
+_HOPELESS = 600
 # How far from home the search goes: shares of the way to a random configuration.
 _SHARES = (0.1, 0.7)
 # What pixels and arm are taken to be good for while views are chosen: px, metres, rad.
@@ -138,7 +140,9 @@ def _candidates(
     problem = Problem(robot, aim, tolerance=_NEAR, budget=_TRY, seed=seed)
     solver = make_solver("lm")
     found: list[tuple[Array, Array]] = []
-    for _ in range(_TRIES):
+    for attempt in range(_TRIES):
+        if attempt == _HOPELESS and not found:
+            break
         near = robot.clip(start + rng.uniform(*_SHARES) * (robot.sample(rng) - start))
         hand = _wanted_hand(robot, task, near, rng)
         if hand is None:
