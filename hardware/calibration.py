@@ -6,35 +6,25 @@ Ranges come first because only a whole sweep shows whether a joint crosses the e
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
+from robot_ik.hardware.calibration_sweep import Sweep, check_shadows
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
 from robot_ik.hardware.registers import read_all
 
-LEAST_SWEEP = math.radians(10.0)
-"""rad at the joint; a joint that turned by less was forgotten."""
-
-LEAST_WIGGLE = math.radians(3.0)
-"""rad at the joint; less may be a hand that touched it by chance."""
-
 LEAST_OVERLAP = 0.5
 """Share of a swept range that must lie within the model's: a zero that is half a turn off has less."""
-
-STILL_TICKS = 12
-"""About 1 degree: a held joint moves by less while its zero is taken."""
 
 OUTSIDE_TICKS = 60
 """About 5 degrees beyond the swept range: backlash and a soft stop, not a lost turn."""
 
 _IN_ARM_FILE = ("id", "model", "direction", "zero_ticks")
 _SAME_LIMIT = 1e-6  # rad; the file keeps a millionth of a degree
-_HALF = TICKS_PER_TURN // 2
 
 
 class CalibrationMismatchError(HardwareError):
@@ -54,97 +44,19 @@ class CalibrationMismatchError(HardwareError):
         super().__init__(f"{what}\n" + "\n".join(line.rstrip() for line in lines), hint=hint)
 
 
-class Sweep:
-    """Smallest and largest position of every joint's servo, whole turns counted here.
-
-    Args:
-        config: The arm.
-        ticks: Servo id -> Present Position at the beginning.
-    """
-
-    def __init__(self, config: ArmConfig, ticks: Mapping[int, int]) -> None:
-        # A limp servo in position mode may count on beyond its turn; with torque it counts within it.
-        turn = {j.id: TICKS_PER_TURN for j in config.joints if j.mode == OperatingMode.POSITION}
-        self._raw = {id: ticks[id] for id in config.ids}
-        self.now = {id: value % turn[id] if id in turn else value for id, value in self._raw.items()}
-        self.low, self.high = dict(self.now), dict(self.now)
-
-    def take(self, ticks: Mapping[int, int | None]) -> None:
-        """The next reading; a step of more than half a turn is the servo starting its turn anew."""
-        for id, before in self._raw.items():
-            value = ticks.get(id)
-            if value is None:
-                continue
-            step = value - before
-            if abs(step) > _HALF:
-                step -= round(step / TICKS_PER_TURN) * TICKS_PER_TURN
-            self._raw[id] = value
-            self.now[id] += step
-            self.low[id] = min(self.low[id], self.now[id])
-            self.high[id] = max(self.high[id], self.now[id])
-
-
-def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
-    """Raises ``HardwareError`` where a joint was not swept, or crosses the end of its servo's turn."""
-    for joint in config.joints:
-        low, high = sweep.low[joint.id], sweep.high[joint.id]
-        way = (high - low) * joint.resolution
-        if way < LEAST_SWEEP:
-            raise HardwareError(
-                f"joint {joint.name!r} turned by {math.degrees(way):.1f} deg only",
-                hint="sweep every joint from one stop to the other",
-            )
-        if joint.mode == OperatingMode.POSITION and not 0 <= low <= high < TICKS_PER_TURN:
-            raise HardwareError(
-                f"joint {joint.name!r} crosses the end of its servo's turn: it swept ticks {low} to {high}, "
-                f"and a servo in position mode counts 0 to {TICKS_PER_TURN - 1}",
-                hint='mount its horn about half a turn on, or set mode = "extended_position" in the arm file',
-            )
-
-
-def wiggled(config: ArmConfig, joint: JointMap, before: Mapping[int, int], after: Mapping[int, int]) -> int:
-    """Which way a servo counts when its joint is turned in the positive direction.
-
-    Args:
-        config: The arm.
-        joint: The one that was to be turned.
-        before: Servo id -> ticks.
-        after: The same now.
-
-    Returns:
-        +1 or -1.
-
-    Raises:
-        HardwareError: Nothing turned, or another joint did.
-    """
-    moves = {j.name: (after[j.id] - before[j.id]) * j.resolution for j in config.joints}
-    most = max(moves, key=lambda name: abs(moves[name]))
-    if abs(moves[most]) < LEAST_WIGGLE:
-        raise HardwareError(
-            f"joint {joint.name!r} did not turn (most: {most} by {math.degrees(abs(moves[most])):.1f} deg)",
-            hint="turn it by about 10 degrees and leave it there",
-        )
-    if abs(moves[joint.name]) < LEAST_WIGGLE or abs(moves[most]) > 2.0 * abs(moves[joint.name]):
-        raise HardwareError(
-            f"{joint.name!r} was to be turned, and {most!r} did (by {math.degrees(moves[most]):.1f} deg)",
-            hint="are two ids swapped? compare cables and arm file; robot-ik servo setup changes an id",
-        )
-    return 1 if moves[joint.name] > 0 else -1
-
-
 @dataclass(frozen=True)
 class Measured:
     """What the hand has shown.
 
     Attributes:
-        sweep: Ranges; ``zero``: servo id -> ticks at ``pose``; ``pose``: joint -> rad; ``directions``: joint
-            -> +1 or -1; ``limits``: joint -> limits of the model, rad.
+        sweep: Ranges; ``zero``: servo id -> ticks at ``pose``; ``pose``: joint -> rad (m of a slide);
+            ``directions``: servo id -> +1 or -1; ``limits``: joint -> limits of the model, rad (m).
     """
 
     sweep: Sweep
     zero: Mapping[int, int]
     pose: Mapping[str, float]
-    directions: Mapping[str, int]
+    directions: Mapping[int, int]
     limits: Mapping[str, tuple[float, float]]
 
 
@@ -155,13 +67,19 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
         CalibrationMismatchError: Ranges that are mostly outside the arm file's and the model's limits.
     """
     joints, rows = [], []
+    second = {row.name: row for row in found.twins}
     for joint, row in zip(config.joints, found.joints, strict=True):
         made = replace(joint, direction=row.direction, zero_ticks=row.zero_ticks)
+        if joint.twin is not None and not joint.twin.shadow:
+            other = second[joint.name]
+            twin = replace(joint.twin, direction=other.direction, zero_ticks=other.zero_ticks)
+            made = replace(made, twin=twin)
         low, high = sorted(made.to_radians(t) for t in (row.range_min, row.range_max))
-        most = max(joint.lower, math.radians(row.urdf_lower)), min(joint.upper, math.radians(row.urdf_upper))
+        limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]
+        most = max(joint.lower, limits[0]), min(joint.upper, limits[1])
         lower, upper = max(low, most[0]), min(high, most[1])
         if upper - lower < LEAST_OVERLAP * min(high - low, most[1] - most[0]):
-            rows.append((joint.name, "range, deg", _range(*most), _range(low, high)))
+            rows.append((joint.name, f"range, {joint.unit}", _range(joint, *most), _range(joint, low, high)))
         joints.append(replace(made, lower=lower, upper=upper))
     if rows:
         raise CalibrationMismatchError(
@@ -172,8 +90,8 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
     return replace(config, joints=tuple(joints), file=None)
 
 
-def _range(low: float, high: float) -> str:
-    return f"{math.degrees(low):.1f} .. {math.degrees(high):.1f}"
+def _range(joint: JointMap, low: float, high: float) -> str:
+    return f"{low / joint.per_unit:.1f} .. {high / joint.per_unit:.1f}"
 
 
 def measured_calibration(
@@ -186,30 +104,33 @@ def measured_calibration(
     """
     names = ("firmware_version", "drive_mode", "homing_offset")
     registers = {name: read_all(bus, config, name) for name in names}
+    check_shadows(config, measured.directions, measured.zero)
     rows = []
-    for joint in config.joints:
-        direction = measured.directions[joint.name]
-        turned = replace(joint, direction=direction)
-        zero = measured.zero[joint.id] - round(turned.ticks_per_radian * measured.pose[joint.name])
-        lower, upper = (math.degrees(q) for q in measured.limits[joint.name])
+    for servo in config.servos:
+        leader = servo.id if servo.shadow_of is None else servo.shadow_of  # whose goals it takes
+        direction = measured.directions[leader]
+        turned = replace(servo, direction=direction)
+        zero = measured.zero[leader] - round(turned.ticks_per_radian * measured.pose[servo.name])
+        lower, upper = (q / servo.per_unit for q in measured.limits[servo.name])
         rows.append(
             JointCalibration(
-                joint.name,
-                joint.id,
-                joint.model,
-                registers["firmware_version"][joint.id],
-                registers["drive_mode"][joint.id],
-                registers["homing_offset"][joint.id],
-                measured.sweep.low[joint.id],
-                measured.sweep.high[joint.id],
+                servo.name,
+                servo.id,
+                servo.model,
+                registers["firmware_version"][servo.id],
+                registers["drive_mode"][servo.id],
+                registers["homing_offset"][servo.id],
+                measured.sweep.low[servo.id],
+                measured.sweep.high[servo.id],
                 direction,
                 zero,
                 round(lower, 6),
                 round(upper, 6),
-                present[joint.id],
+                present[servo.id],
             )
         )
-    return Calibration(config.name, config.robot, created, config.baud, tuple(rows))
+    n = len(config.joints)
+    return Calibration(config.name, config.robot, created, config.baud, tuple(rows[:n]), tuple(rows[n:]))
 
 
 def check_calibration(
@@ -228,17 +149,17 @@ def check_calibration(
         ConfigError: The calibration is of another arm.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
-    if (others := tuple(joint.name for joint in found.joints)) != config.names:
+    if (others := _servos(found.rows)) != _servos(config.servos):
         raise ConfigError(
             f"it is a calibration of {', '.join(others)}",
             file=found.file or found.arm,
             key="joints",
-            allowed=", ".join(config.names),
+            allowed=", ".join(_servos(config.servos)),
         )
     names = ("drive_mode", "homing_offset", "present_position")
     servo = {name: read_all(bus, config, name) for name in names}
     rows: list[tuple[str, str, str, str]] = []
-    for joint, row in zip(config.joints, found.joints, strict=True):
+    for joint, row in zip(config.servos, found.rows, strict=True):
         said = {name: values[joint.id] for name, values in servo.items()}
         rows += _differences(joint, row, said, limits.get(joint.name))
     if rows:
@@ -248,6 +169,11 @@ def check_calibration(
             "calibrate again; or bring servos, arm file and model back to what they were "
             "(a present position that is whole turns off: turn the joint by hand)",
         )
+
+
+def _servos(rows: Sequence[JointCalibration | JointMap]) -> list[str]:
+    """The joint of each servo, as often as servos turn it."""
+    return [row.name for row in rows]
 
 
 def _differences(
@@ -262,7 +188,8 @@ def _differences(
         present %= TICKS_PER_TURN
     if not row.range_min - OUTSIDE_TICKS <= present <= row.range_max + OUTSIDE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
-    then = (math.radians(row.urdf_lower), math.radians(row.urdf_upper))
+    then = (joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper)
     if limits is not None and max(abs(a - b) for a, b in zip(then, limits, strict=True)) > _SAME_LIMIT:
-        rows.append((joint.name, "limits of the model, deg", _range(*then), _range(*limits)))
+        what = f"limits of the model, {joint.unit}"
+        rows.append((joint.name, what, _range(joint, *then), _range(joint, *limits)))
     return rows

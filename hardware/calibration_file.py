@@ -23,13 +23,13 @@ SUFFIX = ".calibration.toml"
 
 @dataclass(frozen=True)
 class JointCalibration:
-    """One joint and its servo, as measured.
+    """One joint and a servo of it, as measured.
 
     Attributes:
         name, id, model, firmware: Which; ``drive_mode``, ``homing_offset``: registers 10 and 20.
         range_min, range_max: Present Position at the ends of the sweep, ticks.
         direction: +1 or -1; ``zero_ticks``: Present Position at q = 0.
-        urdf_lower, urdf_upper: Limits of the model then, deg.
+        urdf_lower, urdf_upper: Limits of the model then, deg (mm of a slide).
         present_at_save: Present Position at the end, ticks.
     """
 
@@ -55,6 +55,7 @@ class Calibration:
     Attributes:
         arm: Name in the arm file; ``robot``: model; ``created``: ISO 8601; ``baud``: bits/s.
         joints: In the order of the arm file.
+        twins: The second servos, of joints that two of them turn.
         file: Where it was read from, for messages.
     """
 
@@ -63,7 +64,13 @@ class Calibration:
     created: str
     baud: int
     joints: tuple[JointCalibration, ...]
+    twins: tuple[JointCalibration, ...] = ()
     file: Path | None = None
+
+    @property
+    def rows(self) -> tuple[JointCalibration, ...]:
+        """Every servo, in the order of ``ArmConfig.servos``."""
+        return self.joints + self.twins
 
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all.
@@ -74,8 +81,9 @@ class Calibration:
         lines = [f"schema = {SCHEMA}"]
         lines += [f"{k} = {json.dumps(getattr(self, k))}" for k in ("arm", "robot", "created")]
         lines += ["", "[bus]", f"baud = {self.baud}"]
-        for joint in self.joints:
-            lines += ["", "[[joints]]", *(f"{k} = {json.dumps(v)}" for k, v in asdict(joint).items())]
+        for table, rows in (("joints", self.joints), ("twins", self.twins)):
+            for row in rows:
+                lines += ["", f"[[{table}]]", *(f"{k} = {json.dumps(v)}" for k, v in asdict(row).items())]
         write_atomically(path, "\n".join(lines) + "\n")
 
     @classmethod
@@ -97,11 +105,14 @@ class Calibration:
             detail = min(details, key=lambda d: d["type"] != "extra_forbidden")
             key = ".".join(map(str, detail["loc"]))
             raise ConfigError(detail["msg"].lower(), file=path, key=key) from None
-        joints = tuple(JointCalibration(**joint.model_dump()) for joint in found.joints)
-        for joint in joints:
+        joints, twins = (
+            tuple(JointCalibration(**row.model_dump()) for row in rows)
+            for rows in (found.joints, found.twins)
+        )
+        for joint in joints + twins:
             if joint.range_min >= joint.range_max:
                 raise ConfigError(f"the range of {joint.name!r} is empty", file=path, key="range_min")
-        return cls(found.arm, found.robot, found.created, found.bus.baud, joints, path)
+        return cls(found.arm, found.robot, found.created, found.bus.baud, joints, twins, path)
 
 
 def calibration_beside(arm_file: Path) -> Path:
@@ -144,6 +155,7 @@ class _File(_Table):
     created: str
     bus: _Bus
     joints: Annotated[list[_Joint], Field(min_length=1)]
+    twins: list[_Joint] = []
 
 
 def as_plain(calibration: Calibration) -> dict[str, Any]:

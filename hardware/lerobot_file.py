@@ -8,6 +8,7 @@ LeRobot's zero degrees are the middle of the range.  (huggingface/lerobot, ``mot
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,11 @@ def save_lerobot(path: Path, calibration: Calibration) -> None:
     """Writes a calibration as LeRobot reads it.
 
     Raises:
-        ConfigError: A range beyond one turn: LeRobot writes it into registers that take 0 to 4095.
+        ConfigError: A range beyond one turn: LeRobot writes it into registers that take 0 to 4095.  Or two
+            servos turn a joint.
         OutputError: The file cannot be written.
     """
+    _require_no_twins([row.name for row in calibration.twins], calibration.file or path)
     for joint in calibration.joints:
         if not 0 <= joint.range_min < joint.range_max < TICKS_PER_TURN:
             raise ConfigError(
@@ -40,6 +43,16 @@ def save_lerobot(path: Path, calibration: Calibration) -> None:
     write_atomically(path, json.dumps(content, indent=4) + "\n")
 
 
+def _require_no_twins(names: Sequence[str], file: Path) -> None:
+    if names:
+        raise ConfigError(
+            f"two servos turn {', '.join(names)}: LeRobot's file has one for each joint",
+            file=file,
+            key=names[0],
+            hint="calibrate by hand: robot-ik servo calibrate",
+        )
+
+
 def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
     """A calibration out of LeRobot's file, for the joints of an arm file.
 
@@ -49,6 +62,7 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
     Raises:
         ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
     """
+    _require_no_twins([joint.name for joint in config.joints if joint.twin is not None], path)
     rows = _rows(path)
     by_id = {row["id"]: row for row in rows.values()}
     joints = []
@@ -70,7 +84,7 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
                 **row,
             )
         )
-    return Calibration(config.name, config.robot, created, config.baud, tuple(joints), path)
+    return Calibration(config.name, config.robot, created, config.baud, tuple(joints), file=path)
 
 
 def _rows(path: Path) -> dict[str, dict[str, int]]:
@@ -113,7 +127,7 @@ def completed(
         calibration: Of ``load_lerobot``.
         firmware: Servo id -> version.
         present: Servo id -> Present Position, ticks.
-        limits: Joint -> limits of the model, deg.
+        limits: Joint -> limits of the model, deg (mm of a slide).
     """
     joints = (
         replace(

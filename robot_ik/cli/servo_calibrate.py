@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,12 +16,12 @@ from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_link import BusOptions, arm_on, tried, wrong
 from robot_ik.cli.servo_move import parse_angles
 from robot_ik.cli.servo_prompt import Prompts
-from robot_ik.errors import ArmStateError, ConfigError, HardwareError, RobotIkError
+from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
-    from robot_ik.hardware.calibration import Sweep
     from robot_ik.hardware.calibration_file import Calibration
+    from robot_ik.hardware.calibration_sweep import Sweep
     from robot_ik.hardware.config import ArmConfig
 
 STILL_SAMPLES = 10
@@ -70,11 +70,10 @@ def run_calibrate(options: CalibrateOptions) -> int:
         raise wrong("OUT.toml", f"{options.out}", "a name that ends in .toml")
     if options.check:
         return _check(options)
-    config = load_arm(options.arm)
+    config = load_arm(options.arm).whole
     pose = dict.fromkeys(config.names, 0.0)
     if options.pose:
         pose |= parse_angles(options.pose, config)
-    _require_single_servos(config)
     beside = calibration_beside(options.out)
     for path in (options.out, beside, *([options.to_lerobot] if options.to_lerobot else [])):
         new_file(path, options.overwrite)
@@ -92,17 +91,6 @@ def run_calibrate(options: CalibrateOptions) -> int:
     with arm:
         require_limp(arm)
         return tried(measure)
-
-
-def _require_single_servos(config: ArmConfig) -> None:
-    for joint in config.joints:
-        if len(joint.servos) > 1:
-            raise ConfigError(
-                f"two servos turn {joint.name!r}; this calibrates joints of one servo",
-                file=config.file or config.name,
-                key=joint.name,
-                hint="set their zero_ticks in the arm file by hand",
-            )
 
 
 def model_limits(config: ArmConfig) -> Limits:
@@ -135,39 +123,48 @@ def require_limp(arm: Arm) -> None:
 
 
 def _by_hand(arm: Arm, prompts: Prompts, pose: Mapping[str, float], limits: Limits) -> Calibration:
-    from robot_ik.hardware import calibration
+    from robot_ik.hardware import calibration, calibration_sweep
     from robot_ik.hardware.startup import read_all, shared_register
 
     config, bus = arm.config, arm.bus
     present = shared_register(config, "present_position")
-    sweep = calibration.Sweep(config, read_all(bus, config, "present_position"))
+    sweep = calibration_sweep.Sweep(config, read_all(bus, config, "present_position"))
 
-    def sample(into: Sweep) -> None:
-        into.take({id: status.data for id, status in bus.sync_read(config.ids, present).items()})
+    def sample() -> None:
+        sweep.take({id: status.data for id, status in bus.sync_read(config.servo_ids, present).items()})
 
-    prompts.step("1. sweep: turn every joint from one stop to the other", lambda: sample(sweep))
-    calibration.check_sweep(config, sweep)
+    prompts.step("1. sweep: move every joint from one stop to the other", sample)
+    calibration_sweep.check_sweep(config, sweep)
     _show_sweep(config, sweep)
-    where = ", ".join(f"{name} {math.degrees(q):g}" for name, q in pose.items())
-    prompts.step(f"2. zero: put the arm into the pose {where} (degrees) and hold it", lambda: sample(sweep))
+    where = ", ".join(f"{name} {config.joint(name).text(q)}" for name, q in pose.items())
+    prompts.step(f"2. zero: put the arm into the pose {where} and hold it", sample)
+    zero = _held(arm, sweep, sample)
+    calibration_sweep.check_sweep(config, sweep)
+    directions: dict[int, int] = {}
+    for k, joint in enumerate(config.joints, 1):
+        before = dict(sweep.now)
+        about = joint.text(calibration_sweep.ASKED_WIGGLE * joint.lever, 0)
+        text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
+        prompts.step(text, sample)
+        directions |= calibration_sweep.wiggled(config, joint, before, sweep.now)
+    measured = calibration.Measured(sweep, zero, pose, directions, limits)
+    return calibration.measured_calibration(bus, config, measured, sweep.now, _now())
+
+
+def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
+    """Servo id -> ticks of an arm that is held still, which is looked at."""
+    from robot_ik.hardware.calibration_sweep import STILL_TICKS
+
     zero = dict(sweep.now)
     for _ in range(STILL_SAMPLES):
         arm.clock.sleep_until(arm.clock.now() + 0.05)
-        sample(sweep)
-        for joint in config.joints:
-            if abs(sweep.now[joint.id] - zero[joint.id]) > calibration.STILL_TICKS:
+        sample()
+        for servo in arm.config.servos:
+            if abs(sweep.now[servo.id] - zero[servo.id]) > STILL_TICKS:
                 raise HardwareError(
-                    f"joint {joint.name!r} moved while its zero was taken", hint="hold it still"
+                    f"joint {servo.name!r} moved while its zero was taken", hint="hold it still"
                 )
-    calibration.check_sweep(config, sweep)
-    directions = {}
-    for k, joint in enumerate(config.joints, 1):
-        before = dict(sweep.now)
-        text = f"3.{k} direction: turn {joint.name} alone by about 10 degrees in its positive direction"
-        prompts.step(text, lambda: sample(sweep))
-        directions[joint.name] = calibration.wiggled(config, joint, before, sweep.now)
-    measured = calibration.Measured(sweep, zero, pose, directions, limits)
-    return calibration.measured_calibration(bus, config, measured, sweep.now, _now())
+    return zero
 
 
 def _imported(arm: Arm, path: Path, limits: Limits) -> Calibration:
@@ -177,8 +174,9 @@ def _imported(arm: Arm, path: Path, limits: Limits) -> Calibration:
     found = load_lerobot(path, arm.config, _now())
     firmware = read_all(arm.bus, arm.config, "firmware_version")
     present = read_all(arm.bus, arm.config, "present_position")
-    degrees = {name: (math.degrees(low), math.degrees(high)) for name, (low, high) in limits.items()}
-    return completed(found, firmware, present, degrees)
+    units = {joint.name: joint.per_unit for joint in arm.config.joints}
+    shown = {name: (low / units[name], high / units[name]) for name, (low, high) in limits.items()}
+    return completed(found, firmware, present, shown)
 
 
 def _now() -> str:
@@ -208,7 +206,7 @@ def _check(options: CalibrateOptions) -> int:
     from robot_ik.hardware.lerobot_file import save_lerobot
 
     found = Calibration.load(calibration_beside(options.out))
-    config = load_arm(str(options.out))
+    config = load_arm(str(options.out)).whole
     limits = model_limits(config)
     with arm_on(replace(options, arm=str(options.out)), config) as arm:
         check_beside(arm, limits)
@@ -222,18 +220,17 @@ def _check(options: CalibrateOptions) -> int:
 
 
 def _show_sweep(config: ArmConfig, sweep: Sweep) -> None:
-    for joint in config.joints:
-        low, high = sweep.low[joint.id], sweep.high[joint.id]
-        way = math.degrees((high - low) * joint.resolution)
-        console.say(f"   {joint.name}: ticks {low} to {high}, {way:.0f} degrees")
+    for servo in config.servos:
+        low, high = sweep.low[servo.id], sweep.high[servo.id]
+        console.say(
+            f"   {servo.name}: id {servo.id}, ticks {low} to {high}, {servo.text(sweep.way(servo), 0)}"
+        )
 
 
 def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
     shown = console.table("joint", "id", "swept ticks", "zero", "direction", "limits", "limits before")
-    for old, new, row in zip(before.joints, after.joints, found.joints, strict=True):
-        limits, formerly = (
-            f"{math.degrees(j.lower):.1f} .. {math.degrees(j.upper):.1f}°" for j in (new, old)
-        )
+    for old, new, row in zip(before.servos, after.servos, found.rows, strict=True):
+        limits, formerly = (f"{j.lower / j.per_unit:.1f} .. {j.text(j.upper)}" for j in (new, old))
         swept = f"{row.range_min} .. {row.range_max}"
         shown.add_row(
             row.name, str(row.id), swept, str(row.zero_ticks), f"{row.direction:+d}", limits, formerly

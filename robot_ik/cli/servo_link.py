@@ -136,8 +136,8 @@ def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
         UnknownJointError: No such joint; close ones are named.
     """
     wanted = {config.joint(name).name for name in names}
-    kept = tuple(joint for joint in config.joints if not wanted or joint.name in wanted)
-    return replace(config, joints=kept)
+    kept = tuple(joint for joint in config.whole.joints if joint.name in wanted)
+    return replace(config.whole, joints=kept) if names else config
 
 
 def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:

@@ -14,12 +14,12 @@ from robot_ik.cli.servo_link import BusOptions, arm_on, check_beside, left, trie
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
-    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.config import ArmConfig, JointMap
 
 
 @dataclass(frozen=True)
 class MoveOptions(BusOptions):
-    """Moves joints to angles in degrees, slowly, within the limits and caps of the arm file.
+    """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps of the arm file.
 
     Examples: robot-ik servo move joint1=30 joint3=-45
     or all joints in order: robot-ik servo move 0 90 -90 0 0 0
@@ -51,7 +51,8 @@ def run_move(options: MoveOptions) -> int:
 
     def move() -> int:
         arm.enable()
-        here = dict(zip(config.names, arm.read().q.tolist(), strict=True))
+        arm.read()
+        here = arm.positions()
         goal = {name: q + here[name] for name, q in angles.items()} if options.by else angles
         require_inside(goal, config)
         arm.park(goal)
@@ -73,14 +74,15 @@ def slowed(config: ArmConfig, speed: float) -> ArmConfig:
     """
     if not 0.0 < speed <= 1.0:
         raise wrong("--speed", f"{speed:g} is no share of the speed caps", "above 0, at most 1")
-    joints = (
-        replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in config.joints
+    joints, aside = (
+        tuple(replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in row)
+        for row in (config.joints, config.aside)
     )
-    return replace(config, joints=tuple(joints))
+    return replace(config, joints=joints, aside=aside)
 
 
 def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
-    """Joint name -> rad from ``joint1=30`` or from one number for every joint, in degrees.
+    """Joint name -> rad (m) from ``joint1=30`` or from one number for every joint, in degrees (slides: mm).
 
     Raises:
         ConfigError: Neither form, or no finite number.
@@ -99,30 +101,39 @@ def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
             value = float(text)
         except ValueError:
             value = math.nan
+        joint = config.joint(name)
         if not math.isfinite(value):
-            raise wrong(name, f"{text!r} is no angle", "degrees, e.g. 30 or -12.5")
-        if config.joint(name).name in angles:
+            raise wrong(name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
+        if name in angles:
             raise wrong(name, "named twice", "every joint once")
-        angles[name] = math.radians(value)
+        angles[name] = value * joint.per_unit
     return angles
 
 
 def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
-    """Raises ``ConfigError`` unless every angle (rad) is within what the arm file and the servo allow."""
+    """Raises ``ConfigError`` unless every value (rad, m) is within what the arm file and the servo allow."""
     for name, q in angles.items():
-        lower, upper = config.joint(name).limits
+        joint = config.joint(name)
+        lower, upper = joint.limits
         if not lower - 1e-9 <= q <= upper + 1e-9:
-            allowed = f"{math.degrees(lower):.1f} to {math.degrees(upper):.1f} deg"
-            raise wrong(name, f"{math.degrees(q):.1f} deg is outside its limits", allowed)
+            allowed = f"{lower / joint.per_unit:.1f} to {joint.text(upper)}"
+            raise wrong(name, f"{joint.text(q)} is outside its limits", allowed)
 
 
 def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
     """Where the joints were, were sent, and are."""
     shown = console.table("joint", "was", "asked", "is")
-    for name, q in zip(arm.joints, arm.read().q.tolist(), strict=True):
-        asked = degrees(goal[name]) if name in goal else "-"
-        shown.add_row(name, degrees(start[name]), asked, degrees(q))
+    arm.read()
+    for name, q in arm.positions().items():
+        joint = arm.config.joint(name)
+        asked = shown_value(joint, goal[name]) if name in goal else "-"
+        shown.add_row(name, shown_value(joint, start[name]), asked, shown_value(joint, q))
     console.out().print(shown)
+
+
+def shown_value(joint: JointMap, q: float) -> str:
+    """A joint value for people: degrees, or mm of a slide."""
+    return degrees(q) if joint.pinion is None else joint.text(q, 2)
 
 
 def degrees(q: float) -> str:

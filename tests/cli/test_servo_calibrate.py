@@ -94,7 +94,7 @@ def test_a_sweep_across_the_turns_end(good_hand: Any, calibrate: Any, desk: Any,
 
 @pytest.mark.parametrize("folds", [False, True])
 def test_ticks_that_start_anew_in_the_middle_are_counted_on(folds: bool, desk: Any) -> None:
-    from robot_ik.hardware.calibration import Sweep
+    from robot_ik.hardware.calibration_sweep import Sweep
 
     sweep = Sweep(desk.config, {1: 4000, 2: 4000, 3: 100})
     for tick in (4050, 4099, 4150):
@@ -104,7 +104,7 @@ def test_ticks_that_start_anew_in_the_middle_are_counted_on(folds: bool, desk: A
 
 
 def test_a_limp_servo_that_counts_beyond_its_turn_is_taken_as_with_torque(desk: Any) -> None:
-    from robot_ik.hardware.calibration import Sweep
+    from robot_ik.hardware.calibration_sweep import Sweep
 
     assert Sweep(desk.config, {1: 4096 + 7, 2: 5000, 3: -1}).now == {1: 7, 2: 5000, 3: 4095}
 
