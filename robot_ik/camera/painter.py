@@ -32,28 +32,19 @@ _MARGIN = 0.06
 # Faces that reach beyond this part of the radius at which a lens model folds back are clipped.
 _SAFE_RADIUS = 0.98
 # Direction to the light in the camera frame (x right, y down, z forward): above, left, behind the lens.
-_LIGHT = np.array([-0.45, -0.75, -0.55]) / np.linalg.norm([-0.45, -0.75, -0.55])
-_HALFWAY = (_LIGHT - [0.0, 0.0, 1.0]) / np.linalg.norm(_LIGHT - [0.0, 0.0, 1.0])
+LIGHT = np.array([-0.45, -0.75, -0.55]) / np.linalg.norm([-0.45, -0.75, -0.55])
+_HALFWAY = (LIGHT - [0.0, 0.0, 1.0]) / np.linalg.norm(LIGHT - [0.0, 0.0, 1.0])
 _AMBIENT, _GLOSS = 0.36, 55.0
-# Lines may lie this part of their distance behind the surface they belong to.
-_LINE_SLACK = 0.01
-# Points along a line at which it is asked whether something hides it, pixels.
-_LINE_STEP, _LINE_PIECES = 2.0, 1000
 
 
 def _samples(count: int) -> Array:
     """Places (count, 2) in a pixel, its centre at 0: a lattice with no two in one row or column."""
     k = np.arange(count)
-    column = (k * {8: 3, 16: 7}[count]) % count
+    column = np.array([1, 3, 0, 2]) if count == 4 else (k * {8: 3, 16: 7}[count]) % count
     return np.stack([(column + 0.5) / count - 0.5, (k + 0.5) / count - 0.5], axis=1)
 
 
-SAMPLES: dict[int, Array] = {
-    1: np.zeros((1, 2)),
-    4: np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]]),
-    8: _samples(8),
-    16: _samples(16),
-}
+SAMPLES: dict[int, Array] = {1: np.zeros((1, 2)), 4: _samples(4), 8: _samples(8), 16: _samples(16)}
 """Sample places in a pixel by their number."""
 
 
@@ -62,7 +53,8 @@ class Faces:
     """Faces of a model in a picture.
 
     Attributes:
-        pixels: (v, 2) vertices through the lens; ``inverse`` (v,) one over depth, 1/m.
+        points: (v, 3) vertices in the camera frame, metres.
+        pixels: (v, 2) the same through the lens; ``inverse`` (v,) one over depth, 1/m.
         inverse: See ``pixels``.
         faces: (f, 4) vertices; ``chosen`` which of them to fill; ``geom`` (f,) model geom id.
         chosen: See ``faces``.
@@ -72,6 +64,7 @@ class Faces:
         mesh: The faces before clipping, in geom frames.
     """
 
+    points: Array
     pixels: Array
     inverse: Array
     faces: Index
@@ -169,11 +162,11 @@ def faces_in_picture(
     lit = np.empty((len(mesh.faces), 4, 2), dtype=np.float32)
     if len(mesh.faces):
         scanline.place_vertices(mesh.vertices, mesh.vertex_geom, rotation, position, points)
-        light, half = _LIGHT @ rotation, _HALFWAY @ rotation
+        light, half = LIGHT @ rotation, _HALFWAY @ rotation
         scanline.light_corners(mesh.corner_normals, mesh.face_geom, light, half, _AMBIENT, lit)
     pixels, inverse, within = _project(points, intrinsics)
     geom = mesh.geoms[mesh.face_geom].astype(np.int32)
-    whole = Faces(pixels, inverse, mesh.faces, np.arange(len(mesh.faces)), geom, lit, within, mesh)
+    whole = Faces(points, pixels, inverse, mesh.faces, np.arange(len(mesh.faces)), geom, lit, within, mesh)
     return whole if within.all() else _clipped(whole, points, intrinsics)
 
 
@@ -202,6 +195,7 @@ def _clipped(whole: Faces, points: Array, intrinsics: CameraIntrinsics) -> Faces
     source, fan = np.concatenate(origin), np.concatenate(fans)
     flat = np.repeat(whole.lit[source].mean(axis=1, keepdims=True), 4, axis=1)
     return Faces(
+        np.concatenate([whole.points, extra]),
         np.concatenate([whole.pixels, pixels]),
         np.concatenate([whole.inverse, inverse]),
         np.concatenate([whole.faces, fan]),
@@ -284,6 +278,14 @@ def base_colours(model: mujoco.MjModel, tint: tuple[float, float, float] | None 
     )
 
 
+def lit_colours(base: Array, normals: Array) -> Array:
+    """Colours (n, 3) of surfaces of colour ``base`` (n, 3) with ``normals`` (n, 3) in the camera frame."""
+    wrapped = 0.5 + 0.5 * normals @ LIGHT
+    shine = np.maximum(normals @ _HALFWAY, 0.0) ** 32
+    light = np.maximum(_AMBIENT + (1.0 - _AMBIENT) * wrapped**2, 0.0)
+    return np.minimum(base * light[:, None] + (_GLOSS * shine)[:, None], 255.0)
+
+
 def paint_mask(
     shape: tuple[int, int], faces: Faces, corner: tuple[int, int] = (0, 0), count: int = 4
 ) -> Image:
@@ -291,36 +293,3 @@ def paint_mask(
     samples = Samples((corner[0], corner[1], corner[0] + shape[1], corner[1] + shape[0]), count)
     samples.fill(faces)
     return np.rint((samples.depth > 0).mean(axis=0) * 255).astype(np.uint8)
-
-
-def visible_lines(faces: Faces, samples: Samples) -> Array:
-    """Silhouettes of each geom and sharp edges, (n, 2, 2) pixels, where nothing in ``samples`` hides them."""
-    mesh = faces.mesh
-    corners = faces.pixels[mesh.faces]
-    across, along = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
-    front = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0] < 0.0
-    facing = front[mesh.edge_faces]
-    worth = (facing[:, 0] != facing[:, 1]) | (mesh.crease & facing[:, 0])
-    spots = faces.pixels[mesh.edges]
-    x0, y0, x1, y1 = samples.box
-    near = (spots.max(axis=1) > (x0, y0)).all(axis=1) & (spots.min(axis=1) < (x1, y1)).all(axis=1)
-    ends = mesh.edges[worth & near & faces.within[mesh.edges].all(axis=1)]
-    if not len(ends):
-        return np.zeros((0, 2, 2))
-    a, b = faces.pixels[ends[:, 0]], faces.pixels[ends[:, 1]]
-    pieces = np.maximum(1, np.ceil(np.hypot(*(b - a).T) / _LINE_STEP)).astype(int)
-    pieces = np.minimum(pieces, _LINE_PIECES)
-    edge = np.repeat(np.arange(len(ends)), pieces)
-    share = (np.arange(len(edge)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[edge]
-    step = 1.0 / pieces[edge]
-
-    def at(shares: Array, first: Array, second: Array) -> Array:
-        return first[edge] + (second - first)[edge] * (shares[:, None] if first.ndim == 2 else shares)
-
-    middle = share + 0.5 * step
-    seen = np.empty(len(edge), dtype=bool)
-    depths = at(middle, faces.inverse[ends[:, 0]], faces.inverse[ends[:, 1]])
-    scanline.hide_lines(
-        at(middle, a, b), depths, _LINE_SLACK, samples.depth, samples.box[0], samples.box[1], seen
-    )
-    return np.stack([at(share, a, b)[seen], at(share + step, a, b)[seen]], axis=1)

@@ -73,6 +73,9 @@ COMMANDS: dict[str, Command] = {
         "servos by hand: find, set up, calibrate, watch, move, record, save",
         mujoco=False,
     ),
+    "ar": Command(
+        "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, standing on a printed board"
+    ),
     "camera": Command(
         "robot_ik.cli.camera",
         "CameraOptions",

@@ -1,0 +1,234 @@
+"""The robot registered on a board that a camera sees, picture by picture, with Azuma's remedies for delay.
+
+Drawn on the very picture that was tracked, a robot has no delay at all: that is ``sync="tracked"``.  With
+``"latest"`` the newest picture is shown and the robot is of an older one; then prediction or image shifting
+make up for it (Azuma 1997, section 4.4: less delay, prediction, image deflection, matching the streams).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.ar_draw import Artist, Drawing, Figure
+from robot_ik.camera.boards import MarkerBoard, PatternBoard
+from robot_ik.camera.filter import MotionFilter
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.pose import MarkerObservation, estimate_body
+from robot_ik.camera.sources import Frame
+from robot_ik.camera.track import MarkerTracker
+from robot_ik.geometry import Pose
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Sync = Literal["tracked", "latest"]
+
+# A board that is lost for longer is not drawn upon any more, seconds.
+_HOLD_S = 0.25
+# Believed of a pattern, whose pose comes without a covariance: metres and radians.
+_PATTERN_SIGMA = (2e-4, 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A board in one picture.
+
+    Attributes:
+        pose_camera_board: Its middle: x right, y up, z out of the print.
+        covariance: (6, 6) of it, as in ``BodyObservation``.
+        points: (n, 2) pixels where its corners were seen, by their names.
+        marker: The other marker, when it was asked for and seen.
+        error: RMS reprojection error, px.
+        time: Of the picture.
+    """
+
+    pose_camera_board: Pose
+    covariance: Array
+    points: Mapping[tuple[int, int], Array]
+    marker: MarkerObservation | None
+    error: float
+    time: float
+
+
+class BoardWatcher:
+    """Finds a board, and another marker, in pictures; keeps to the neighbourhood of the last find.
+
+    Args:
+        board: See ``parse_board``.
+        intrinsics: Of the pictures' size.
+        other: Id and side in metres of a marker that is not on the board.
+        window: Search only near the last find (Azuma's first remedy: less delay).
+    """
+
+    def __init__(
+        self,
+        board: MarkerBoard | PatternBoard,
+        intrinsics: CameraIntrinsics,
+        other: tuple[int, float] | None = None,
+        *,
+        window: bool = True,
+        dictionary: str = "DICT_5X5_50",
+    ) -> None:
+        self._board, self._intrinsics, self._other = board, intrinsics, other
+        sizes = {} if other is None else dict([other])
+        if isinstance(board, MarkerBoard):
+            sizes |= {id: side for id, (side, _) in board.layout.items()}
+            dictionary = board.dictionary
+        self._tracker = MarkerTracker(intrinsics, dictionary, sizes, window=window) if sizes else None
+
+    def see(self, frame: Frame) -> Seen | None:
+        """The board in a picture; None when it is not there.
+
+        Raises:
+            CalibrationError: The picture has not the size of the calibration.
+        """
+        found = [] if self._tracker is None else self._tracker.observe(frame)
+        ids = [one.id for one in found]
+        once = {one.id: one for one in found if ids.count(one.id) == 1}
+        marker = None if self._other is None else once.get(self._other[0])
+        if isinstance(self._board, PatternBoard):
+            return self._see_pattern(self._board, frame, marker)
+        layout = self._board.layout
+        corners = {id: one.corners for id, one in once.items() if id in layout}
+        body = estimate_body(corners, layout, self._intrinsics) if corners else None
+        if body is None:
+            return None
+        points = {(i, k): corners[i][k] for i in body.ids for k in range(4)}
+        return Seen(
+            body.pose_camera_body, body.covariance, points, marker, body.reprojection_error, frame.time
+        )
+
+    def _see_pattern(
+        self, board: PatternBoard, frame: Frame, marker: MarkerObservation | None
+    ) -> Seen | None:
+        view = board.see(frame, self._intrinsics)
+        if view is None:
+            return None
+        middle = board.layout[0][1]
+        sigma = np.repeat(np.square(_PATTERN_SIGMA), 3)
+        off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - view.pixels
+        error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+        keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
+        points = dict(zip(keys, view.pixels, strict=True))
+        return Seen(view.pose_camera_board.compose(middle), np.diag(sigma), points, marker, error, frame.time)
+
+
+def optical_motion(before: Seen, after: Seen) -> Array:
+    """Shift, turn and zoom (2, 3) in the picture that carry the corners of one look to those of the next.
+
+    Least squares over the corners seen twice: z' = a z + b with complex pixels; only a shift for one corner.
+    """
+    common = sorted(before.points.keys() & after.points.keys())
+    if not common:
+        return np.eye(2, 3)
+    z = np.array([complex(*before.points[k]) for k in common])
+    w = np.array([complex(*after.points[k]) for k in common])
+    spread = z - z.mean()
+    power = float(np.vdot(spread, spread).real)
+    a = np.vdot(spread, w - w.mean()) / power if power > 1.0 else 1.0 + 0.0j
+    b = w.mean() - a * z.mean()
+    return np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag]])
+
+
+@dataclass(frozen=True)
+class Remedies:
+    """What is done about delay.
+
+    Attributes:
+        sync: ``tracked`` shows the picture the pose was measured in: the video waits for the tracker.
+            ``latest`` shows the newest one.
+        predict: Draw where the board will be when the picture shown was taken (Kalman).
+        shift: Move the finished drawing by how the board's corners moved in the picture.
+    """
+
+    sync: Sync = "tracked"
+    predict: bool = False
+    shift: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One picture with the robot in it.
+
+    Attributes:
+        image: (height, width, 3).
+        drawing: What was laid over it; None when there was no board to stand on.
+        pose_camera_board: For which it was drawn; before any shift.
+        seen: What was tracked.
+    """
+
+    image: Image
+    drawing: Drawing | None
+    pose_camera_board: Pose | None
+    seen: Seen | None
+
+
+class Registrar:
+    """Tracks, draws and puts together.
+
+    Args:
+        watcher: Finds the board; None for a camera whose place is known.
+        artist: Draws.
+        figure: What is drawn.
+        intrinsics: Of the pictures.
+        remedies: What is done about delay.
+        pose_board_camera: Where the camera is when there is no ``watcher``.
+        alpha: 1 hides what is behind the robot, 0 the robot.
+    """
+
+    def __init__(
+        self,
+        watcher: BoardWatcher | None,
+        artist: Artist,
+        figure: Figure,
+        intrinsics: CameraIntrinsics,
+        remedies: Remedies | None = None,
+        *,
+        pose_board_camera: Pose | None = None,
+        alpha: float = 1.0,
+    ) -> None:
+        self.figure, self.artist, self.remedies = figure, artist, remedies or Remedies()
+        self._watcher, self._intrinsics, self._alpha = watcher, intrinsics, alpha
+        self._fixed = None if pose_board_camera is None else pose_board_camera.inverse()
+        self._filter = MotionFilter() if self.remedies.predict else None
+        self._last: Seen | None = None
+
+    def track(self, frame: Frame) -> Seen | None:
+        """Looks for the board; the last look counts a quarter of a second longer."""
+        if self._watcher is None:
+            return None
+        seen = self._watcher.see(frame)
+        if seen is not None:
+            self._last = seen
+            if self._filter is not None:
+                self._filter.update(seen.time, seen.pose_camera_board, seen.covariance)
+        elif self._last is not None and frame.time - self._last.time > _HOLD_S:
+            self._last = None
+        return self._last
+
+    def compose(self, seen: Seen | None, shown: Frame, qpos: ArrayLike) -> Shown:
+        """The robot at ``qpos`` (nq,), drawn for ``seen``, laid over the picture ``shown``."""
+        pose = self._pose(seen, shown.time)
+        if pose is None:
+            return Shown(shown.image, None, None, seen)
+        drawing = self.artist.draw(self.figure, qpos, self._intrinsics, pose.inverse())
+        if self.remedies.shift and seen is not None and self._watcher is not None and shown.time > seen.time:
+            now = self._watcher.see(shown)
+            if now is not None:
+                drawing = drawing.shifted(optical_motion(seen, now), *self._intrinsics.size)
+        image = shown.image.copy()
+        drawing.over(image, self._alpha)
+        return Shown(image, drawing, pose, seen)
+
+    def _pose(self, seen: Seen | None, time: float) -> Pose | None:
+        if self._watcher is None:
+            return self._fixed
+        if seen is None:
+            return None
+        if self._filter is not None and self._filter.started:
+            return self._filter.predict(time).pose
+        return seen.pose_camera_board

@@ -1,0 +1,186 @@
+"""``robot-ik ar``: the virtual robot in the pictures of a camera, on the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from rich.text import Text
+from tyro.conf import arg
+
+from robot_ik.catalogue import SHOWN_ROBOT
+from robot_ik.cli import console
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import ConfigError
+
+if TYPE_CHECKING:
+    from robot_ik.jobs.ar import ArReport, ArRequest
+
+
+@dataclass(frozen=True)
+class ArOptions:
+    """Draws a robot into the pictures of a camera, standing on a printed board that is moved about.
+
+    With no options everything is made up: a table, a board, a hand.  Neither camera, OpenGL nor display is
+    needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
+    """
+
+    robot: Annotated[str, arg(metavar="NAME|PATH")] = SHOWN_ROBOT
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
+    """Where the pictures come from."""
+    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
+    """Calibration of a real camera: OpenCV or ROS YAML."""
+    board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12"
+    """What it stands on: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
+    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
+    """OpenCV's name of the markers' dictionary."""
+    place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(from robot-ik camera locate)")] = ""
+    """Where the camera stands, instead of a board; the robot stands in its world."""
+    base: Annotated[tuple[float, ...], arg(metavar="X Y Z [YAW_DEG]", help_behavior_hint="")] = ()
+    """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
+    scale: Annotated[float, arg(help_behavior_hint="(default: 1; what fits the synthetic table)")] = 0.0
+    """Drawn size over true size."""
+    motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|ARM.toml@PORT")] = "wave"
+    """What the robot does: follow reaches for --marker; a trajectory is replayed; a live arm is mirrored."""
+    marker: int = 9
+    """Id of the marker to follow."""
+    marker_size: float = 0.05
+    """Side of its black square, metres."""
+    backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
+    """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
+    phantoms: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
+    """Real things in front of which the robot must not be drawn."""
+    phantom_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
+    """Geoms of the model that are such things."""
+    sync: Literal["tracked", "latest"] = "tracked"
+    """Show the picture that was tracked (no delay by construction), or the newest."""
+    predict: bool = False
+    """Draw where the board will be (for --sync latest)."""
+    shift: bool = False
+    """Move the finished drawing by the board's motion in the picture (for --sync latest)."""
+    delay: float = 0.0
+    """Seconds by which tracking lags behind recorded pictures (for --sync latest)."""
+    alpha: float = 1.0
+    """1 hides what is behind the robot, 0 the robot."""
+    no_shadow: bool = False
+    """Draw no shadow."""
+    out: Annotated[str, arg(metavar="FILE.mp4|FILE.png|DIR")] = "ar.mp4"
+    """A film (extra `video`), the last picture, or a folder of pictures."""
+    seconds: Annotated[float, arg(help_behavior_hint="(default: all; 4 for synthetic)")] = 0.0
+    """How long."""
+    size: Annotated[tuple[int, ...], arg(metavar="W H", help_behavior_hint="(default: the camera's)")] = ()
+    """Size of synthetic and live pictures."""
+    seed: int = 0
+    """Of the synthetic camera's noise."""
+    json: bool = False
+    """Print the report as JSON on stdout."""
+    self_test: bool = False
+    """Measure how well drawings lie on pictures, in pixels, against cv2.projectPoints and exact truth."""
+
+
+def run(options: ArOptions) -> int:
+    """Runs the job; 0 done, 1 not."""
+    import_mujoco()
+    if options.self_test:
+        from robot_ik.cli.ar_self_test import run_self_test
+
+        return run_self_test(json=options.json)
+    request = make_request(options)
+    from robot_ik.jobs.ar import run_ar
+
+    with console.progress() as bar:
+        task = bar.add_task("drawing", total=None, note="")
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total or None, note=f"{done} pictures")
+
+        report = run_ar(request, progress)
+    if report.notice:
+        console.say(report.notice, style="yellow")
+    if options.json:
+        console.print_json(summary(report))
+    else:
+        _print(report)
+    return console.INTERRUPTED if report.interrupted else console.DONE
+
+
+def summary(report: ArReport) -> dict[str, object]:
+    """The report as JSON holds it."""
+    return {
+        "file": str(report.file),
+        "pictures": report.pictures,
+        "drawn": report.drawn,
+        "scale": report.scale,
+        "backend": report.backend,
+        "reprojection_px": report.reprojection_px,
+        "track_and_draw_hz": report.rate_hz,
+        "interrupted": report.interrupted,
+    }
+
+
+def _print(report: ArReport) -> None:
+    lines = console.table("", "")
+    lines.show_header = False
+    lines.add_row("pictures", f"{report.pictures}, the robot in {report.drawn}")
+    lines.add_row("drawn", f"by {report.backend} at {report.scale:.3g} of its size")
+    if np.isfinite(report.reprojection_px):
+        lines.add_row("board", f"corners fit to {report.reprojection_px:.2f} px")
+    lines.add_row("speed", f"{report.rate_hz:.0f} pictures/s tracked and drawn")
+    console.out().print(lines)
+    console.out().print(Text(f"written: {report.file}"), soft_wrap=True)
+
+
+def make_request(options: ArOptions) -> ArRequest:
+    """The job's request; everything that can be wrong without looking is found here.
+
+    Raises:
+        ConfigError: A malformed option.
+    """
+    from robot_ik.camera.ar import Remedies
+    from robot_ik.jobs.ar import ArRequest
+
+    if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
+        raise _wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
+    if len(options.size) not in (0, 2) or any(v < 16 for v in options.size):
+        raise _wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
+    if not 0.0 <= options.alpha <= 1.0:
+        raise _wrong("--alpha", f"{options.alpha:g}", "0 to 1")
+    for name in ("scale", "delay", "seconds"):
+        if not 0.0 <= getattr(options, name) < np.inf:
+            raise _wrong(f"--{name}", f"{getattr(options, name):g}", "0 or more")
+    if options.sync == "tracked" and (options.predict or options.shift or options.delay):
+        raise _wrong(
+            "--sync", "the picture that was tracked has no delay to make up for",
+            "--sync latest with --predict, --shift or --delay",
+        )  # fmt: skip
+    x, y, z, yaw = (*options.base, *(0.0,) * (4 - len(options.base)))
+    return ArRequest(
+        robot=options.robot,
+        camera=options.camera,
+        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        board=options.board,
+        dictionary=options.dictionary,
+        place=Path(options.place) if options.place else None,
+        base=(x, y, z, yaw),
+        scale=options.scale,
+        motion=options.motion,
+        marker=(options.marker, options.marker_size),
+        backend=options.backend,
+        phantoms=Path(options.phantoms) if options.phantoms else None,
+        phantom_geoms=options.phantom_geoms,
+        remedies=Remedies(options.sync, options.predict, options.shift),
+        delay=options.delay,
+        alpha=options.alpha,
+        shadow=not options.no_shadow,
+        out=Path(options.out),
+        seconds=options.seconds,
+        size=(options.size[0], options.size[1]) if options.size else None,
+        seed=options.seed,
+    )
+
+
+def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
+    return ConfigError(problem, file="command line", key=key, allowed=allowed)

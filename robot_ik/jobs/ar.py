@@ -1,0 +1,295 @@
+"""``robot-ik ar``: the virtual robot standing in the pictures of a camera."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.ar import BoardWatcher, Registrar, Remedies, Seen, Shown
+from robot_ik.camera.ar_draw import Artist, Figure
+from robot_ik.camera.boards import MarkerBoard, parse_board
+from robot_ik.camera.gl_draw import make_artist
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.painter import faces_in_picture
+from robot_ik.camera.phantoms import load_phantoms
+from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.sources import Frame, FrameSource, open_source
+from robot_ik.camera.synthetic import look_at
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.ar_files import open_sink
+from robot_ik.jobs.ar_motion import make_motion
+from robot_ik.jobs.ar_scene import AT_REST, BOARD, FOLLOWED, synthetic_stage
+from robot_ik.robot import load_robot
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+# On the made-up table a robot is drawn so high, metres; films of it are this long unless said otherwise.
+_TABLE_SIZE, _SECONDS = 0.40, 4.0
+_RATE_HZ = 30.0
+
+
+@dataclass(frozen=True)
+class ArRequest:
+    """What to draw on what.
+
+    Attributes:
+        robot: Name or model file.
+        camera: ``synthetic``, or what ``open_source`` takes.
+        intrinsics: Calibration of a real camera.
+        board: See ``parse_board``; ``dictionary`` of its markers.
+        dictionary: See ``board``.
+        place: Of a camera that stands still, instead of a board.
+        base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
+            of the board (x right, y up, z out of the print), or in the world of ``place``.
+        scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
+        motion: See ``make_motion``.
+        marker: Id and side (m) of the marker to follow.
+        backend: ``painter``, ``ray`` or ``gl``.
+        phantoms: File of real things that hide the robot; ``phantom_geoms`` names of the model's own.
+        phantom_geoms: See ``phantoms``.
+        remedies: What is done about delay.
+        delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
+        alpha: 1 hides what is behind the robot.
+        shadow: Whether it throws one.
+        out: Film, picture or folder.
+        seconds: How long; 0 to the end of what is recorded.
+        size: Of synthetic and live pictures.
+        seed: Of the synthetic camera's noise.
+    """
+
+    robot: str = "puma560"
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    board: str = BOARD
+    dictionary: str = ""
+    place: Path | None = None
+    base: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    scale: float = 0.0
+    motion: str = "wave"
+    marker: tuple[int, float] = FOLLOWED
+    backend: str = "painter"
+    phantoms: Path | None = None
+    phantom_geoms: tuple[str, ...] = ()
+    remedies: Remedies = field(default_factory=Remedies)
+    delay: float = 0.0
+    alpha: float = 1.0
+    shadow: bool = True
+    out: Path = Path("ar.mp4")
+    seconds: float = 0.0
+    size: tuple[int, int] | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ArReport:
+    """What came of it.
+
+    Attributes:
+        pictures: Written; ``drawn`` of them with the robot.
+        drawn: See ``pictures``.
+        reprojection_px: Mean RMS error of the board's corners.
+        seconds: Of tracking and drawing alone, without taking and writing pictures.
+        scale: At which the robot was drawn.
+        backend: That was used.
+        notice: What did not go as asked, in one line.
+        file: What was written.
+        interrupted: The run was ended by hand.
+    """
+
+    pictures: int
+    drawn: int
+    reprojection_px: float
+    seconds: float
+    scale: float
+    backend: str
+    notice: str
+    file: Path | None
+    interrupted: bool = False
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures a second that tracking and drawing manage."""
+        return self.pictures / self.seconds if self.seconds > 0 else float("nan")
+
+
+Progress = Callable[[int, int], None]
+
+
+def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) -> ArReport:
+    """Draws the robot into each picture and writes them.
+
+    Args:
+        request: What to draw on what.
+        progress: Told how many pictures are done, and of how many (0: nobody knows).
+
+    Raises:
+        MarkerNotFoundError: The board was in no picture.
+        RobotIkError: Wrong input or environment.
+    """
+    robot = load_robot(request.robot)
+    with contextlib.ExitStack() as stack:
+        frames, intrinsics, total = _open(request, stack)
+        figure = _figure(request, robot)
+        artist, notice = make_artist(request.backend)
+        stack.callback(getattr(artist, "close", lambda: None))
+        registrar = _registrar(request, intrinsics, artist, figure)
+        motion = make_motion(request.motion, robot, figure, stack)
+        sink = stack.enter_context(open_sink(request.out, _RATE_HZ))
+        count = drawn = 0
+        spent, errors, begin = 0.0, [], None
+        interrupted = False
+        try:
+            for tracked, shown in _pairs(frames, request):
+                begin = tracked.time if begin is None else begin
+                start = time.perf_counter()
+                seen = registrar.track(tracked)
+                qpos = robot.qpos(motion.q(shown.time - begin, seen))
+                made = registrar.compose(seen, shown, qpos)
+                spent += time.perf_counter() - start
+                sink.write(made.image, shown.time)
+                count, drawn = count + 1, drawn + (made.drawing is not None)
+                errors += _errors(seen, made)
+                progress(count, total)
+        except KeyboardInterrupt:
+            interrupted = True
+        file = sink.close()
+    if count and not drawn:
+        raise MarkerNotFoundError(
+            f"the board {request.board} was seen in none of {count} pictures; they are in {file}",
+            hint="check --board and --dictionary against the print: robot-ik camera detect",
+        )
+    mean = float(np.mean(errors)) if errors else float("nan")
+    return ArReport(count, drawn, mean, spent, figure.scale, artist.name, notice, file, interrupted)
+
+
+def _errors(seen: Seen | None, made: Shown) -> list[float]:
+    return [] if seen is None or made.drawing is None else [seen.error]
+
+
+def _figure(request: ArRequest, robot: Robot) -> Figure:
+    x, y, z, yaw = request.base
+    scale = request.scale
+    low, high = extent(robot)
+    if scale <= 0.0:
+        scale = _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
+    # its lowest point stands on the board
+    base = Pose((x, y, z - scale * low), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
+    phantoms = None if request.phantoms is None else load_phantoms(request.phantoms)
+    return Figure(
+        robot.model, base, scale, phantoms, _named_geoms(robot, request.phantom_geoms), shadow=request.shadow
+    )
+
+
+def extent(robot: Robot) -> tuple[float, float]:
+    """Heights of the lowest and the highest point of the robot at home, metres."""
+    far = look_at((0.0, -100.0, 0.0), (0.0, 0.0, 0.0))
+    lens = CameraIntrinsics(640, 480, 5000.0, 5000.0, 319.5, 239.5)
+    up = far.apply(faces_in_picture(robot.model, robot.qpos(robot.home), lens, far).points)[:, 2]
+    return (float(up.min()), float(up.max())) if len(up) else (0.0, 0.0)
+
+
+def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | None:
+    known = [robot.model.geom(g).name for g in range(robot.model.ngeom)]
+    for name in names:
+        if name not in known:
+            raise ConfigError(
+                f"{robot.name} has no geom {name!r}", file="command line", key="--phantom-geoms",
+                allowed=", ".join(sorted(filter(None, known))) or "none: its geoms have no names",
+            )  # fmt: skip
+    return np.array([name in names for name in known]) if names else None
+
+
+def _open(request: ArRequest, stack: contextlib.ExitStack) -> tuple[Iterator[Frame], CameraIntrinsics, int]:
+    """Frames, their optics, and how many there will be (0: nobody knows)."""
+    if request.camera == "synthetic":
+        width, height = request.size or (1280, 720)
+        things = None if request.phantoms is None else load_phantoms(request.phantoms)
+        still = None if things is None else AT_REST
+        source, clock = synthetic_stage(
+            width, height, rate_hz=_RATE_HZ, motion=still, things=things,
+            follow=request.motion == "follow", seed=request.seed,
+        )  # fmt: skip
+        count = max(1, round((request.seconds or _SECONDS) * _RATE_HZ))
+
+        def made() -> Iterator[Frame]:
+            for _ in range(count):
+                yield source.read().without_truth()
+                clock.ticks += 1
+
+        return made(), source.scene.intrinsics, count
+    if request.intrinsics is None:
+        raise CalibrationError(
+            f"the camera {request.camera!r} has no calibration, so nothing can be registered in its pictures",
+            hint="give its calibration file: --intrinsics FILE; make one with: robot-ik camera calibrate",
+        )
+    real = stack.enter_context(open_source(request.camera, size=request.size))
+    intrinsics = CameraIntrinsics.load(request.intrinsics)
+    return _limited(real, request.seconds), _fitted(intrinsics, real), 0
+
+
+def _fitted(intrinsics: CameraIntrinsics, source: FrameSource) -> CameraIntrinsics:
+    size = getattr(source, "size", intrinsics.size)
+    return intrinsics if tuple(size) == intrinsics.size else intrinsics.scaled(*size)
+
+
+def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
+    first: float | None = None
+    while not getattr(source, "exhausted", False):
+        frame = source.read()
+        first = frame.time if first is None else first
+        if seconds > 0.0 and frame.time - first > seconds:
+            return
+        yield frame
+
+
+def _pairs(frames: Iterator[Frame], request: ArRequest) -> Iterator[tuple[Frame, Frame]]:
+    """Pictures to track and pictures to show; the same ones unless the video does not wait.
+
+    The picture shown comes ``delay`` after the one tracked; without a number it is the next one read, which
+    of a live camera is the newest when tracking and drawing are done.
+    """
+    if request.remedies.sync == "tracked":
+        for frame in frames:
+            yield frame, frame
+        return
+    kept: list[Frame] = []
+    for frame in frames:
+        kept.append(frame)
+        if request.delay == 0.0:
+            if len(kept) > 1:
+                yield kept.pop(0), frame
+            continue
+        old = [k for k, one in enumerate(kept) if one.time <= frame.time - request.delay + 1e-9]
+        if old:
+            del kept[: old[-1]]
+            yield kept[0], frame
+
+
+def _registrar(request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: Figure) -> Registrar:
+    if request.place is not None:
+        place = CameraPlace.load(request.place, intrinsics)
+        place.require_parent("world")
+        return Registrar(
+            None, artist, figure, intrinsics, replace(request.remedies, predict=False, shift=False),
+            pose_board_camera=place.pose_parent_camera, alpha=request.alpha,
+        )  # fmt: skip
+    board = parse_board(request.board, request.dictionary)
+    other = request.marker if request.motion == "follow" else None
+    if other is not None and isinstance(board, MarkerBoard) and other[0] in board.layout:
+        raise ConfigError(
+            f"marker {other[0]} is on the board, so it cannot be followed", file="command line",
+            key="--marker", allowed="an id that is not on the board",
+        )  # fmt: skip
+    watcher = BoardWatcher(board, intrinsics, other, dictionary=request.dictionary or "DICT_5X5_50")
+    return Registrar(watcher, artist, figure, intrinsics, request.remedies, alpha=request.alpha)

@@ -1,0 +1,175 @@
+"""Where the pictures of ``robot-ik ar`` go: a film, one picture, or a folder of pictures.
+
+Everything is written beside its place and moved there when it is complete; a run that is interrupted leaves
+what it has, playable.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import MissingExtraError, OutputError
+from robot_ik.files import make_folder, write_atomically
+
+Image = NDArray[np.uint8]
+
+FILMS = (".mp4", ".mkv", ".mov")
+PICTURES = (".png", ".jpg", ".jpeg")
+# Quality of H.264: 18 is nearly free of visible loss.
+_CRF = "20"
+_TICKS = 90_000
+
+
+class PictureSink(Protocol):
+    """Takes pictures one by one; a context manager that keeps what it got however the block ends."""
+
+    def write(self, image: Image, time: float) -> None:
+        """Adds a picture (height, width, 3) taken at ``time``, seconds."""
+        ...
+
+    def close(self) -> Path | None:
+        """Ends the file; gives what was written, None for nothing."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+class _Closing:
+    def close(self) -> Path | None:
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Film(_Closing):
+    """A film, H.264; each picture is shown at the time it was taken."""
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        if importlib.util.find_spec("av") is None:
+            raise MissingExtraError("av", "video", "writing a film")
+        self._path = path
+        make_folder(path.parent)
+        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._rate = rate_hz
+        self._container: Any = None
+        self._stream: Any = None
+        self._first = self._last = 0
+
+    def write(self, image: Image, time: float) -> None:
+        """See ``PictureSink``."""
+        import av
+
+        if self._container is None:
+            self._open(image)
+            self._first, self._last = round(time * _TICKS), -1
+        frame = av.VideoFrame.from_ndarray(_even(image), format="bgr24")
+        # two pictures of one time would be refused
+        self._last = max(round(time * _TICKS) - self._first, self._last + 1)
+        frame.pts = self._last
+        frame.time_base = Fraction(1, _TICKS)
+        self._container.mux(self._stream.encode(frame))
+
+    def _open(self, image: Image) -> None:
+        import av
+
+        try:
+            self._container = av.open(str(self._part), "w")
+            self._stream = self._container.add_stream(
+                "libx264", rate=Fraction(self._rate).limit_denominator(1000)
+            )
+        except (OSError, ValueError) as error:
+            raise OutputError(
+                f"cannot write {self._path}: {error}", hint="give another name or folder"
+            ) from error
+        height, width = _even(image).shape[:2]
+        self._stream.width, self._stream.height = width, height
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.options = {"crf": _CRF, "preset": "veryfast"}
+        self._stream.codec_context.time_base = Fraction(1, _TICKS)
+
+    def close(self) -> Path | None:
+        """See ``PictureSink``."""
+        if self._container is None:
+            return self._path if self._path.exists() and self._last else None
+        self._container.mux(self._stream.encode(None))
+        self._container.close()
+        self._container = None
+        os.replace(self._part, self._path)
+        self._last = 1
+        return self._path
+
+
+class Pictures(_Closing):
+    """A folder of numbered PNG files."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._count = make_folder(folder), 0
+
+    def write(self, image: Image, time: float) -> None:
+        """See ``PictureSink``."""
+        write_atomically(self._folder / f"{self._count:06d}.png", encoded(image, ".png"))
+        self._count += 1
+
+    def close(self) -> Path | None:
+        """See ``PictureSink``."""
+        return self._folder if self._count else None
+
+
+class LastPicture(_Closing):
+    """One file that holds the last picture."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        make_folder(path.parent)
+        self._image: Image | None = None
+
+    def write(self, image: Image, time: float) -> None:
+        """See ``PictureSink``."""
+        self._image = image
+
+    def close(self) -> Path | None:
+        """See ``PictureSink``."""
+        if self._image is None:
+            return None
+        write_atomically(self._path, encoded(self._image, self._path.suffix.lower()))
+        return self._path
+
+
+def open_sink(out: Path, rate_hz: float) -> PictureSink:
+    """What the name asks for: a film, a picture, or else a folder.
+
+    Raises:
+        MissingExtraError: A film without the extra ``video``.
+        OutputError: The folder cannot be made or written to.
+    """
+    kind = out.suffix.lower()
+    if kind in FILMS:
+        return Film(out, rate_hz)
+    return LastPicture(out) if kind in PICTURES else Pictures(out)
+
+
+def encoded(image: Image, suffix: str) -> bytes:
+    """The picture as a file's bytes."""
+    good, data = cv2.imencode(suffix, image)
+    assert good
+    return bytes(data)
+
+
+def _even(image: Image) -> Image:
+    """H.264 with colours at half the resolution wants even sides."""
+    height, width = image.shape[:2]
+    return np.ascontiguousarray(image[: height - height % 2, : width - width % 2])

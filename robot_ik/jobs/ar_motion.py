@@ -1,0 +1,162 @@
+"""What the drawn robot does: stands, waves, replays a trajectory, follows a marker, mirrors a live arm."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.ar import Seen
+from robot_ik.camera.ar_draw import Figure
+from robot_ik.errors import ConfigError
+from robot_ik.goals import PositionGoal
+from robot_ik.motion.trajectory import Trajectory
+from robot_ik.ports import JointSource
+from robot_ik.problem import Problem
+from robot_ik.solvers import SOLVERS
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+Array = NDArray[np.float64]
+
+# A wave goes this part of the way to each joint's limits, at most so far, in so many seconds.
+_WAVE_SHARE, _WAVE_MOST, _WAVE_PERIOD = 0.25, 0.45, 4.0
+# The drawn tool covers at most this part of what is left of its way in one picture.
+_CHASE = 0.35
+
+
+class Motion(Protocol):
+    """Gives joint angles for each picture."""
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """(nq,) at ``time``, seconds since the first picture, with what was seen in this one."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Stays at home."""
+
+    robot: Robot
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """See ``Motion``."""
+        return self.robot.home
+
+
+@dataclass(frozen=True, eq=False)
+class Waving:
+    """Swings each joint about home, inside its limits; robots with ball or free joints stay at home."""
+
+    robot: Robot
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """See ``Motion``."""
+        robot = self.robot
+        if robot.nq != robot.nv:
+            return robot.home
+        room = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
+        swing = np.clip(np.nan_to_num(_WAVE_SHARE * room, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
+        phase = 2.0 * np.pi * time / _WAVE_PERIOD
+        return np.asarray(robot.home + swing * np.sin(phase * (1.0 + 0.5 * (np.arange(robot.nq) % 2))))
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Plays a trajectory over and over."""
+
+    trajectory: Trajectory
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """See ``Motion``."""
+        length = self.trajectory.duration
+        return self.trajectory.at(float(self.trajectory.times[0]) + (time % length if length > 0 else 0.0))
+
+
+class Following:
+    """Reaches for the other marker with its tool; holds still while the marker is not seen."""
+
+    def __init__(self, robot: Robot, figure: Figure) -> None:
+        self._robot, self._figure = robot, figure
+        self._solver = SOLVERS["auto"]()
+        self._q = np.array(robot.home)
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """See ``Motion``."""
+        if seen is None or seen.marker is None:
+            return self._q
+        marker = seen.marker.pose
+        board = seen.pose_camera_board.inverse().compose(marker)
+        base = self._figure.pose_board_base.inverse().compose(board)
+        wanted = base.position / self._figure.scale
+        here = self._robot.forward(self._q).position
+        goal = PositionGoal(self._robot.tool, position=here + _CHASE * (wanted - here))
+        found = self._solver.solve(Problem(self._robot, goal), self._q)
+        self._q = np.array(found.q)
+        return self._q
+
+
+@dataclass(frozen=True, eq=False)
+class Mirroring:
+    """Stands as a live arm stands."""
+
+    source: JointSource
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """See ``Motion``."""
+        return self.source.read().q
+
+
+def make_motion(text: str, robot: Robot, figure: Figure, stack: contextlib.ExitStack) -> Motion:
+    """The motion that ``text`` names; ``stack`` closes what it opens.
+
+    Args:
+        text: ``home``, ``wave``, ``follow``, ``FILE.csv``, or ``FILE.toml[@BUS]`` of an arm.
+        robot: Who moves.
+        figure: Where it stands.
+        stack: Of the run.
+
+    Raises:
+        ConfigError: It means nothing, or the file does not fit the robot.
+    """
+    if text == "home":
+        return Standing(robot)
+    if text == "wave":
+        return Waving(robot)
+    if text == "follow":
+        return Following(robot, figure)
+    name, _, bus = text.partition("@")
+    path = Path(name)
+    if path.suffix == ".csv":
+        trajectory = Trajectory.load_csv(path)
+        if tuple(trajectory.joints) != tuple(robot.joints):
+            raise ConfigError(
+                f"has the joints {', '.join(trajectory.joints)}",
+                file=path, key="line 1", allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
+            )  # fmt: skip
+        return Replay(trajectory)
+    if path.suffix == ".toml":
+        return Mirroring(_live_arm(path, bus or "sim", robot, stack))
+    raise ConfigError(
+        f"{text!r} is no motion", file="command line", key="--motion",
+        allowed="home, wave, follow, a trajectory (FILE.csv), or an arm (FILE.toml@PORT)",
+    )  # fmt: skip
+
+
+def _live_arm(path: Path, bus: str, robot: Robot, stack: contextlib.ExitStack) -> JointSource:
+    """A connected arm, whose servos get no torque: it is only looked at."""
+    from robot_ik.hardware import open_arm
+    from robot_ik.hardware.config import ArmConfig
+
+    config = ArmConfig.load(path)
+    if tuple(joint.name for joint in config.joints) != tuple(robot.joints):
+        raise ConfigError(
+            f"is of an arm with the joints {', '.join(joint.name for joint in config.joints)}",
+            file=path, allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
+        )  # fmt: skip
+    return stack.enter_context(open_arm(config, bus))
