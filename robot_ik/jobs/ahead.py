@@ -9,20 +9,30 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 from robot_ik.kernels import jit
 from robot_ik.solvers import make_solver
-from robot_ik.solvers.base import IterativeSolver
+from robot_ik.solvers.analytic.entry import closed_form
+from robot_ik.solvers.base import IterativeSolver, Solver
+from robot_ik.solvers.levenberg_marquardt import lm
 
 # A solve from the goal itself compiles everything and takes no step.
 _PROGRAM = """
 import sys
 import robot_ik as rik
 robot = rik.load_robot(sys.argv[1])
-rik.solve(robot, rik.PositionGoal(None, robot.forward(robot.home).position), solver=sys.argv[2])
+rik.solve(robot, rik.PoseGoal.at(None, robot.forward(robot.home)), solver=sys.argv[2])
 """
+
+
+def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
+    """The compiled loops of which a first solve needs one; which, the other process finds out."""
+    if isinstance(method, IterativeSolver):
+        return (method.kernel(),)
+    return (closed_form, lm)
 
 
 class CompiledAhead:
@@ -35,10 +45,10 @@ class CompiledAhead:
 
     def __init__(self, robot: str, solver: str) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        method = make_solver(solver)
-        if not isinstance(method, IterativeSolver) or jit.compiled(method.kernel()):
+        kernels = _kernels_of(make_solver(solver))
+        if any(jit.compiled(kernel) for kernel in kernels):
             return
-        jit.announce(method.kernel(), f"solver {solver!r}")
+        jit.announce(kernels[0], f"solver {solver!r}")
         quiet = subprocess.DEVNULL
         with contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
             self._process = subprocess.Popen(
