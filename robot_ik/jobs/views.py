@@ -37,8 +37,10 @@ _LEAST_FACING, _LEAST_SIDE = 0.40, 28.0
 _LARGEST_TILT = np.deg2rad(50.0)
 # Random starts in all, and candidates wanted for each view that is chosen.
 _TRIES, _POOL = 3000, 5
+# How often stops that cannot be got to are replaced.
+_REPAIRS = 4
 # Where not one of so many shows anything, none will.
-_HOPELESS = 600
+_HOPELESS = 300
 # How far from home the search goes: shares of the way to a random configuration.
 _SHARES = (0.1, 0.7)
 # What pixels and arm are taken to be good for while views are chosen: px, metres, rad.
@@ -116,8 +118,16 @@ def plan_views(
     start = robot.home if start is None else robot.check_q(start, "start")
     clearance = Clearance(robot, start, task.table)
     pool = _candidates(robot, task, clearance, start, max(_POOL * count, 4 * LEAST_VIEWS), seed)
-    chosen = _most_informative([information for _, information in pool], count)
-    ordered = _short_way(robot, start, [pool[k][0] for k in chosen], clearance)
+    ordered: list[Array] = []
+    for _ in range(_REPAIRS):
+        chosen = _most_informative([information for _, information in pool], count)
+        way = _short_way(robot, start, [pool[k][0] for k in chosen], clearance)
+        ordered = max(ordered, [pool[chosen[k]][0] for k in way], key=len)
+        if len(way) == len(chosen):
+            break
+        # To some no way is free: others take their place.
+        lost = {k for place, k in enumerate(chosen) if place not in way}
+        pool = [one for k, one in enumerate(pool) if k not in lost]
     if len(ordered) < LEAST_VIEWS:
         who = "camera" if task.mount.mounting == "eye_in_hand" else "board"
         raise CameraError(
@@ -246,8 +256,8 @@ def _most_informative(informations: Sequence[Array], count: int) -> list[int]:
     return chosen
 
 
-def _short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Clearance) -> list[Array]:
-    """Stops in an order of short free ways: to the nearest each time, then crossings undone (2-opt).
+def _short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Clearance) -> list[int]:
+    """Indices of stops, ordered by short free ways: the nearest each time, then crossings undone (2-opt).
 
     Stops that no free way leads to are left out.
     """
@@ -272,7 +282,7 @@ def _short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Cl
                 trial = [*way[:i], *way[i : j + 1][::-1], *way[j + 1 :]]
                 if _length(trial, cost) < _length(way, cost) - 1e-9:
                     way, improved = trial, True
-    return [places[k] for k in way[1:]]
+    return [k - 1 for k in way[1:]]
 
 
 def _length(way: Sequence[int], cost: Array) -> float:
