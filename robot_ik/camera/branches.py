@@ -60,9 +60,10 @@ class Branches:
         """RMS distance of the corners, px."""
         return float(np.sqrt(np.mean(self.fits[chosen].pixels ** 2)))
 
-    def covariance(self, chosen: int = 0) -> Array:
-        """(6, 6) of the pose."""
-        return covariance_of(self.fits[chosen].jacobian, self.costs[chosen])
+    @cached_property
+    def covariances(self) -> tuple[Array, ...]:
+        """(6, 6) of each pose."""
+        return tuple(covariance_of(f.jacobian, cost) for f, cost in zip(self.fits, self.costs, strict=True))
 
     def other(self, chosen: int = 0) -> Pose | None:
         """The pose that was not chosen."""

@@ -6,6 +6,7 @@ a tenth.  OpenCV's own refinement is off: it pulls corners inwards by up to a pi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -21,6 +22,10 @@ Image = NDArray[np.uint8]
 
 # Cells narrower than this (px) cannot be read, only guessed: noise now and then looks like a code.
 _LEAST_CELL = 1.5
+# Where a marker is expected it is looked for down to this part of its size.
+_SHRINK = 0.6
+# Thresholds of the quick search look at so many pixels around, px: fine enough for a cell of 2 px.
+_QUICK_WINDOW = 13
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +73,39 @@ class MarkerDetector:
                 f"marker ids {beyond} are not in {dictionary}", hint=f"its ids are 0 to {count - 1}"
             )
         self._detector = cv2.aruco.ArucoDetector(table, _parameters())
+        self._quick_parameters = _parameters()
+        self._quick_parameters.adaptiveThreshWinSizeMin = _QUICK_WINDOW
+        self._quick_parameters.adaptiveThreshWinSizeMax = _QUICK_WINDOW
+        self._quick = cv2.aruco.ArucoDetector(table, self._quick_parameters)
 
     def detect(self, image: Image) -> list[Detection]:
         """Markers in a picture (h, w) or (h, w, 3) uint8, sorted by id.
 
         The same id may come twice when two copies of a marker are in view.
         """
-        found = detect_markers(self._detector, to_gray(image))
+        return self._wanted(detect_markers(self._detector, to_gray(image)))
+
+    def detect_quickly(
+        self, image: Image, perimeter: float = 0.0, *, origin: tuple[int, int] = (0, 0)
+    ) -> list[Detection]:
+        """As ``detect``, three times faster, with one threshold: enough for markers just seen.
+
+        Args:
+            image: (h, w) or (h, w, 3) uint8; or a part of the picture that holds the markers and the white
+                round them.
+            perimeter: Of the smallest marker that is expected, px.
+            origin: Pixel (x, y) of the whole picture at which the part begins.
+        """
+        least = max(4 * _LEAST_CELL * self.cells, _SHRINK * perimeter)
+        # In steps of a fifth, so that the detector is not told something new with every picture.
+        rate = 1.2 ** math.floor(math.log(least / max(image.shape)) / math.log(1.2))
+        if rate != self._quick_parameters.minMarkerPerimeterRate:
+            self._quick_parameters.minMarkerPerimeterRate = rate
+            self._quick.setDetectorParameters(self._quick_parameters)
+        found = detect_markers(self._quick, to_gray(image))
+        return self._wanted([(i, corners + np.array(origin, dtype=float)) for i, corners in found])
+
+    def _wanted(self, found: list[tuple[int, Array]]) -> list[Detection]:
         least = _LEAST_CELL * self.cells
         wanted = [
             Detection(i, corners)

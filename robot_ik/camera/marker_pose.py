@@ -61,7 +61,7 @@ def marker_points(size: float) -> Array:
     """
     if not 0.0 < size <= _LARGEST_SIZE:
         raise CameraError(
-            f"a marker size of {size:g} m cannot be right",
+            f"a marker size of {size} m cannot be right",
             hint=f"give the side of the black square in metres: {_in_metres(size)}",
         )
     h = 0.5 * size
@@ -102,7 +102,7 @@ def marker_observation(
         alternative=branches.other(chosen),
         reprojection_error=branches.pixel_error(chosen),
         ambiguity=branches.ambiguity if ambiguity is None else ambiguity,
-        covariance=branches.covariance(chosen),
+        covariance=branches.covariances[chosen],
         sigma=seen.sigma,
         refined=seen.refined,
         time=time,

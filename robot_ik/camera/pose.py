@@ -84,7 +84,7 @@ class BodyBranches:
         b = self.branches
         return BodyObservation(
             pose_camera_body=b.poses[chosen],
-            covariance=b.covariance(chosen),
+            covariance=b.covariances[chosen],
             reprojection_error=b.pixel_error(chosen),
             ids=self.ids,
             rejected=self.rejected,

@@ -8,6 +8,7 @@ meet.  Unlike corner operators, which look at the rounded corner itself, this ha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.detect import Image, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens_kernels import lens_vector
+from robot_ik.camera.lens_kernels import CX, CY, lens_vector
 from robot_ik.camera.refine_kernel import refine_corners_of
 from robot_ik.kernels.jit import announce
 
@@ -74,9 +75,22 @@ def refine_corners(
 
 
 def refine_markers(
-    image: Image, markers: Sequence[ArrayLike], intrinsics: CameraIntrinsics, *, cells: int = 8
+    image: Image,
+    markers: Sequence[ArrayLike],
+    intrinsics: CameraIntrinsics,
+    *,
+    cells: int = 8,
+    origin: tuple[int, int] = (0, 0),
 ) -> list[RefinedCorners]:
-    """Refines the corners of several markers at once; arguments as in ``refine_corners``."""
+    """Refines the corners of several markers at once.
+
+    Args:
+        image: As in ``refine_corners``; or a part of the picture that holds the markers.
+        markers: Rough corners (4, 2) of each, in distorted pixels of the whole picture.
+        intrinsics: Of the whole picture.
+        cells: As in ``refine_corners``.
+        origin: Pixel (x, y) of the whole picture at which the part begins.
+    """
     if not len(markers):
         return []
     announce(refine_corners_of, "the refinement of marker corners")
@@ -84,8 +98,14 @@ def refine_markers(
     corners = np.array([np.asarray(m, dtype=float).reshape(4, 2) for m in markers])
     ideal, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
     good = np.zeros(len(corners), np.int64)
-    refine_corners_of(gray, lens_vector(intrinsics), cells, corners, ideal, covariance, good)
+    lens = lens_vector(intrinsics)
+    if origin != (0, 0):
+        lens = lens.copy()
+        lens[[CX, CY]] -= origin
+        corners -= origin
+    refine_corners_of(gray, lens, cells, corners, ideal, covariance, good)
+    corners += origin
     return [
-        RefinedCorners(c, i, v, float(np.sqrt(np.trace(v) / 8)), True) if fine else unrefined(c, intrinsics)
+        RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True) if fine else unrefined(c, intrinsics)
         for c, i, v, fine in zip(corners, ideal, covariance, good, strict=True)
     ]

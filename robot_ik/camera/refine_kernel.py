@@ -41,6 +41,8 @@ from robot_ik.kernels.jit import kernel, outlined
 _LEAST_SIGMA = 0.01
 # Half widths of the band of pixels, px: first to find the edge, then to measure it.
 _FIND_BAND, _FIT_BAND = 5.0, 4.0
+# To find an edge fewer columns will do.
+_FIND_COLUMNS = 24
 # Pixels of a side at most: 45 degrees makes a column of the wider band sqrt(2) longer.
 _ROOM = COLUMNS * (2 * math.ceil((_FIND_BAND + 0.5) * 1.5) + 1)
 # One pass to find, one to measure; more only while some corner still moves by _STILL px.
@@ -93,7 +95,7 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
                 fine = fine and bent_side(lens, one, k, cells, band, curve, sides[k])
                 if not fine:
                     break
-                n = cross_columns(curve, sides[k], table)
+                n = cross_columns(curve, sides[k], _FIND_COLUMNS if find else COLUMNS, table)
                 take_pixels(gray, sides[k], table, n, pixels, columns)
                 fine = fit_side(pixels, columns, table, n, x, blur, find, work, sides[k], fits[k])
             if not fine:

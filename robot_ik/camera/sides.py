@@ -87,15 +87,15 @@ def bent_side(lens, corners, k, cells, band, curve, side):
 
 
 @outlined
-def cross_columns(curve, side, table):
-    """Whole columns along a side and where the curve crosses them; ``table`` (5, 64); how many there are."""
+def cross_columns(curve, side, most, table):
+    """Fills ``table`` (5, 64): up to ``most`` whole columns along a side and its crossings; how many."""
     last = STATIONS - 1
     gap = CORNER_GAP * (curve[last, 0] - curve[0, 0]) / side[LENGTH]
     low, high = curve[0, 0] + gap, curve[last, 0] - gap
     first, length = math.ceil(low), math.floor(high) - math.ceil(low)
     n, i, previous = 0, 1, first - 1.0
-    for column in range(COLUMNS):
-        place = np.rint(first + column * length / (COLUMNS - 1))
+    for column in range(most):
+        place = np.rint(first + column * length / (most - 1))
         # Columns at the ends, and pixels at the border of the band, fade in over one pixel: with a hard
         # border the fit can jump between two sets of pixels for ever.
         use = min(place - low, high - place, 1.0)

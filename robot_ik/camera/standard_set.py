@@ -109,20 +109,25 @@ def render_markers(
 
     Args:
         camera: The optics.
-        markers: Id -> (side in metres, ``pose_camera_marker``); later ones are painted over earlier ones.
+        markers: Id -> (side in metres, ``pose_camera_marker``); they must not overlap.
         rng: Of wall, light and noise.
         dictionary: Of all markers.
         look: Blur, noise, light.
-        margin: White paper round each marker, in its size; at most the gap to the next marker.
+        margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
         cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
     """
     look = look or Look()
     canvas = _wall(camera, rng, look)
-    for marker_id, (size, pose) in markers.items():
-        box = _paper_box(camera, pose, size)
-        if box[2] > box[0] and box[3] > box[1]:
-            paper = _Paper(size, marker_bits(dictionary, marker_id), margin)
-            _paint_paper(canvas, box, camera, pose, paper, look)
+    prints = {i: marker_bits(dictionary, i) for i in markers}
+    # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
+    layers = [(prints, margin)]
+    if len(markers) > 1:
+        layers = [({i: np.full((1, 1), 255, np.uint8) for i in markers}, margin), (prints, 0.0)]
+    for bits, white in layers:
+        for marker_id, (size, pose) in markers.items():
+            box = _paper_box(camera, pose, size)
+            if box[2] > box[0] and box[3] > box[1]:
+                _paint_paper(canvas, box, camera, pose, _Paper(size, bits[marker_id], white), look)
     if cover is not None:
         cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (look.black + look.white))
     if look.blur > 0:

@@ -6,28 +6,21 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robot_ik.camera.bodies import MarkerBody
+from robot_ik.camera.branches import Branches
 from robot_ik.camera.detect import Detection, Image, MarkerDetector, to_gray
+from robot_ik.camera.flips import BranchMemory, Choice
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.pose import (
-    BodyObservation,
-    MarkerObservation,
-    estimate_body,
-    estimate_marker,
-    marker_points,
-)
+from robot_ik.camera.marker_pose import MarkerObservation, marker_branches, marker_observation, marker_points
+from robot_ik.camera.pose import BodyObservation, body_branches
 from robot_ik.camera.refine import RefinedCorners, refine_markers
+from robot_ik.camera.search_window import SearchWindow
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
-Array = NDArray[np.float64]
-
-# The window searched for a marker seen in the last frame: its box and so much of its size on each side.
-_WINDOW_MARGIN = 0.75
-# The whole frame is searched every so many frames all the same: for markers that come into view.
-_FULL_EVERY = 10
+Layout = Mapping[int, tuple[float, Pose]]
 
 
 class MarkerTracker:
@@ -41,7 +34,9 @@ class MarkerTracker:
         sizes: Side of the black squares in metres: one number, or by id.
         ids: Only these are reported; None for all, or for those named in ``sizes``.
         window: Search only round the markers of the last frame, and the whole frame every tenth time or
-            when one is lost.  Much faster on large frames; off, each frame is seen for itself.
+            when one is lost.  Several times faster; off, each frame is searched for itself.
+        memory: Decide between the two poses of a flat marker with the last pictures in mind, see
+            ``robot_ik.camera.flips``; None: as ``window``.  For pictures of one scene in their order.
 
     Raises:
         CameraError: Unknown dictionary, an id beyond it, an id without a size, or a size that cannot be.
@@ -55,6 +50,7 @@ class MarkerTracker:
         ids: Iterable[int] | None = None,
         *,
         window: bool = False,
+        memory: bool | None = None,
     ) -> None:
         self.intrinsics = intrinsics
         by_id = dict(sizes) if isinstance(sizes, Mapping) else None
@@ -71,8 +67,9 @@ class MarkerTracker:
             marker_points(size)
         self.detector = MarkerDetector(dictionary, chosen)
         self._use_window = window
-        self._boxes: dict[int, Array] = {}
-        self._since_full = 0
+        self._window = SearchWindow()
+        self._use_memory = window if memory is None else memory
+        self._memories: dict[int | frozenset[int], BranchMemory] = {}
 
     def size_of(self, marker_id: int) -> float:
         """Side of the black square of a marker, metres."""
@@ -90,64 +87,81 @@ class MarkerTracker:
             CalibrationError: The frame has not the size of the calibration.
         """
         observations = []
-        for marker_id, corners in self._refined(frame):
-            observation = estimate_marker(
-                corners, self.size_of(marker_id), self.intrinsics, id=marker_id, time=frame.time
+        found = self._refined(frame)
+        count = Counter(i for i, _ in found)
+        for marker_id, corners in found:
+            branches = marker_branches(corners, self.size_of(marker_id), self.intrinsics)
+            if branches is None:
+                continue
+            # Nobody knows which of two copies the last picture was about.
+            choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
+            observations.append(
+                marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
             )
-            if observation is not None:
-                observations.append(observation)
         return observations
 
-    def observe_body(self, frame: Frame, layout: Mapping[int, tuple[float, Pose]]) -> BodyObservation | None:
+    def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
         """A rigid body that carries several markers; see ``estimate_body``.
 
         Ids that come twice are left out: nobody knows which one belongs to the body.
 
+        Args:
+            frame: The picture.
+            body: A ``MarkerBody``, or its layout: id -> (side in metres, ``pose_body_marker``).
+
         Raises:
             CalibrationError: The frame has not the size of the calibration.
+            CameraError: The body's markers are of another dictionary than the tracker's.
         """
+        layout = body.markers if isinstance(body, MarkerBody) else body
+        if isinstance(body, MarkerBody):
+            body.require_dictionary(self.detector.dictionary)
         found = self._refined(frame)
         count = Counter(i for i, _ in found)
-        return estimate_body({i: c for i, c in found if count[i] == 1}, layout, self.intrinsics)
+        fitting = body_branches({i: c for i, c in found if count[i] == 1}, layout, self.intrinsics)
+        if fitting is None:
+            return None
+        choice = self._choose(frozenset(layout), fitting.branches, frame.time)
+        return fitting.observation(choice.index, choice.ambiguity, frame.time)
+
+    def _choose(
+        self, who: int | frozenset[int], branches: Branches, time: float, *, certain: bool = True
+    ) -> Choice:
+        """The branch to believe in: what this picture says, or with a memory what the last ones say."""
+        if not (self._use_memory and certain):
+            self._memories.pop(who, None)
+            return Choice(0, branches.ambiguity)
+        return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
     def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
         self.intrinsics.require_size(*frame.size)
-        gray = to_gray(frame.image)
-        detections = self._detect(gray)
+        part, origin, detections = self._detect(frame.image)
         refined = refine_markers(
-            gray, [d.corners for d in detections], self.intrinsics, cells=self.detector.cells
+            part,
+            [d.corners for d in detections],
+            self.intrinsics,
+            cells=self.detector.cells,
+            origin=origin,
         )
         return [(d.id, corners) for d, corners in zip(detections, refined, strict=True)]
 
-    def _detect(self, gray: Image) -> list[Detection]:
-        if not self._use_window:
-            return self.detector.detect(gray)
-        box = self._window(gray.shape)
-        if box is not None:
+    def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection]]:
+        """The part of the picture (grey) that was looked at, where it begins, and what is in it."""
+        window = self._window if self._use_window else None
+        box = None if window is None else window.around(image.shape[1], image.shape[0])
+        if window is not None and box is not None:
             x0, y0, x1, y1 = box
-            crop = np.ascontiguousarray(gray[y0:y1, x0:x1])
-            found = [Detection(d.id, d.corners + np.array([x0, y0])) for d in self.detector.detect(crop)]
-            if {d.id for d in found} >= set(self._boxes):
-                self._since_full += 1
-                self._remember(found)
-                return found
-        found = self.detector.detect(gray)
-        self._since_full = 0
-        self._remember(found)
-        return found
-
-    def _remember(self, found: list[Detection]) -> None:
-        self._boxes = {d.id: d.corners for d in found}
-
-    def _window(self, shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
-        """Part of the picture that holds the last finds, or None when all of it should be searched."""
-        if not self._boxes or self._since_full + 1 >= _FULL_EVERY:
-            return None
-        low = np.array([c.min(axis=0) - _WINDOW_MARGIN * np.ptp(c, axis=0) for c in self._boxes.values()])
-        high = np.array([c.max(axis=0) + _WINDOW_MARGIN * np.ptp(c, axis=0) for c in self._boxes.values()])
-        x0, y0 = np.maximum(np.floor(low.min(axis=0)), 0).astype(int)
-        x1, y1 = np.minimum(np.ceil(high.max(axis=0)) + 1, (shape[1], shape[0])).astype(int)
-        # A window of more than half the picture saves nothing.
-        if (x1 - x0) * (y1 - y0) > 0.5 * shape[0] * shape[1]:
-            return None
-        return int(x0), int(y0), int(x1), int(y1)
+            part = to_gray(np.ascontiguousarray(image[y0:y1, x0:x1]))
+            found = self.detector.detect_quickly(part, window.perimeter, origin=(x0, y0))
+            if window.holds(found):
+                window.remember(found)
+                return part, (x0, y0), found
+        gray = to_gray(image)
+        wanted = self.detector.ids
+        # Quickly, when all that may be there is found that way.
+        found = [] if wanted is None else self.detector.detect_quickly(gray)
+        if wanted is None or not {d.id for d in found} >= wanted:
+            found = self.detector.detect(gray)
+        if window is not None:
+            window.remember(found, whole=True)
+        return gray, (0, 0), found
