@@ -70,6 +70,19 @@ class SheetWish:
         """Edge of the cube, mm."""
         return 1.25 * self.size if self.edge_mm is None else self.edge_mm
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Columns and rows of a board."""
+        return self.columns or 2, self.rows or 2
+
+    @property
+    def marker_ids(self) -> tuple[int, ...]:
+        """Ids of the markers on a sheet of them, a board or a cube."""
+        if self.kind == "board":
+            first = self.ids[0] if self.ids else 0
+            return tuple(range(first, first + self.counts[0] * self.counts[1]))
+        return self.ids or tuple(range(6 if self.kind == "cube" else 1))
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -112,7 +125,7 @@ def _names(ids: Sequence[int]) -> str:
 
 
 def _markers(wish: SheetWish, room: Room) -> Block:
-    ids = wish.ids or (0,)
+    ids = wish.marker_ids
     quiet, pitch = wish.size * QUIET, wish.size + wish.gap
     columns = int(np.clip((room[0] - 2 * quiet + wish.gap) // pitch, 1, len(ids)))
     rows = -(-len(ids) // columns)
@@ -131,9 +144,7 @@ def _markers(wish: SheetWish, room: Room) -> Block:
 
 
 def _board(wish: SheetWish, room: Room) -> Block:
-    columns, rows = wish.columns or 2, wish.rows or 2
-    first = wish.ids[0] if wish.ids else 0
-    ids = wish.ids if len(wish.ids) == columns * rows else tuple(range(first, first + columns * rows))
+    (columns, rows), ids = wish.counts, wish.marker_ids
     quiet, pitch = wish.size * QUIET, wish.size + wish.gap
     boxes = [
         moved(
@@ -152,7 +163,7 @@ def _board(wish: SheetWish, room: Room) -> Block:
 
 
 def _cube(wish: SheetWish, room: Room) -> Block:
-    ids = wish.ids or (0, 1, 2, 3, 4, 5)
+    ids = wish.marker_ids
     faces = cube_net(ids, wish.size, wish.edge)
     low = np.min([face.centre for face in faces], axis=0) - wish.edge / 2
     high = np.max([face.centre for face in faces], axis=0) + wish.edge / 2

@@ -69,7 +69,13 @@ def run(options: CameraCalibrateOptions) -> int:
     from robot_ik.camera.calibrate import calibrate
     from robot_ik.camera.calibration_views import ViewGatherer
     from robot_ik.camera.pattern_kinds import PatternWish
+    from robot_ik.errors import CameraError
 
+    if not options.sources:
+        raise CameraError(
+            "nothing to calibrate from",
+            hint="give pictures, a folder of them, a film, or a camera's index: 0",
+        )
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
     wish = PatternWish(options.pattern, *(getattr(options, field) for field in fields))
     gatherer = ViewGatherer(wish.pattern())

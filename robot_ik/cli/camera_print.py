@@ -33,8 +33,7 @@ class CameraPrintOptions:
     rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
     """The same downwards: board 2, charuco 6, chessboard 6."""
     ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: 0, 1, 2, …)")] = ()
-    """marker: one sheet position each. board: the first one counts on. cube: five or six, in the order
-    of the faces."""
+    """marker: any. board: the upper left one. cube: front, right, back, left, top, bottom."""
     dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
     """Dictionary of the markers."""
     gap_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
@@ -47,6 +46,8 @@ class CameraPrintOptions:
     """Paper; it is turned when that makes it fit."""
     dpi: int = 300
     """Pixels per inch of a .png."""
+    body: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
 
 
 def run(options: CameraPrintOptions) -> int:
@@ -57,6 +58,12 @@ def run(options: CameraPrintOptions) -> int:
 
     wish = SheetWish(**{name: getattr(options, name) for name in SheetWish.__dataclass_fields__})
     page = make_sheet_page(wish)
+    if options.body is not None:
+        from robot_ik.camera.sheet_bodies import body_file
+        from robot_ik.files import write_atomically
+
+        write_atomically(options.body, body_file(wish, options.body.stem))
+        console.say(f"wrote {options.body}: where its markers are", "green")
     write_sheet(page, options.out, dpi=options.dpi)
     console.say(f"wrote {options.out}: {page.about}", "green")
     console.say("print it at 100 % (actual size) and measure the bar: 100.0 mm")

@@ -24,6 +24,8 @@ from robot_ik.camera.sources import (
     open_source,
     read_image,
 )
+from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
 
@@ -108,6 +110,51 @@ def test_a_film_gives_every_picture_with_its_time(film: Path) -> None:
             source.read()
     assert [round(int(f.image[20, 20, 0]) / 20) for f in frames] == list(range(12))
     assert np.diff([f.time for f in frames]) == pytest.approx(0.1)
+
+
+def test_a_film_can_run_at_its_own_pace(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    with open_source(str(film), real_time=True) as source:
+        assert [source.read().sequence for _ in range(3)] == [0, 1, 2]
+        assert now[0] == pytest.approx(100.2), "waited for the third picture"
+        now[0] += 0.45  # the reader was busy
+        frame = source.read()
+        assert frame.sequence == 6 and frame.time == pytest.approx(100.6)
+        assert round(int(frame.image[20, 20, 0]) / 20) == 6, "the picture is the one of its number"
+        now[0] += 5.0
+        last = source.read()
+        assert last.sequence == 11 and round(int(last.image[20, 20, 0]) / 20) == 11
+        with pytest.raises(FrameTimeoutError, match="ended after 12"):
+            source.read()
+
+
+def test_a_synthetic_camera_keeps_its_truth_apart() -> None:
+    with open_source("synthetic:orbit?frames=3&seed=4&noise=2") as source:
+        first = source.read()
+        (pose,) = first.truth["pose_camera_marker"].values()  # type: ignore[index]
+        (seen,) = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", {7: 0.05}).observe(first.without_truth())
+        assert max(seen.pose.distance(pose)) < 5e-3
+        assert len(list(source)) == 2
+        with pytest.raises(FrameTimeoutError, match="3 pictures have been read"):
+            source.read()
+    again = open_source("synthetic:orbit?frames=3&seed=4&noise=2").read()
+    assert (again.image == first.image).all(), "the same seed gives the same picture"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("synthetic:orbti", "unknown synthetic scene 'orbti'"),
+        ("synthetic:orbit?nose=3", "unknown option of a synthetic source 'nose'"),
+        ("synthetic:orbit?noise=loud", "noise='loud' of a synthetic source must be a number"),
+        ("synthetic:orbit?frames=-1", "cannot be negative"),
+    ],
+)
+def test_synthetic_sources_that_do_not_exist_are_told(text: str, message: str) -> None:
+    with pytest.raises(CameraNotFoundError, match=message):
+        open_source(text)
 
 
 def test_another_size_than_asked_is_told(tmp_path: Path, film: Path) -> None:

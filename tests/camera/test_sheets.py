@@ -1,0 +1,225 @@
+"""Printed sheets: parsed back from the PDF, found again in the PNG, refused when they do not fit."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.opencv import marker_bits
+from robot_ik.camera.pattern_kinds import PatternWish
+from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
+from robot_ik.camera.sheet_bodies import body_file, body_of
+from robot_ik.camera.sheet_cube import unfold
+from robot_ik.camera.sheet_page import pdf_bytes, rasterize, write_sheet
+from robot_ik.camera.sheets import make_sheet_page
+from robot_ik.errors import CalibrationError, CameraError, OutputError
+from robot_ik.geometry import Pose, rotation_exp
+
+DPI = 150.0
+
+
+def pdf_boxes(data: bytes) -> tuple[tuple[float, float], np.ndarray]:
+    """Page size and black rectangles (n, 4) in mm from the upper left corner, by the PDF's own matrix."""
+    text = data.decode("latin-1")
+    box = re.search(r"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", text)
+    matrix = re.search(r"([\d.]+) 0 0 -([\d.]+) 0 ([\d.]+) cm", text)
+    assert box and matrix
+    width, height = (float(v) * 25.4 / 72.0 for v in box.groups())
+    across, down, top = map(float, matrix.groups())
+    boxes, ink = [], 0.0
+    for line in text.splitlines():
+        words = line.split()
+        if words[1:] == ["g"]:
+            ink = 1.0 - float(words[0])
+        if words[4:] == ["re"] and ink == 1.0:
+            x, y, w, h = map(float, words[:4])
+            # To points, as a viewer does it, and to mm of paper.
+            left, upper = across * x, float(box.group(2)) - (top - down * y)
+            boxes.append(np.array([left, upper, across * w, down * h]) * 25.4 / 72.0)
+    return (width, height), np.array(boxes)
+
+
+def found(page_image: np.ndarray, dictionary: str = "DICT_5X5_50") -> dict[int, np.ndarray]:
+    """Id -> corners (4, 2) in mm of paper."""
+    detector = MarkerDetector(dictionary)
+    return {m.id: (m.corners + 0.5) * 25.4 / DPI for m in detector.detect(page_image)}
+
+
+@pytest.mark.parametrize("page", ["a4", "letter"])
+@pytest.mark.parametrize("kind", ["marker", "board", "charuco", "chessboard"])
+def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKind, page: str) -> None:
+    wish = SheetWish(kind, ids=(3, 4) if kind == "marker" else (), page=page)
+    sheet = make_sheet_page(wish)
+    data = pdf_bytes(sheet)
+    size, boxes = pdf_boxes(data)
+    papers = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}
+    assert sorted(size) == pytest.approx(papers[page], abs=1e-3)
+    assert b"/PrintScaling /None" in data
+    rim = boxes[:, :2].min(), (np.array(size) - boxes[:, :2] - boxes[:, 2:]).min()
+    assert min(rim) > 5.0, "no printer reaches the rim"
+    # The two bars: the only things that are 100 mm long.
+    bars = boxes[np.isclose(boxes[:, 2:].max(axis=1), 100.0, atol=1e-3)]
+    assert len(bars) == 2 and set(bars[:, 2:].argmax(axis=1)) == {0, 1}
+    cells = boxes[boxes[:, 2:].min(axis=1) > 1.0]
+    if kind in ("marker", "board"):
+        assert cells[:, 2:] == pytest.approx(np.full((len(cells), 2), 50.0 / 7.0), abs=0.01)
+        first = cells[np.lexsort((cells[:, 0], cells[:, 1]))][0]
+        side = cells[np.abs(cells[:, 1] - first[1]) < 0.01]
+        # A marker's upper row is all black: 7 cells without a gap.
+        assert side[:, 0].max() + side[0, 2] - first[0] == pytest.approx(
+            50.0 if len(side) == 7 else 50.0 + wish.gap + 50.0, abs=0.01
+        )
+    else:
+        square = wish.size
+        squares = cells[np.isclose(cells[:, 2], square, atol=0.01)]
+        assert len(squares) == (24 if kind == "charuco" else 35)
+        steps = np.diff(np.unique(squares[:, 0].round(3)))
+        assert steps == pytest.approx(np.full(len(steps), square), abs=0.01)
+
+
+def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> None:
+    wish = SheetWish("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
+    path = tmp_path / "board.png"
+    write_sheet(make_sheet_page(wish), path, dpi=int(DPI))
+    data = path.read_bytes()
+    place = data.index(b"pHYs")
+    assert struct.unpack(">IIB", data[place + 4 : place + 13]) == (round(DPI / 0.0254),) * 2 + (1,)
+    corners = found(cv2.imread(str(path)))
+    assert set(corners) == {10, 11, 12, 13, 14, 15}
+    centres = {k: c.mean(axis=0) for k, c in corners.items()}
+    for corner in corners.values():
+        sides = np.linalg.norm(np.roll(corner, -1, axis=0) - corner, axis=1)
+        # The detector's integer corners are half a pixel inside: 0.17 mm here.
+        assert sides == pytest.approx(np.full(4, 42.0), abs=0.3)
+    # Where the markers are is what the body says; pictures have y down.
+    body = body_of(wish)
+    middle = np.mean(list(centres.values()), axis=0)
+    for marker, (size, pose) in body.markers.items():
+        assert size == pytest.approx(0.042)
+        there = (centres[marker] - middle) * [1, -1] / 1e3
+        assert there == pytest.approx(pose.position[:2], abs=2e-4)
+
+
+def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
+    """To 0.1 mm, from the grey of the pixels that an edge cuts."""
+    wish = SheetWish("marker", size_mm=50.0)
+    sheet = make_sheet_page(wish)
+    image = rasterize(sheet, DPI).astype(float)
+    cells = sheet.boxes[np.isclose(sheet.boxes[:, 2], 50.0 / 7.0)]
+    left, top = cells[:, :2].min(axis=0)
+    row = image[round((top + 3.0) / 25.4 * DPI)]
+    span = slice(round((left - 5.0) / 25.4 * DPI), round((left + 55.0) / 25.4 * DPI))
+    ink = (255.0 - row[span]).sum() / 255.0 * 25.4 / DPI
+    assert ink == pytest.approx(50.0, abs=0.02)
+
+
+def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
+    for kind in ("charuco", "chessboard"):
+        pattern = PatternWish(kind).pattern()
+        seen = pattern.find(rasterize(make_sheet_page(SheetWish(kind)), 75.0))
+        assert seen is not None and len(seen.ids) == pattern.corners[0] * pattern.corners[1]
+        scale = np.ptp(seen.pixels[:, 0]) * 25.4 / 75.0 / np.ptp(seen.points_board[:, 0])
+        assert scale == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
+    text = " ".join(w.text for w in make_sheet_page(SheetWish("charuco", size_mm=25.0, columns=9)).words)
+    for words in (
+        "9x6 squares",
+        "25 mm",
+        "DICT_5X5_50",
+        "print charuco --size-mm 25 --columns 9",
+        "100.0 mm",
+    ):
+        assert words in text
+    assert "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18" in text
+    labels = [w.text for w in make_sheet_page(SheetWish("marker", ids=(4, 9), size_mm=33.5)).words]
+    assert "4  33.5 mm" in labels and "9  33.5 mm" in labels
+
+
+# ------------------------------------------------------------------------------------- the cube
+
+
+def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
+    wish = SheetWish("cube", ids=(20, 21, 22, 23, 24, 25))
+    net = {f.marker: f for f in unfold({i: p for i, (_, p) in body_of(wish).markers.items()}, 50.0)}
+    # Front in the middle, its neighbours round it, the back beyond the right side; all prints upright.
+    places = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
+    assert {k: tuple(f.centre / 50.0) for k, f in net.items()} == places
+    assert {f.turns for f in net.values()} == {0}
+    corners = found(rasterize(make_sheet_page(wish), DPI))
+    middle = corners[20].mean(axis=0)
+    for marker, corner in corners.items():
+        assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(places[marker], abs=0.01)
+    assert set(corners) == set(places)
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_print_that_is_turned_on_its_face_is_turned_on_the_sheet(turns: int) -> None:
+    quarter = np.pi / 2
+    front = Pose((0, 0, 0.5))
+    top = Pose(wxyz=rotation_exp([-quarter, 0, 0])).compose(Pose((0, 0, 0.5)))
+    net = unfold({0: front, 1: top.compose(Pose(wxyz=rotation_exp([0, 0, turns * quarter])))}, 1.0)
+    assert [f.turns for f in net] == [0, turns]
+    # The picture of a marker turned to the left by the eye of whoever looks at it.
+    bits = marker_bits("DICT_5X5_50", 1)
+    assert (np.rot90(bits, turns) != bits).any()
+
+
+@pytest.mark.parametrize("wish", [SheetWish("board", columns=3, ids=(5,)), SheetWish("cube")])
+def test_the_body_file_is_read_back(wish: SheetWish, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(body_file(wish, "mine"))
+    body, true = load_bodies(path)["mine"], body_of(wish)
+    assert body.dictionary == wish.dictionary
+    assert list(body.markers) == list(true.markers)
+    for marker, (size, pose) in true.markers.items():
+        assert body.markers[marker][0] == pytest.approx(size)
+        assert max(body.markers[marker][1].distance(pose)) < 1e-8
+
+
+# ------------------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize(
+    ("wish", "message", "hint"),
+    [
+        (SheetWish("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
+        (SheetWish("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
+        (SheetWish("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
+        (SheetWish("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
+        (SheetWish("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
+        (SheetWish("marker", size_mm=0.05), "0.05 mm cannot be meant", "50 mm"),
+        (SheetWish("marker", ids=(50,)), "marker id 50 is not in DICT_5X5_50", "0 to 49"),
+        (SheetWish("marker", dictionary="DICT_5X5_51"), "unknown marker dictionary", ""),
+        (SheetWish("marker", page="a7"), "unknown paper 'a7'", "a4"),
+    ],
+)
+def test_what_cannot_be_printed_is_refused(wish: SheetWish, message: str, hint: str) -> None:
+    with pytest.raises((CameraError, CalibrationError), match=message) as caught:
+        make_sheet_page(wish)
+    assert hint in caught.value.hint
+
+
+def test_the_size_that_is_said_to_fit_fits() -> None:
+    wish = SheetWish("charuco", size_mm=55.0)
+    with pytest.raises(CameraError) as caught:
+        make_sheet_page(wish)
+    size = float(caught.value.hint.split()[1])
+    make_sheet_page(SheetWish("charuco", size_mm=size))
+    with pytest.raises(CameraError):
+        make_sheet_page(SheetWish("charuco", size_mm=size + 0.5))
+
+
+@pytest.mark.parametrize(("name", "dpi"), [("sheet.svg", 300), ("sheet", 300), ("sheet.png", 7)])
+def test_other_files_are_refused(name: str, dpi: int, tmp_path: Path) -> None:
+    with pytest.raises(OutputError):
+        write_sheet(make_sheet_page(SheetWish("marker")), tmp_path / name, dpi=dpi)
+    assert not list(tmp_path.iterdir())

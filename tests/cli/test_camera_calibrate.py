@@ -1,0 +1,108 @@
+"""``robot-ik camera calibrate`` on pictures, on a moving board, interrupted, and on nothing of use."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera import sources
+from robot_ik.camera.device import DeviceSource
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.moving_set import BoardSource, MovingOptions, open_moving
+from robot_ik.camera.standard_set import STANDARD_CAMERA
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of seven views of the usual ChArUco board."""
+    folder = tmp_path_factory.mktemp("views")
+    for frame in open_moving("synthetic:charuco?frames=19&seed=7"):
+        if frame.sequence % 3 == 0:  # it is held for three pictures
+            cv2.imwrite(str(folder / f"view{frame.sequence}.png"), frame.image)
+    return folder
+
+
+def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tmp_path: Path) -> None:
+    out = tmp_path / "desk.yaml"
+    run = robot_ik("camera", "calibrate", pictures, "--out", out, "--name", "desk", "--json")
+    assert run.code == 0, run.err
+    said, camera = json.loads(run.out), CameraIntrinsics.load(out)
+    assert said["digest"] == camera.digest and said["f"] == [camera.fx, camera.fy]
+    assert camera.fx == pytest.approx(STANDARD_CAMERA.fx, rel=0.005)
+    assert (camera.name, camera.views) == ("desk", 7) and camera.date.startswith("20")
+    assert [v["name"] for v in said["views"]] == [f"view{3 * k}.png" for k in range(7)]
+    assert said["doubts"][0] == "only 7 views: take 15 or more" and said["rms_px"] < 0.1
+    assert cv2.imread(str(tmp_path / "desk-coverage.png")).shape[1] == 900
+
+
+class LiveBoard(DeviceSource):
+    """A board before a camera, until somebody presses Ctrl-C."""
+
+    def __init__(self, ends_with: type[BaseException]) -> None:
+        self._board = open_moving("synthetic:charuco?frames=22&seed=3")
+        self._ends_with = ends_with
+        self.size = self._board.size
+
+    def read(self) -> sources.Frame:
+        if self._board.exhausted:
+            raise self._ends_with
+        return self._board.read()
+
+    @property
+    def exhausted(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        self._board.close()
+
+
+def test_ctrl_c_keeps_what_there_is(robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(KeyboardInterrupt))
+    out = tmp_path / "camera.yaml"
+    run = robot_ik("camera", "calibrate", "0", "--out", out)
+    assert run.code == 0, run.err
+    assert "view 7 of 20: still to show" in run.err and "stopped; 7 views are kept" in run.err
+    assert "usable, with doubts" in run.out and "only 7 views" in run.out
+    assert CameraIntrinsics.load(out).views == 7
+    kept = sorted(p.name for p in (tmp_path / "camera-views").iterdir())
+    assert kept == [f"view{k:02d}.png" for k in range(1, 8)]
+
+
+def test_ctrl_c_before_enough_is_no_calibration(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = LiveBoard(KeyboardInterrupt)
+    monkeypatch.setattr(sources, "open_source", lambda *_, **__: source)
+    source._board = BoardSource(source._board.pattern, MovingOptions(frames=6))  # type: ignore[attr-defined]
+    run = robot_ik("camera", "calibrate", "0", "--out", tmp_path / "camera.yaml")
+    assert run.code == 2 and "2 usable views: too few" in run.err
+    assert not (tmp_path / "camera.yaml").exists()
+    assert len(list((tmp_path / "camera-views").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nothing-here"], "there is no camera, file or folder 'nothing-here'"),
+        (["grey.png"], "there is no ChArUco board of 8x6 squares"),
+        (["grey.png", "small.png"], "small.png has 320x240 px, the pictures before it 640x480 px"),
+        (["grey.png", "--square-mm", "0.03"], "cannot be meant"),
+        (["grey.png", "--pattern", "chess"], "--pattern"),
+        ([], "nothing to calibrate from"),
+    ],
+)
+def test_slips_are_told(
+    arguments: list[str], words: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, size in (("grey.png", (480, 640, 3)), ("small.png", (240, 320, 3))):
+        cv2.imwrite(name, np.full(size, 128, np.uint8))
+    run = robot_ik("camera", "calibrate", *arguments)
+    run.assert_one_screen_error()
+    assert words in " ".join(run.err.replace("│", " ").split())
+    assert not (tmp_path / "camera.yaml").exists()

@@ -1,0 +1,48 @@
+"""``robot-ik camera print``: files, what is said of them, and slips."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_ik.camera.bodies import load_bodies
+
+
+def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
+    out = tmp_path / "sheet.pdf"
+    run = robot_ik("camera", "print", "marker", "--ids", 7, 8, "--size-mm", 45, "--out", out)
+    assert run.code == 0 and run.out == ""
+    assert "markers 7, 8 of DICT_5X5_50, 45 mm on a4" in run.err and "100.0 mm" in run.err
+    assert out.read_bytes().startswith(b"%PDF-1.4")
+
+
+def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
+    png, body = tmp_path / "sheet.png", tmp_path / "table.toml"
+    run = robot_ik("camera", "print", "board", "--out", png, "--body", body, "--dpi", 72, "--ids", 4)
+    assert run.code == 0 and png.read_bytes().startswith(b"\x89PNG")
+    assert list(load_bodies(body)["table"].markers) == [4, 5, 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["charuco", "--size-mm", "40"], ["needs 320x240 mm", "--size-mm 30 fits"]),
+        (["marker", "--out", "sheet.svg"], [".pdf or a .png"]),
+        (["marker", "--out", "nowhere/sheet.pdf"], ["cannot write"]),
+        (["marker", "--ids", "99"], ["marker id 99 is not in DICT_5X5_50", "0 to 49"]),
+        (["marker", "--dictionary", "5X5_51"], ["unknown marker dictionary", "DICT_5X5_50"]),
+        (["marker", "--body", "body.toml"], ["is no body", "board or cube"]),
+        (["poster"], ["poster"]),
+    ],
+)
+def test_slips_are_told(
+    arguments: list[str], words: list[str], robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = robot_ik("camera", "print", *arguments)
+    run.assert_one_screen_error()
+    flat = " ".join(run.err.replace("│", " ").split())
+    assert all(word in flat for word in words), run.err
+    assert not list(tmp_path.iterdir())
