@@ -70,6 +70,8 @@ class ReachOptions:
         arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
     ] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
+    camera_place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: --camera-pose)")] = ""
+    """The same from a file of `robot-ik camera locate` or `camera handeye`."""
     marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
     """Which marker to reach; no other ever becomes a goal."""
     marker_size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: the scene's)")] = None
@@ -159,7 +161,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
         frame=options.frame or None,
         camera=options.camera,
         intrinsics=Path(options.intrinsics) if options.intrinsics else None,
-        pose_world_camera=_camera_pose(options.camera_pose),
+        pose_world_camera=_camera_pose(options),
         marker_id=options.marker,
         marker_size=options.marker_size,
         dictionary=options.dictionary or None,
@@ -194,9 +196,20 @@ def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
     return ConfigError(problem, file="command line", key=key, allowed=allowed)
 
 
-def _camera_pose(numbers: tuple[float, ...]) -> Pose | None:
+def _camera_pose(options: ReachOptions) -> Pose | None:
     from robot_ik.geometry import Pose
 
+    numbers = options.camera_pose
+    if options.camera_place:
+        if numbers or not options.intrinsics:
+            what = "a place file and a pose" if numbers else "a place file without its calibration"
+            raise _wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
+        from robot_ik.camera.intrinsics import CameraIntrinsics
+        from robot_ik.camera.places import CameraPlace
+
+        place = CameraPlace.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
+        place.require_parent("world")
+        return place.pose_parent_camera
     if not numbers:
         return None
     if len(numbers) != 7:

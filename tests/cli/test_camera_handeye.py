@@ -1,0 +1,93 @@
+"""``robot-ik camera handeye`` as a user meets it; the job itself is tested in tests/jobs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_ik.camera.board_view import BoardView
+from robot_ik.camera.handeye_model import Mount
+from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.pose import marker_points
+from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs import handeye
+from robot_ik.jobs.handeye_samples import SampleSet
+from robot_ik.robot import load_robot
+
+CAMERA = Pose((0.05, 0.01, -0.08), rotation_exp([0.0, -0.1, 0.4]))
+POINTS = marker_points(0.12)
+
+
+@pytest.fixture
+def samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SampleSet:
+    """What a camera on the gripper would see of a large marker; one view is spoilt."""
+    monkeypatch.chdir(tmp_path)
+    robot, rng = load_robot("puma560"), np.random.default_rng(0)
+    board = robot.forward(robot.home, "gripper").compose(CAMERA).compose(Pose((0, 0, 0.6), (0, 1, 0, 0)))
+    made = SampleSet("puma560", robot.joints, "gripper", "eye_in_hand", STANDARD_CAMERA)
+    truth = Mount(CAMERA, board, "eye_in_hand")
+    while len(made) < 10:
+        q = robot.clip(robot.home + rng.uniform(-1, 1, 6) * (0.05, 0.05, 0.05, 0.5, 0.4, 1.0))
+        seen = truth.pose_parent_camera.inverse().compose(
+            robot.forward(q, "gripper").inverse().compose(truth.pose_other_board)
+        )
+        if seen.position[2] < 0.2 or seen.rotation[2, 2] > -0.5:
+            continue
+        pixels = STANDARD_CAMERA.project(seen.apply(POINTS)) + rng.normal(0, 0.1, (4, 2))
+        if len(made) == 6:
+            pixels[:, 0] += (8.0, -7.0, 6.0, -9.0)
+        made.add(q, BoardView(POINTS, pixels, seen))
+    made.save(Path("some.samples.json"))
+    return made
+
+
+def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleSet) -> None:
+    run = robot_ik("camera", "handeye", "--samples", "some.samples.json")
+    assert run.code == 0, run
+    assert run.out.count("contradicts the others") == 1
+    for words in ("camera seen from gripper", "board seen from world", "stated uncertainty", "left out"):
+        assert words in run.out
+    assert "true error" not in run.out  # nobody knows it
+    place = CameraPlace.load("place.toml", STANDARD_CAMERA)
+    assert place.parent == "gripper"
+    position, angle = place.pose_parent_camera.distance(CAMERA)
+    assert position < 2e-3 and angle < np.deg2rad(0.25)
+    said = json.loads(robot_ik("camera", "handeye", "--samples", "some.samples.json", "--json").out)
+    assert said["outliers"] == [6] and len(said["views"]) == 10 and said["true_error"] is None
+    np.testing.assert_array_equal(said["camera"]["position"], place.pose_parent_camera.position)
+
+
+def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(request: Any, *, keep: Any, **rest: Any) -> None:
+        keep(samples)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(handeye, "run_handeye", interrupted)
+    run = robot_ik("camera", "handeye", "--out", "mine.toml")
+    assert run.code == 130 and "after 10 views" in run.err
+    assert "--samples mine.samples.json" in run.err
+    assert not Path("mine.toml").exists()
+    assert len(SampleSet.load(Path("mine.samples.json"))) == 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--views", "3"], "allowed: 4 to 100"),
+        (["--speed", "0"], "share of the speed limits"),
+        (["--bus", "none"], "without servos"),
+        (["--board", "plank"], "is no board"),
+        (["--camera-guess", "1", "2"], "--camera-guess"),
+        (["--samples", "nowhere.json"], "cannot read nowhere.json"),
+        (["--camera", "0"], "has no calibration"),
+    ],
+)
+def test_what_cannot_be_meant_is_told(robot_ik: Any, arguments: list[str], words: str) -> None:
+    run = robot_ik("camera", "handeye", *arguments)
+    run.assert_one_screen_error()
+    assert words in run.err

@@ -1,0 +1,85 @@
+"""``robot-ik camera locate`` as a user meets it, and its file given to ``reach``."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.boards import grid_layout
+from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.cli.reach import ReachOptions, make_request
+from robot_ik.errors import CalibrationError, ConfigError
+from robot_ik.geometry import Pose, rotation_exp
+
+SEEN = Pose((0.03, -0.02, 0.6), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, -0.3, 0.2])))
+BOARD = Pose((0.4, -0.1, 0.02), rotation_exp([0.0, 0.0, 0.7]))
+GRID = ("--board", "grid:2x2:50:12.5", "--dictionary", "DICT_4X4_50")
+
+
+@pytest.fixture(autouse=True)
+def _photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("shots").mkdir()
+    rng = np.random.default_rng(0)
+    markers = {id: (side, SEEN.compose(pose)) for id, (side, pose) in grid_layout(2, 2, 0.05, 0.0125).items()}
+    for number in range(2):
+        image = render_markers(STANDARD_CAMERA, markers, rng, margin=0.12)
+        cv2.imwrite(f"shots/{number}.png", image)
+    cv2.imwrite("shots/2.png", np.full((480, 640), 128, np.uint8))
+    STANDARD_CAMERA.save("camera.yaml")
+
+
+def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> None:
+    place = [str(v) for v in (*BOARD.position, *BOARD.wxyz)]
+    run = robot_ik(
+        "camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID, "--pose-world-board", *place
+    )
+    assert run.code == 0 and "2 of 3 show the board" in run.out and "wrote place.toml" in run.err, run
+    true = BOARD.compose(SEEN.inverse())
+    found = CameraPlace.load("place.toml")
+    position, angle = found.pose_parent_camera.distance(true)
+    assert position < 1.5e-3 and angle < np.deg2rad(0.15)
+    assert position < 4 * found.sigma_position
+    options = ReachOptions(camera="0", intrinsics="camera.yaml", camera_place="place.toml")
+    assert make_request(options).pose_world_camera is not None
+    dataclasses.replace(STANDARD_CAMERA, fx=802.0).save("other.yaml")
+    with pytest.raises(CalibrationError, match="another calibration"):
+        make_request(dataclasses.replace(options, intrinsics="other.yaml"))
+    for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": ""}):
+        with pytest.raises(ConfigError, match="place file"):
+            make_request(dataclasses.replace(options, **wrong))  # type: ignore[arg-type]
+    dataclasses.replace(found, parent="gripper").save("carried.toml")
+    with pytest.raises(CalibrationError, match="'gripper'"):
+        make_request(dataclasses.replace(options, camera_place="carried.toml"))
+
+
+def test_json(robot_ik: Any) -> None:
+    run = robot_ik("camera", "locate", "shots/0.png", "--intrinsics", "camera.yaml", *GRID, "--json")
+    said = json.loads(run.out)
+    assert run.code == 0 and said["parent"] == "world" and said["pictures"] == said["used"] == 1
+    np.testing.assert_allclose(said["camera"]["position"], SEEN.inverse().position, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["shots/2.png", *GRID], 1, "in none of 1 pictures"),
+        (["shots/0.png", "--board", "plank"], 2, "'plank' is no board"),
+        (["shots/0.png", *GRID, "--pose-world-board", "1", "2"], 2, "2 numbers"),
+        (["shots/0.png", *GRID, "--pose-world-board", *"1230000"], 2, "zero quaternion"),
+        (["shots/0.png", *GRID, "--frames", "0"], 2, "0 pictures"),
+        (["nowhere.png", *GRID], 2, "nowhere.png"),
+    ],
+)
+def test_what_cannot_be_done_is_told(robot_ik: Any, arguments: list[str], code: int, words: str) -> None:
+    run = robot_ik("camera", "locate", *arguments, "--intrinsics", "camera.yaml")
+    run.assert_one_screen_error(code)
+    assert words in run.err
+    assert not Path("place.toml").exists()
