@@ -59,7 +59,7 @@ class Arm(Gripping):
         self._require("connect", ArmState.DISCONNECTED)
         try:
             self.bus.open()
-            feedback = verify(self.bus, self.config)
+            feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
         except BaseException:
             self.bus.close()
             raise
@@ -203,7 +203,7 @@ class Arm(Gripping):
             if not self.bus.is_open:
                 raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
             joints = restart_faulty(self.bus, self.config, self.clock)
-            self._begin_anew(verify(self.bus, self.config))
+            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None))
             return joints
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -219,7 +219,8 @@ class Arm(Gripping):
         """
         with self._lock:
             self._require("reconnect", ArmState.FAULT, ArmState.CONNECTED)
-            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout))
+            real = self.virtual_bus is None
+            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout, real=real))
 
     def _begin_anew(self, feedback: Feedback) -> None:
         """From a verified bus to ``CONNECTED``; torque stays as it is."""

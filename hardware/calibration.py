@@ -6,12 +6,13 @@ Ranges come first because only a whole sweep shows whether a joint crosses the e
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.calibration_file import Calibration, JointCalibration
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.calibration_sweep import Sweep, check_shadows
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
@@ -171,6 +172,48 @@ def check_calibration(
         )
 
 
+def check_beside(bus: ServoBus, config: ArmConfig) -> None:
+    """Compares the servos of an arm with the calibration beside its arm file, where there is one.
+
+    Raises:
+        CalibrationMismatchError: With a table of what differs.
+        ConfigError: The calibration cannot be read, or is of another arm.
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    """
+    if (found := _beside(config)) is not None:
+        check_calibration(bus, config, found, {})
+
+
+def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) -> None:
+    """Compares limits of the model (joint -> rad, m) with those the arm was calibrated for.  Asks no servo.
+
+    Raises:
+        CalibrationMismatchError: With a table of what differs.
+        ConfigError: The calibration cannot be read.
+    """
+    if (found := _beside(config)) is None:
+        return
+    joints = {joint.name: joint for joint in config.whole.joints}
+    known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
+    here = [(joints[row.name], row) for row in found.joints if row.name in joints.keys() & known]
+    if rows := [line for joint, row in here for line in _other_limits(joint, row, limits[joint.name])]:
+        raise CalibrationMismatchError(
+            f"the model is not the one of the calibration {found.file}", rows, "calibrate again"
+        )
+
+
+def _beside(config: ArmConfig) -> Calibration | None:
+    """The calibration beside an arm file; of the joints in use, where the program uses some of them only."""
+    if config.file is None or not calibration_beside(config.file).exists():
+        return None
+    found = Calibration.load(calibration_beside(config.file))
+    names = _servos(config.servos)
+    if _servos(found.rows) == names or _servos(found.rows) != _servos(ArmConfig.load(config.file).servos):
+        return found
+    joints, twins = (tuple(r for r in rows if r.name in names) for rows in (found.joints, found.twins))
+    return replace(found, joints=joints, twins=twins)
+
+
 def _servos(rows: Sequence[JointCalibration | JointMap]) -> list[str]:
     """The joint of each servo, as often as servos turn it."""
     return [row.name for row in rows]
@@ -188,8 +231,13 @@ def _differences(
         present %= TICKS_PER_TURN
     if not row.range_min - OUTSIDE_TICKS <= present <= row.range_max + OUTSIDE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
+    return rows + ([] if limits is None else _other_limits(joint, row, limits))
+
+
+def _other_limits(
+    joint: JointMap, row: JointCalibration, limits: tuple[float, float]
+) -> list[tuple[str, str, str, str]]:
     then = (joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper)
-    if limits is not None and max(abs(a - b) for a, b in zip(then, limits, strict=True)) > _SAME_LIMIT:
-        what = f"limits of the model, {joint.unit}"
-        rows.append((joint.name, what, _range(joint, *then), _range(joint, *limits)))
-    return rows
+    if max(abs(a - b) for a, b in zip(then, limits, strict=True)) <= _SAME_LIMIT:
+        return []
+    return [(joint.name, f"limits of the model, {joint.unit}", _range(joint, *then), _range(joint, *limits))]

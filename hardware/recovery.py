@@ -14,6 +14,7 @@ from robot_ik.errors import (
     HardwareError,
 )
 from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.calibration import check_beside
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
@@ -36,13 +37,20 @@ WATCHDOG = "bus_watchdog"
 _POLL = 0.05  # s between two looks
 
 
-def verify(bus: ServoBus, config: ArmConfig) -> Feedback:
+def verify(bus: ServoBus, config: ArmConfig, *, real: bool = True) -> Feedback:
     """These are the arm file's servos, healthy and set up; what a control cycle reads from them.
+
+    Args:
+        bus: Open.
+        config: The arm.
+        real: Not made from the arm file: they are compared with the calibration beside it as well.
 
     Raises:
         ArmStateError, ServoMismatchError, MotorFaultError, ConfigError, HardwareError and those of the bus.
     """
     check_servos(bus, config)
+    if real:
+        check_beside(bus, config)
     set_up_servos(bus, config)
     feedback = Feedback(config)
     feedback.prepare(bus, read_all(bus, config, "firmware_version"))
@@ -160,7 +168,9 @@ def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str,
     return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
 
-def find_again(bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float) -> Feedback:
+def find_again(
+    bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float, *, real: bool = True
+) -> Feedback:
     """Opens the port as soon as it is there again and stays, and verifies what is behind it.
 
     Raises:
@@ -171,7 +181,7 @@ def find_again(bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float) -
     while True:
         try:
             bus.open()
-            return verify(bus, config)
+            return verify(bus, config, real=real)
         except (BusNotOpenError, BusDisconnectedError):
             if clock.now() >= end:
                 raise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,10 +12,10 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.servo_backup import new_file
-from robot_ik.cli.servo_link import BusOptions, arm_on, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, model_limits, tried, wrong
 from robot_ik.cli.servo_move import parse_angles
 from robot_ik.cli.servo_prompt import Prompts
-from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
+from robot_ik.errors import ArmStateError, HardwareError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 
 STILL_SAMPLES = 10
 """At 20 Hz: a hand that only passes through the pose is noticed."""
-
-Limits = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,8 @@ def run_calibrate(options: CalibrateOptions) -> int:
         raise wrong("OUT.toml", f"{options.out}", "a name that ends in .toml")
     if options.check:
         return _check(options)
-    config = load_arm(options.arm).whole
+    # Without its file: what it was calibrated to before may be wrong, that is why.
+    config = replace(load_arm(options.arm).whole, file=None)
     pose = dict.fromkeys(config.names, 0.0)
     if options.pose:
         pose |= parse_angles(options.pose, config)
@@ -91,23 +89,6 @@ def run_calibrate(options: CalibrateOptions) -> int:
     with arm:
         require_limp(arm)
         return tried(measure)
-
-
-def model_limits(config: ArmConfig) -> Limits:
-    """Joint -> limits of the model, rad; the arm file's where the model is not at hand (then it says so)."""
-    from robot_ik.robot import load_robot
-
-    try:
-        robot = load_robot(config.robot, joints=config.names)
-    except RobotIkError as error:
-        console.say(f"without the model ({error.args[0]}): limits are the arm file's", "yellow")
-        return {joint.name: (joint.lower, joint.upper) for joint in config.joints}
-    pairs = zip(robot.joints, robot.lower.tolist(), robot.upper.tolist(), strict=True)
-    found = {name: (lower, upper) for name, lower, upper in pairs}
-    return {
-        j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
-        for j in config.joints
-    }
 
 
 def require_limp(arm: Arm) -> None:
@@ -200,16 +181,16 @@ def _write(options: CalibrateOptions, arm: Arm, found: Calibration, limits: Limi
 
 
 def _check(options: CalibrateOptions) -> int:
-    from robot_ik.cli.servo_link import check_beside
     from robot_ik.cli.sim_bus import load_arm
+    from robot_ik.hardware.calibration import check_calibration
     from robot_ik.hardware.calibration_file import Calibration, calibration_beside
     from robot_ik.hardware.lerobot_file import save_lerobot
 
     found = Calibration.load(calibration_beside(options.out))
     config = load_arm(str(options.out)).whole
     limits = model_limits(config)
-    with arm_on(replace(options, arm=str(options.out)), config) as arm:
-        check_beside(arm, limits)
+    with arm_on(options, replace(config, file=None)) as arm:
+        check_calibration(arm.bus, config, found, limits)
     if options.to_lerobot is not None:
         new_file(options.to_lerobot, options.overwrite)
         save_lerobot(options.to_lerobot, found)

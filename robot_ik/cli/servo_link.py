@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +13,7 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
-from robot_ik.errors import BusNotOpenError, ConfigError, HardwareError, UnsafeCommandError
+from robot_ik.errors import BusNotOpenError, ConfigError, HardwareError, RobotIkError, UnsafeCommandError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -152,23 +153,39 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
 
-def check_beside(arm: Arm, limits: Mapping[str, tuple[float, float]] | None = None) -> None:
-    """Compares a connected arm with the calibration beside its arm file, where there is one.
+Limits = dict[str, tuple[float, float]]
+"""Joint -> limits, rad (m of a slide)."""
 
-    Args:
-        arm: Connected.
-        limits: Joint -> limits of the model, rad; None: the model is not compared.
+
+def require_model(config: ArmConfig) -> None:
+    """Compares the model with the calibration beside the arm file, where there is one.
 
     Raises:
         CalibrationMismatchError: With a table of what differs.
-        ConfigError: The calibration cannot be read, or is of another arm.
+        ConfigError: The calibration cannot be read.
     """
-    from robot_ik.hardware.calibration import check_calibration
-    from robot_ik.hardware.calibration_file import Calibration, calibration_beside
+    from robot_ik.hardware.calibration import check_model
+    from robot_ik.hardware.calibration_file import calibration_beside
 
-    file = arm.config.file
-    if file is not None and calibration_beside(file).exists():
-        check_calibration(arm.bus, arm.config, Calibration.load(calibration_beside(file)), limits or {})
+    if config.file is not None and calibration_beside(config.file).exists():
+        check_model(config, model_limits(config))
+
+
+def model_limits(config: ArmConfig) -> Limits:
+    """Joint -> limits of the model, rad; the arm file's where the model is not at hand (then it says so)."""
+    from robot_ik.robot import load_robot
+
+    try:
+        robot = load_robot(config.robot, joints=config.names)
+    except RobotIkError as error:
+        console.say(f"without the model ({error.args[0]}): limits are the arm file's", "yellow")
+        return {joint.name: (joint.lower, joint.upper) for joint in config.joints}
+    pairs = zip(robot.joints, robot.lower.tolist(), robot.upper.tolist(), strict=True)
+    found = {name: (lower, upper) for name, lower, upper in pairs}
+    return {
+        j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
+        for j in config.joints
+    }
 
 
 def left(arm: Arm) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, arm_on, check_beside, left, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, left, require_model, tried, wrong
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -44,6 +44,7 @@ def run_move(options: MoveOptions) -> int:
     from robot_ik.cli.sim_bus import load_arm
 
     config = slowed(load_arm(options.arm), options.speed)
+    require_model(config)
     angles = parse_angles(options.to, config)
     if not options.by:
         require_inside(angles, config)
@@ -60,7 +61,6 @@ def run_move(options: MoveOptions) -> int:
         return console.DONE
 
     with arm:
-        check_beside(arm)
         code = tried(move)
     console.say(left(arm), "dim")
     return code

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
-from robot_ik.cli.servo_link import BusOptions, arm_on, check_beside, left, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, left, require_model, tried, wrong
 from robot_ik.cli.servo_move import slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError
@@ -71,10 +71,10 @@ def run_teach(options: TeachOptions) -> int:
         raise wrong("--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     new_file(options.file, options.overwrite)
     config = load_arm(options.arm)
+    require_model(config)
     times: list[float] = []
     poses: list[list[float]] = []
     with arm_on(options, config) as arm:
-        check_beside(arm)
         require_limp(arm)
         present = shared_register(config, "present_position")
         begin = arm.clock.now()
@@ -195,6 +195,7 @@ def run_play(options: PlayOptions) -> int:
     from robot_ik.cli.sim_bus import load_arm
 
     config = load_arm(options.arm)
+    require_model(config)
     slowed(config, options.speed)  # its check
     motion = load_motion(options.file, config.names)
     for joint, most in zip(config.joints, outside(motion, config).tolist(), strict=True):
@@ -209,7 +210,6 @@ def run_play(options: PlayOptions) -> int:
     motion, stretch = playable(motion, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
     with arm:
-        check_beside(arm)
         code = tried(lambda: _play(arm, motion, stretch))
     console.say(left(arm), "dim")
     return code

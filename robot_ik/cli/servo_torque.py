@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, Link, arm_on, joints_of, left, opened, tried, wrong
+from robot_ik.cli.servo_link import (
+    BusOptions,
+    Link,
+    arm_on,
+    joints_of,
+    left,
+    opened,
+    require_model,
+    tried,
+    wrong,
+)
 from robot_ik.cli.servo_scan import checked_rates
 
 if TYPE_CHECKING:
@@ -45,6 +55,7 @@ def run_torque(options: TorqueOptions) -> int:
         raise wrong("--ids", "only for torque off, and not together with joints", "torque off --ids N …")
     config = load_arm(options.arm)
     if options.to == "on":
+        require_model(config)
         arm = arm_on(options, joints_of(config, options.joints), "hold")
 
         def switch_on() -> int:

@@ -202,6 +202,7 @@ def prepare_limbs(request: ReachRequest) -> Limbs:
         limits = [JointLimits(n, unit, r, None, r) for n, unit, r in _ranges(robot)]
         return Limbs(robot, frame, limits, None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
+    from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Faults
 
@@ -215,6 +216,7 @@ def prepare_limbs(request: ReachRequest) -> Limbs:
     row = bus_row(request.bus)
     if not row.virtual:
         _refuse_servo_faults(request.rehearsal)
+        check_model(config, before)
         arm = open_arm(config, request.bus)
         return Limbs(limited, frame, limits, config, arm, arm.clock)
     rehearsal = request.rehearsal

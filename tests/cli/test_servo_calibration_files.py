@@ -170,3 +170,58 @@ def test_lerobots_offset_must_be_the_servos(robot_ik: Any, desk: Any, tmp_path: 
     run = robot_ik("servo", "calibrate", tmp_path / "x.toml", *desk.at, "--from-lerobot", file)
     run.assert_one_screen_error(code=1)
     assert "joint3  homing_offset" in run.err and not (tmp_path / "x.toml").exists()
+
+
+@pytest.mark.parametrize(
+    "words", [("torque", "on"), ("torque", "on", "joint3"), ("move", "joint1=3"), ("teach", "a.csv")]
+)
+def test_whoever_drives_compares_servos_and_model(
+    words: tuple[str, ...],
+    robot_ik: Any,
+    mine: Path,
+    desk: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    at = ("--bus", desk.port, "--arm", mine)
+    desk.servo(3).memory.set("homing_offset", 100)
+    run = robot_ik("servo", *words, *at)
+    run.assert_one_screen_error()
+    assert "joint3  homing_offset" in run.err
+    desk.servo(3).memory.set("homing_offset", 0)
+    model = desk.arm.with_name("arm.xml")
+    model.write_text(model.read_text().replace("-110 110", "-110 90"))
+    run = robot_ik("servo", *words, *at)
+    run.assert_one_screen_error()
+    assert "limits of the model, deg" in run.err and "-110.0 .. 90.0" in run.err
+    assert desk.torque() == [False] * 3
+
+
+def test_joints_of_a_calibrated_arm_are_used_alone(robot_ik: Any, mine: Path, desk: Any) -> None:
+    run = robot_ik("servo", "torque", "on", "joint1", "--bus", desk.port, "--arm", mine)
+    assert run.code == 0, run.err
+    assert desk.torque() == [True, False, False]
+
+
+def test_reach_compares_the_arm_with_its_calibration(robot_ik: Any, mine: Path, desk: Any) -> None:
+    goal = ("reach", "--robot", desk.arm.with_name("arm.xml"), "--arm", mine, "--bus", desk.port)
+    desk.servo(2).memory.set("homing_offset", 100)
+    run = robot_ik(*goal, "--goal", 0.1, 0.1, 0.1)
+    run.assert_one_screen_error()
+    assert "joint2  homing_offset" in run.err and desk.torque() == [False] * 3
+    desk.servo(2).memory.set("homing_offset", 0)
+    model = desk.arm.with_name("arm.xml")
+    model.write_text(model.read_text().replace("-110 110", "-110 90"))
+    run = robot_ik(*goal, "--goal", 0.1, 0.1, 0.1)
+    run.assert_one_screen_error()
+    assert "limits of the model" in run.err
+
+
+def test_a_calibrated_arm_is_calibrated_anew(
+    calibrate: Any, good_hand: Any, mine: Path, desk: Any, tmp_path: Path
+) -> None:
+    desk.servo(1).memory.set("homing_offset", 100)
+    text = mine.with_name("mine.calibration.toml").read_text()
+    assert calibrate(good_hand(), "--arm", mine, "--overwrite").code == 0
+    assert mine.with_name("mine.calibration.toml").read_text() != text
