@@ -187,6 +187,10 @@ class ArmConfig:
                 return joint
         raise UnknownJointError(name, self.whole.names)
 
+    def aside_of(self, name: str) -> tuple[JointMap, ...]:
+        """The joints of a group that are no part of q."""
+        return tuple(joint for joint in self.aside if joint.group == name)
+
     def group(self, name: str) -> tuple[JointMap, ...]:
         """The joints of a group; none where there is no such group."""
         return tuple(joint for joint in (*self.joints, *self.aside) if joint.group == name)

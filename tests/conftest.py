@@ -6,6 +6,9 @@ import subprocess
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
 from typing import Protocol
 
 import pytest
@@ -75,12 +78,22 @@ def _find(name: str) -> str | None:
     return PROBES[name][0]()
 
 
+def _beside(name: str) -> ModuleType:
+    """The module of that name in this folder, which is no package and not on the path."""
+    spec = spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def _demanded() -> set[str]:
     return {name.strip() for name in os.environ.get(DEMANDED, "").split(",") if name.strip()}
 
 
-def pytest_configure() -> None:
-    """Refuses a misspelt demand, which would otherwise demand nothing."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuses a misspelt demand, which would otherwise demand nothing; watches what arms send."""
+    config.pluginmanager.register(_beside("goal_recorder"), "goal_recorder")
     if unknown := _demanded() - PROBES.keys():
         raise pytest.UsageError(f"{DEMANDED} names {sorted(unknown)}; known are {sorted(PROBES)}")
 

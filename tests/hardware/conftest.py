@@ -14,7 +14,7 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.inprocess import SimBus
-from robot_ik.hardware.virtual.protocol2 import ErrorCode, Instruction, Packet, Parser
+from robot_ik.hardware.virtual.protocol2 import ErrorCode, Packet, Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
@@ -226,87 +226,3 @@ def pty(arm_bus: VirtualBus) -> Iterator[PtyPort]:
 def parse() -> Callable[[bytes], list[Packet]]:
     """The packets in some bytes."""
     return lambda reply: Parser().feed(reply, 0.0)
-
-
-# ------------------------------------------------------------------- what may reach a servo at all
-
-
-class GoalRecorder:
-    """Reads every packet on the way to the servos of an arm, and keeps the goals no arm may send.
-
-    A goal lies within the arm file's range; where the shaft stands outside, between it and the range.
-    """
-
-    SLACK = 2  # ticks; a shaft may have moved since it was asked
-
-    def __init__(self) -> None:
-        self.goals = 0
-        self.forbidden: list[str] = []
-        self._watched: dict[int, tuple[ArmConfig, Parser]] = {}
-
-    def watch(self, bus: VirtualBus, config: ArmConfig) -> None:
-        self._watched[id(bus)] = (config, Parser())
-
-    def see(self, bus: VirtualBus, data: bytes) -> None:
-        """Called with what goes to the servos, before they have it."""
-        if id(bus) not in self._watched:
-            return
-        config, parser = self._watched[id(bus)]
-        for packet in parser.feed(data, bus.clock.now()):
-            for servo_id, address, written in self._writes(packet):
-                goal = next((s.table["goal_position"] for s in config.servos if s.id == servo_id), None)
-                if goal is None or not address <= goal.address < address + len(written):
-                    continue
-                at = goal.address - address
-                self.check(bus, config, servo_id, goal.decode(written[at : at + goal.size]))
-
-    def check(self, bus: VirtualBus, config: ArmConfig, servo_id: int, goal: int) -> None:
-        self.goals += 1
-        servo = next(s for s in config.servos if s.id == servo_id)
-        first, last = servo.ticks_range
-        at = servo.table["present_position"]
-        for present in (at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo_id):
-            if not min(first, present) - self.SLACK <= goal <= max(last, present) + self.SLACK:
-                self.forbidden.append(f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}")
-
-    @staticmethod
-    def _writes(packet: Packet) -> Iterator[tuple[int, int, bytes]]:
-        """(id, address, data) of every write in a packet."""
-        params = packet.params
-        if not packet.valid:
-            return
-        if packet.instruction in (Instruction.WRITE, Instruction.REG_WRITE):
-            yield packet.id, int.from_bytes(params[:2], "little"), params[2:]
-        elif packet.instruction == Instruction.SYNC_WRITE:
-            address, size = int.from_bytes(params[:2], "little"), int.from_bytes(params[2:4], "little")
-            for at in range(4, len(params), 1 + size):
-                yield params[at], address, params[at + 1 : at + 1 + size]
-        elif packet.instruction == Instruction.BULK_WRITE:
-            at = 0
-            while at < len(params):
-                size = int.from_bytes(params[at + 3 : at + 5], "little")
-                address = int.from_bytes(params[at + 1 : at + 3], "little")
-                yield params[at], address, params[at + 5 : at + 5 + size]
-                at += 5 + size
-
-
-@pytest.fixture(autouse=True)
-def goal_recorder(monkeypatch: pytest.MonkeyPatch) -> Iterator[GoalRecorder]:
-    """No command beyond limits reaches the wire, in any test that drives through an ``Arm``."""
-    recorder = GoalRecorder()
-    answer, make = VirtualBus.answer, Arm.__init__
-
-    def tapped(self: VirtualBus, data: bytes, baud: int | None = None) -> object:
-        with self.lock:
-            recorder.see(self, data)
-            return answer(self, data, baud)
-
-    def made(self: Arm, config: ArmConfig, *arguments: object, **options: object) -> None:
-        make(self, config, *arguments, **options)  # type: ignore[arg-type]
-        if self.virtual_bus is not None:
-            recorder.watch(self.virtual_bus, config)
-
-    monkeypatch.setattr(VirtualBus, "answer", tapped)
-    monkeypatch.setattr(Arm, "__init__", made)
-    yield recorder
-    assert not recorder.forbidden, recorder.forbidden[:5]

@@ -104,7 +104,7 @@ def test_no_toml_and_no_file_are_told(tmp_path: Path) -> None:
         ),
         (("do = 'keyframe'", "keyframe = 'hom'"), "keyframe", "did you mean home"),
         (("do = 'expect'", "status = 'UNREACHABEL'"), "status", "did you mean UNREACHABLE"),
-        (("do = 'grip'", "opening = 0.5"), "do", "has no gripper"),
+        (("do = 'grip'", "width_mm = 40.0"), "width_mm", "0 to 36"),
         (("do = 'inject'", "kind = 'overlod'"), "kind", "did you mean overload"),
         (("do = 'inject'", "kind = 'overload'", "joint = 'joint9'"), "joint", "joint9"),
         (("do = 'inject'", "kind = 'corrupt'", "value = 2.0"), "value", "0..1"),
@@ -181,3 +181,22 @@ def test_whatever_is_written_is_taken_or_told_in_one_sentence(do: str, rest: dic
     rows = [f"{key} = {toml(value)}" for key, value in ({"do": do} | rest).items()]
     with contextlib.suppress(ConfigError):
         parse_script(with_step(*rows), "fuzz.toml")
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "key", "said"),
+    [
+        ("robot = 'puma560'", ("do = 'grip'", "opening = 0.5"), "steps[0].do", "has no gripper"),
+        ("", ("do = 'grip'", "held = true"), "steps[0].opening", "opening or width_mm"),
+        ("", ("do = 'expect'", "thing = 'cup'", "position = [0, 0, 0]"), "steps[0].thing", "'cup'"),
+        ("[[things]]\nname='a'\nposition=[0,0,0]\nsize_mm=[1,1,1]", ("do = 'hold'",), "physics", "true"),
+        ("[[things]]\nname='a'\nsize=[1,1,1]", ("do = 'hold'",), "things[0].position", "missing"),
+    ],
+)
+def test_grippers_and_things_that_are_not_there(
+    head: str, rows: tuple[str, ...], key: str, said: str
+) -> None:
+    text = f"schema = 1\nname = 't'\n{head}\n[[steps]]\n" + "\n".join(rows)
+    with pytest.raises(ConfigError) as caught:
+        ScriptRun(parse_script(text, "t.toml"), ScriptRequest())
+    assert caught.value.key == key and said in str(caught.value)

@@ -8,7 +8,8 @@ from robot_ik.errors import UnknownFrameError
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.script.faults import fault_for
 from robot_ik.jobs.script.file import Script
-from robot_ik.jobs.script.moves import gripper_joints, keyframes
+from robot_ik.jobs.script.gripping import check_grip
+from robot_ik.jobs.script.moves import keyframes
 from robot_ik.jobs.script.steps import (
     AnyStep,
     ClearStep,
@@ -43,12 +44,8 @@ def check_script(script: Script, limbs: Limbs) -> None:
         if metal:
             _check_metal(script, step, at)
         _check_names(script, limbs, step, at)
-        if isinstance(step, GripStep) and not gripper_joints(limbs.robot):
-            raise script.wrong(
-                f"the arm of {limbs.robot.name!r} has no gripper",
-                f"{at}.do",
-                "an arm file with a servo for a joint of the group gripper (robot.toml)",
-            )
+        if isinstance(step, GripStep) or (isinstance(step, ExpectStep) and step.width_mm is not None):
+            check_grip(script, limbs, step, at)
         if isinstance(step, InjectStep):
             _fault(script, limbs, step, at)
 

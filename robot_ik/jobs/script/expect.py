@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from robot_ik.jobs.script.file import error_classes
+from robot_ik.jobs.script.gripping import width_mm
 from robot_ik.jobs.script.moves import joints_miss, keyframes, pose_miss, with_joints
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.situation import Situation, StepFailed
 from robot_ik.jobs.script.steps import ExpectStep
+
+if TYPE_CHECKING:
+    from robot_ik.ports import Array
 
 ROUNDING = 1e-9
 """s; sums of periods are not exact."""
@@ -46,6 +53,13 @@ def expect(now: Situation, step: ExpectStep, result: StepResult) -> None:
 def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
     robot = now.robot
     placed = step.position is not None or step.wxyz is not None
+    if step.width_mm is not None:
+        width = width_mm(now)
+        yield _near(abs(width - step.width_mm), step.tolerance_mm, " mm", "gripper's width", "width_off_mm")
+    if step.thing is not None and step.position is not None:
+        off = 1e3 * float(np.linalg.norm(_place_of(now, step.thing) - step.position))
+        yield _near(off, step.tolerance_mm, " mm", step.thing, "off_mm")
+        return
     if not placed and step.joints_deg is None and step.keyframe is None:
         return
     q = now.limbs.true_q() if step.shafts else now.arm.read().q
@@ -59,6 +73,15 @@ def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
         goal = q if step.keyframe is None else keyframes(robot)[step.keyframe]
         joint, deg = joints_miss(robot, q, with_joints(robot, goal, step.joints_deg or {}))
         yield _near(deg, step.tolerance_deg, "°", joint, "joint_off_deg")
+
+
+def _place_of(now: Situation, thing: str) -> Array:
+    """(3,) m where a thing lies, which nobody measures: the world knows."""
+    servos = now.arm.virtual_bus
+    assert servos is not None and servos.world is not None
+    with servos.lock:
+        servos.advance()
+        return np.array(servos.world.data.body(thing).xpos)
 
 
 def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Finding:

@@ -19,9 +19,11 @@ from robot_ik.jobs.script.steps import (
     AnyStep,
     ExpectStep,
     FollowStep,
+    GripStep,
     LineStep,
     ScriptFile,
     Table,
+    ThingTable,
 )
 
 if TYPE_CHECKING:
@@ -109,6 +111,7 @@ def parse_script(text: str, file: Path | str = "<text>") -> Script:
     except ValidationError as error:
         raise _explain(error.errors(include_url=False)[0], file) from None
     script = Script(content, str(file), file.parent if isinstance(file, Path) else None)
+    _check_things(script)
     for k, step in enumerate(content.steps):
         _check_step(script, step, f"steps[{k}]")
     return script
@@ -137,9 +140,20 @@ def _check_step(script: Script, step: AnyStep, at: str) -> None:
         _check_follow(script, step, at)
     if isinstance(step, ExpectStep):
         _check_expect(script, step, at)
+    if isinstance(step, GripStep) and (step.opening is None) == (step.width_mm is None):
+        raise script.wrong("a grip is to an opening or to a width", f"{at}.opening", "opening or width_mm")
     turn = getattr(step, "wxyz", None)
     if turn is not None and not any(turn):
         raise script.wrong("a quaternion of zeros is no orientation", f"{at}.wxyz", "w x y z, not all zero")
+
+
+def _check_things(script: Script) -> None:
+    names = [thing.name for thing in script.content.things]
+    if names and not script.content.physics:
+        raise script.wrong("things fall and are gripped in a world with physics only", "physics", "true")
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise script.wrong(f"there is a thing {name!r} already", f"things[{k}].name", "every name once")
 
 
 def _check_follow(script: Script, step: FollowStep, at: str) -> None:
@@ -160,9 +174,15 @@ def _check_follow(script: Script, step: FollowStep, at: str) -> None:
 
 def _check_expect(script: Script, step: ExpectStep, at: str) -> None:
     places = ("position", "wxyz", "joints_deg", "keyframe")
-    wanted = (*places, "state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
+    rest = ("state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
+    wanted = (*places, "width_mm", *rest)
     if all(getattr(step, key) is None for key in wanted):
         raise script.wrong("nothing is expected", at, f"one or more of {', '.join(wanted)}")
+    names = [thing.name for thing in script.content.things]
+    if step.thing is not None and step.thing not in names:
+        raise script.unknown("thing", step.thing, names, f"{at}.thing")
+    if step.thing is not None and step.position is None:
+        raise script.wrong("this key is missing", f"{at}.position", "where the thing is to lie")
     for key in ("step_seconds", "run_seconds"):
         span = getattr(step, key)
         if span is not None and span[0] > span[1]:
@@ -179,7 +199,7 @@ def _did_you_mean(name: str, known: list[str]) -> str:
 
 def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
     where = detail["loc"]
-    model: type[Table] = ScriptFile
+    model: type[Table] = ThingTable if where[:1] == ("things",) and len(where) > 1 else ScriptFile
     if where[:1] == ("steps",) and len(where) > 2:  # pydantic puts the kind of step behind its number
         model = STEPS[str(where[2])]
         where = (*where[:2], *where[3:])

@@ -1,17 +1,21 @@
-"""The synthetic camera of a script."""
+"""The world of a script: its synthetic camera, and things that lie about."""
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, Eyes
 from robot_ik.jobs.limbs import Limbs
+from robot_ik.jobs.script.steps import ThingTable
 from robot_ik.jobs.stage import stage_for
+from robot_ik.robot import Robot
 
 SMALLER = 2
 """A script looks often, and pictures take longer than all else: half the size is a quarter of the work."""
@@ -50,3 +54,16 @@ def open_camera(limbs: Limbs, marker_at: list[float] | None, seed: int, stack: c
     )
     eyes.picture()
     return eyes
+
+
+def with_things(robot: Robot, things: Sequence[ThingTable]) -> mujoco.MjModel:
+    """The robot's model with things on the plane z = 0."""
+    from robot_ik.hardware.virtual.things import Thing, model_with
+
+    boxes = []
+    for thing in things:
+        (x, y, z), half = thing.position, 0.5 * float(np.radians(thing.yaw_deg))
+        wide, deep, high = (1e-3 * edge for edge in thing.size_mm)
+        turn = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        boxes.append(Thing(thing.name, (x, y, z), (wide, deep, high), 1e-3 * thing.mass_g, turn))
+    return model_with(robot.path, boxes, floor=0.0)

@@ -10,6 +10,7 @@ import numpy as np
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.jobs.reach_report import SOLVE_TOLERANCE
+from robot_ik.jobs.script.gripping import gripper_angles, gripper_joints
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.situation import Situation, StepFailed
 from robot_ik.jobs.script.steps import (
@@ -49,20 +50,6 @@ def with_joints(robot: Robot, q: Array, joints_deg: Mapping[str, float]) -> Arra
     wanted = q.copy()
     for name, degrees in joints_deg.items():
         wanted[robot.joints.index(name)] = np.radians(degrees)
-    return wanted
-
-
-def gripper_joints(robot: Robot) -> list[str]:
-    """The joints of the group ``gripper`` that have servos."""
-    return [name for name in robot.file.groups.get("gripper", ()) if name in robot.joints]
-
-
-def gripper_angles(robot: Robot, q: Array, opening: float) -> Array:
-    """``q`` (nq,) with the gripper at a share of its range: 0 at the lower limits, 1 at the upper."""
-    wanted = q.copy()
-    for name in gripper_joints(robot):
-        k = robot.joints.index(name)
-        wanted[k] = robot.lower[k] + opening * (robot.upper[k] - robot.lower[k])
     return wanted
 
 
@@ -176,7 +163,7 @@ def _angles(robot: Robot, start: Array, step: JointsStep | KeyframeStep | GripSt
         return with_joints(robot, start, step.joints_deg)
     if isinstance(step, KeyframeStep):
         return keyframes(robot)[step.keyframe]
-    return gripper_angles(robot, start, step.opening)
+    return gripper_angles(robot, start, step.opening or 0.0)
 
 
 Judge = Callable[[], tuple[bool, str, dict[str, float]]]

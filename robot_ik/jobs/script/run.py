@@ -21,7 +21,8 @@ from robot_ik.jobs.script.expect import expect
 from robot_ik.jobs.script.faults import Mischief, fault_for
 from robot_ik.jobs.script.file import Script, error_classes
 from robot_ik.jobs.script.follow import follow_goal
-from robot_ik.jobs.script.looking import open_camera
+from robot_ik.jobs.script.gripping import grip
+from robot_ik.jobs.script.looking import open_camera, with_things
 from robot_ik.jobs.script.moves import go
 from robot_ik.jobs.script.recover import recover
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
@@ -136,7 +137,9 @@ class ScriptRun:
             if self._script.content.physics:
                 from robot_ik.hardware.virtual.world import World
 
-                World(robot.model, now.config, servos)
+                things = self._script.content.things
+                model = with_things(robot, things) if things else robot.model
+                World(model, now.config, servos, contacts=bool(things))
         progress("getting ready", 0.0)
         solve(robot, PoseGoal.at(limbs.frame, robot.forward(robot.home, limbs.frame)), solver=now.solver)
         if any(looks(step) for step in self._script.steps):
@@ -238,7 +241,8 @@ def _follow(now: Situation, step: FollowStep, result: StepResult) -> None:
 
 DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyType(
     {
-        **dict.fromkeys(("pose", "position", "line", "joints", "keyframe", "marker", "grip"), go),
+        **dict.fromkeys(("pose", "position", "line", "joints", "keyframe", "marker"), go),
+        "grip": grip,
         "follow": _follow,
         "wait": _wait,
         "hold": _hold,
@@ -254,7 +258,18 @@ DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyTyp
 def describe(step: AnyStep) -> str:
     """What a step without a name is called: its kind and its first word or numbers."""
     words: list[str] = [step.do]
-    for key in ("keyframe", "path", "kind", "joint", "position", "by", "joints_deg", "seconds", "opening"):
+    for key in (
+        "keyframe",
+        "path",
+        "kind",
+        "joint",
+        "position",
+        "by",
+        "joints_deg",
+        "seconds",
+        "opening",
+        "width_mm",
+    ):
         value = getattr(step, key, None)
         if isinstance(value, dict):
             words += [f"{joint} {degrees:g}°" for joint, degrees in value.items()]

@@ -111,10 +111,19 @@ class MarkerStep(_Move):
 
 
 class GripStep(_Move):
-    """The gripper opens or closes to a share of its range."""
+    """The gripper opens or closes: to a share of its range, or to a width.
+
+    Attributes:
+        opening: 0 closed, 1 open; ``width_mm``: instead, between two fingers that slide.
+        force_n: How hard each finger presses from here on, where the servo can be told.
+        held: Whether something must be between the fingers then; without it, either is right.
+    """
 
     do: Literal["grip"]
-    opening: Annotated[float, Field(ge=0.0, le=1.0)]
+    opening: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    width_mm: _NotNegative | None = None
+    force_n: _Positive | None = None
+    held: bool | None = None
 
 
 class FollowStep(Action):
@@ -186,6 +195,8 @@ class ExpectStep(Step):
 
     Attributes:
         shafts: Judge by where the simulated shafts really are, not by what the servos say.
+        thing: ``position`` is where this one of the script's things lies, not the frame.
+        width_mm: Between the fingers, within ``tolerance_mm``.
         state: Of the arm.
         error: Class of the last error; ``joint`` and ``cause``: what it says of them.
         status: Of the last solve.
@@ -201,6 +212,8 @@ class ExpectStep(Step):
     tolerance_mm: _Positive = 2.0
     tolerance_deg: _Positive = 0.5
     shafts: bool = False
+    thing: _Word | None = None
+    width_mm: _NotNegative | None = None
     state: Literal["connected", "enabled", "hold", "fault"] | None = None
     error: _Word | None = None
     joint: _Word | None = None
@@ -236,6 +249,20 @@ STEPS: Mapping[str, type[Step]] = MappingProxyType(
 """Every kind of step by the value of ``do``."""
 
 
+class ThingTable(Table):
+    """A box that lies about and can be gripped, in a world with ``physics``.
+
+    Attributes:
+        position: Of its centre, m; ``yaw_deg``: turned about the vertical.
+    """
+
+    name: _Word
+    position: _Place
+    yaw_deg: _Number = 0.0
+    size_mm: Annotated[list[_Positive], Field(min_length=3, max_length=3)]
+    mass_g: _Positive = 50.0
+
+
 class ScriptFile(Table):
     """A whole script.
 
@@ -247,6 +274,7 @@ class ScriptFile(Table):
         speed: Share of the speed limits of all moves that do not say it themselves.
         marker_at: x, y, z in metres and yaw in degrees of the printed marker; by default the stage's own.
         physics: The robot's MuJoCo model moves the simulated shafts.
+        things: What lies on the plane z = 0 of that world.
     """
 
     version: Annotated[int, Field(alias="schema", ge=1, le=1)]
@@ -258,4 +286,5 @@ class ScriptFile(Table):
     speed: _Share = 0.5
     marker_at: Annotated[list[_Number], Field(min_length=3, max_length=4)] | None = None
     physics: bool = False
+    things: list[ThingTable] = []
     steps: Annotated[list[Annotated[AnyStep, Field(discriminator="do")]], Field(min_length=1)]

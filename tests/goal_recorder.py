@@ -1,0 +1,155 @@
+"""No command beyond limits reaches the wire, in any test that drives through an ``Arm``: a pytest plugin.
+
+It reads every packet on its way to simulated servos, whoever made them, in process and behind a pty, and
+costs nothing where no arm is made.  What comes from a process of its own (a command line run as a child) is
+not seen.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from importlib.abc import MetaPathFinder
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.protocol2 import Packet, Parser
+
+_WRITE, _REG_WRITE, _SYNC_WRITE, _BULK_WRITE = 0x03, 0x04, 0x83, 0x93
+
+
+class GoalRecorder:
+    """Reads every packet on the way to the servos of an arm, and keeps the goals no arm may send.
+
+    A goal lies within the arm file's range; where the shaft stands outside, between it and the range.
+    """
+
+    SLACK = 2  # ticks; a shaft may have moved since it was asked
+
+    def __init__(self) -> None:
+        self.goals = 0
+        self.forbidden: list[str] = []
+        self._watched: dict[int, tuple[VirtualBus, dict[int, Any], Parser]] = {}
+
+    def watch(self, bus: VirtualBus, config: ArmConfig) -> None:
+        """The servos of this bus are those of this arm; the bus is kept, so that its id is not given anew."""
+        from robot_ik.hardware.virtual.protocol2 import Parser
+
+        self._watched[id(bus)] = (bus, {servo.id: servo for servo in config.servos}, Parser())
+
+    def see(self, bus: VirtualBus, data: bytes) -> None:
+        """Called with what goes to the servos, before they have it."""
+        if id(bus) not in self._watched:
+            return
+        _, servos, parser = self._watched[id(bus)]
+        for packet in parser.feed(data, bus.clock.now()):
+            for servo_id, address, written in self._writes(packet):
+                servo = servos.get(servo_id)
+                if servo is None:
+                    continue
+                goal = servo.table["goal_position"]
+                if address <= goal.address < address + len(written):
+                    at = goal.address - address
+                    self.check(bus, servo, goal.decode(written[at : at + goal.size]))
+
+    def check(self, bus: VirtualBus, servo: Any, goal: int) -> None:
+        """One goal for one servo."""
+        self.goals += 1
+        first, last = servo.ticks_range
+        if first - self.SLACK <= goal <= last + self.SLACK:
+            return
+        at = servo.table["present_position"]
+        for present in (at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id):
+            if not min(first, present) - self.SLACK <= goal <= max(last, present) + self.SLACK:
+                self.forbidden.append(f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}")
+
+    @staticmethod
+    def _writes(packet: Packet) -> Iterator[tuple[int, int, bytes]]:
+        """(id, address, data) of every write in a packet."""
+        params = packet.params
+        if not packet.valid:
+            return
+        if packet.instruction in (_WRITE, _REG_WRITE):
+            yield packet.id, int.from_bytes(params[:2], "little"), params[2:]
+        elif packet.instruction == _SYNC_WRITE:
+            address, size = int.from_bytes(params[:2], "little"), int.from_bytes(params[2:4], "little")
+            for at in range(4, len(params), 1 + size):
+                yield params[at], address, params[at + 1 : at + 1 + size]
+        elif packet.instruction == _BULK_WRITE:
+            at = 0
+            while at < len(params):
+                size = int.from_bytes(params[at + 3 : at + 5], "little")
+                address = int.from_bytes(params[at + 1 : at + 3], "little")
+                yield params[at], address, params[at + 5 : at + 5 + size]
+                at += 5 + size
+
+
+_now = GoalRecorder()
+"""Of the test that is running."""
+
+
+def _tap_bus(module: Any) -> None:
+    answer = module.VirtualBus.answer
+
+    def tapped(self: VirtualBus, data: bytes, baud: int | None = None) -> object:
+        with self.lock:
+            _now.see(self, data)
+            return answer(self, data, baud)
+
+    module.VirtualBus.answer = tapped
+
+
+def _tap_arm(module: Any) -> None:
+    make = module.ArmBase.__init__
+
+    def made(self: Any, config: ArmConfig, *arguments: object, **options: object) -> None:
+        make(self, config, *arguments, **options)
+        if self.virtual_bus is not None:
+            _now.watch(self.virtual_bus, config)
+
+    module.ArmBase.__init__ = made
+
+
+_TAPS = {"robot_ik.hardware.virtual.bus": _tap_bus, "robot_ik.hardware.arm_base": _tap_arm}
+
+
+class _Tapper(MetaPathFinder):
+    """Taps the modules when somebody imports them: most tests never do."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        tap = _TAPS.pop(name, None)
+        if tap is None:
+            return None
+        from importlib.util import find_spec
+
+        spec = find_spec(name)
+        if spec is None or spec.loader is None:
+            return spec
+        run = spec.loader.exec_module
+
+        def tapped(module: Any) -> None:
+            run(module)
+            tap(module)
+
+        spec.loader.exec_module = tapped  # type: ignore[method-assign]
+        return spec
+
+
+def pytest_configure() -> None:
+    """From here on every arm is watched."""
+    for name in [name for name in _TAPS if name in sys.modules]:
+        _TAPS.pop(name)(sys.modules[name])
+    sys.meta_path.insert(0, _Tapper())
+
+
+@pytest.fixture(autouse=True)
+def goal_recorder() -> Iterator[GoalRecorder]:
+    """No command beyond limits reaches the wire."""
+    global _now
+    _now = recorder = GoalRecorder()
+    yield recorder
+    assert not recorder.forbidden, recorder.forbidden[:5]
