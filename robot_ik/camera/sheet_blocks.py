@@ -174,8 +174,8 @@ def _cube(wish: SheetWish, room: Room) -> Block:
         boxes.append(moved(marker_boxes(wish.dictionary, face.marker, wish.size, face.turns), *corner))
         boxes.append(moved(_outline(wish.edge), x - wish.edge / 2, y - wish.edge / 2))
     about = (
-        f"cube of {wish.edge:g} mm with markers {_names(ids)} of {wish.dictionary}, {wish.size:g} mm: "
-        "cut out and glue on"
+        f"cube of {wish.edge:g} mm with markers {_names(ids)} of {wish.dictionary}, {wish.size:g} mm "
+        "(cut out, glue onto the cube)"
     )
     width, height = (float(v) for v in high - low)
     return Block(width, height, np.concatenate(boxes), (), about, "")

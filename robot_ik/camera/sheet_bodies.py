@@ -32,6 +32,11 @@ def body_file(wish: SheetWish, name: str) -> str:
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
     lines += [f'name = "{name}"', f'dictionary = "{wish.dictionary}"', "markers = ["]
     for marker, (size, pose) in body_of(wish).markers.items():
-        position, wxyz = (", ".join(f"{float(v):.9g}" for v in part) for part in (pose.position, pose.wxyz))
+        position, wxyz = (", ".join(_number(v) for v in part) for part in (pose.position, pose.wxyz))
         lines.append(f"  {{id = {marker}, size = {size:.9g}, position = [{position}], wxyz = [{wxyz}]}},")
     return "\n".join([*lines, "]", ""])
+
+
+def _number(value: float) -> str:
+    """To a billionth; sines of quarter turns are then the 0 that they are meant to be."""
+    return f"{round(float(value), 12) + 0.0:.12g}"

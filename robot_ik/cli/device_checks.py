@@ -103,7 +103,11 @@ def check_cameras(until: float) -> list[Row]:
     """Cameras that give a picture."""
     if not sys.platform.startswith("linux"):
         return [Row("camera", NOTE, "not looked for on this system", "try: robot-ik reach --camera 0")]
-    paths = sorted(glob.glob("/dev/video*"))
+    from robot_ik.camera.device_list import find_cameras
+
+    # A camera has a second device node for its metadata, which never gives a picture.
+    names = {camera.path: camera.name for camera in find_cameras() if camera.pictures}
+    paths = list(names)
     if not paths:
         return [Row("camera", NOTE, "none", "plug one in; --camera synthetic, a photo or a video need none")]
     rows = [
@@ -119,7 +123,7 @@ def check_cameras(until: float) -> list[Row]:
     for path in usable:
         answer = answers.get(path, "no answer in time")
         good = answer[:1].isdigit()
-        # A camera has a second device node for its metadata, which never gives a picture.
         do = "" if good else "in use by another program, or this node carries no pictures"
-        rows.append(Row(f"camera {path}", OK if good else NOTE, answer, do))
+        found = f"{names[path]}: {answer}" if names[path] else answer
+        rows.append(Row(f"camera {path}", OK if good else NOTE, found, do))
     return rows

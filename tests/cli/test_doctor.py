@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 from robot_ik import environment
+from robot_ik.camera import device_list
+from robot_ik.camera.device_list import CameraDevice
 from robot_ik.cli import checks, device_checks, doctor
 from robot_ik.environment import Probe
 
@@ -187,10 +189,12 @@ def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tm
     nodes = [str(tmp_path / f"video{k}") for k in range(2)]
     for node in nodes:
         Path(node).write_text("")
-    monkeypatch.setattr(device_checks.glob, "glob", lambda pattern: nodes)
+    metadata = CameraDevice(2, str(tmp_path / "video2"), "Webcam", "", True, False)
+    cameras = [CameraDevice(k, node, "Webcam", "", True, True) for k, node in enumerate(nodes)]
+    monkeypatch.setattr(device_list, "find_cameras", lambda: (*cameras, metadata))
     probes(monkeypatch, Probe(False, f"{nodes[0]}=640x480\nno answer within 7 s"))
     first, second = device_checks.check_cameras(SOON)
-    assert first.status == checks.OK and "640x480" in first.found
+    assert first.status == checks.OK and first.found == "Webcam: 640x480"
     assert second.status == checks.NOTE and "no answer" in second.found
 
 
@@ -198,6 +202,8 @@ def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tm
 def test_camera_probe_with_real_opencv(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     node = tmp_path / "video0"
     node.write_text("not a camera")
-    monkeypatch.setattr(device_checks.glob, "glob", lambda pattern: [str(node)])
+    monkeypatch.setattr(
+        device_list, "find_cameras", lambda: (CameraDevice(0, str(node), "", "", True, True),)
+    )
     (row,) = device_checks.check_cameras(SOON)
     assert row.status == checks.NOTE and "no picture" in row.found
