@@ -20,7 +20,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 
-OURS = ("robot_ik", "robot_ik_lm")
+OURS = ("robot_ik", "robot_ik_lm", "robot_ik_analytic")
 #: Environment -> contestants in it.
 PEERS = {"rtb": ("rtb_lm",), "eaik": ("eaik",), "placo": ("placo", "placo_restarts")}
 #: The harness's names of hands and feet -> ours.

@@ -45,8 +45,8 @@ class RobotIk(_harness()):  # type: ignore[misc]
     solver = "auto"
     tol_pos, tol_ori = 1e-6, 1e-6
 
-    def setup(self, robot: Any) -> None:
-        """Builds the problem once; ``robot`` is a ``robots.Robot`` of the harness."""
+    def setup(self, robot: Any) -> bool:
+        """Builds the problem once; ``robot`` is a ``robots.Robot`` of the harness.  False: no closed form."""
         import mujoco
 
         import robot_ik as rik
@@ -58,6 +58,7 @@ class RobotIk(_harness()):  # type: ignore[misc]
         self.problem = rik.Problem(self.robot, rik.PoseGoal("ee", (0.0, 0.0, 0.0)), tolerance=tolerance)
         self.method = rik.make_solver(self.solver)
         self.settings = f"solver {self.solver}, its defaults; MJCF; retarget and solve"
+        return self.method.applies(self.problem)
 
     def solve(self, T: Array, q0: Array) -> Array:
         """Target (4, 4), start (n,) -> joint angles (n,): the best found, inside the limits."""
@@ -75,6 +76,14 @@ class RobotIkLm(RobotIk):
     name = "robot_ik_lm"
     about = "robot_ik, solver lm: Levenberg-Marquardt inside the limits, numeric only"
     solver = "lm"
+
+
+class RobotIkAnalytic(RobotIk):
+    """The closed form alone: out of reach it proves that, and looks for nothing nearest."""
+
+    name = "robot_ik_analytic"
+    about = "robot_ik, solver analytic: the closed form alone"
+    solver = "analytic"
 
 
 class FourGoals:

@@ -58,7 +58,7 @@ def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str,
 
 
 def test_contestants_are_found_and_solve(found: dict[str, Any]) -> None:
-    assert set(found) == {"robot_ik", "robot_ik_lm"}
+    assert set(found) == {"robot_ik", "robot_ik_lm", "robot_ik_analytic"}
     arm = load_robot("puma560")
     problems, judge = make_set("cold", arm, 20), Judge(arm)
     theirs = SimpleNamespace(name="puma560", mjcf=lambda: plain_mjcf(arm, {"ee": arm.tool}))
