@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
+from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import ConfigError
@@ -34,8 +35,7 @@ class CameraHandeyeOptions:
     """Whether the arm carries the camera or the board."""
     robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
-    bus: Annotated[str, arg(metavar="sim|pty|PORT")] = "sim"
-    """sim: virtual servos in process; pty: on a serial line; else a port."""
+    bus: Annotated[str, bus_argument()] = "sim"
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
     """Servo ids, signs, zeros and limits."""
     frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""

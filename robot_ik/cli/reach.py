@@ -12,6 +12,7 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
 from robot_ik.cli import console
+from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.cli.solve_command import make_goal
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import ConfigError, InvalidGoalError
@@ -78,8 +79,7 @@ class ReachOptions:
     """Side of its black square, metres; needed for a real camera."""
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the scene's)")] = ""
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
-    bus: Annotated[str, arg(metavar="pty|sim|none|PORT")] = "pty"
-    """pty: virtual servos on a serial line; sim: in process, virtual time; none: no servos; else a port."""
+    bus: Annotated[str, bus_argument(none=True)] = "pty"
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
     """Servo ids, signs, zeros and limits."""
     speed: float = 1.0

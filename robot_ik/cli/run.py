@@ -13,6 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import OutputError
 
@@ -35,8 +36,7 @@ class RunOptions:
 
     script: Positional[Annotated[str, arg(metavar="[FILE.toml|NAME]", help_behavior_hint="")]] = ""
     """The script, or the name of one that comes along."""
-    bus: Annotated[str, arg(metavar="sim|pty|PORT")] = "sim"
-    """sim: servos in process, virtual time; pty: behind a serial line of this machine; else a port."""
+    bus: Annotated[str, bus_argument()] = "sim"
     robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: the script's)")] = ""
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: the script's)")] = ""

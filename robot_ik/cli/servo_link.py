@@ -13,6 +13,7 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
+from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.errors import BusNotOpenError, ConfigError, HardwareError, RobotIkError, UnsafeCommandError
 
 if TYPE_CHECKING:
@@ -29,10 +30,7 @@ _ONBOARD = ("ttyS", "ttyAMA", "Bluetooth")
 class BusOptions:
     """Where the servos are."""
 
-    bus: Annotated[
-        str, arg(metavar="PORT|pty|sim", help_behavior_hint="(default: the only USB serial port)")
-    ] = ""
-    """Serial port of the servos; pty and sim: virtual ones."""
+    bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
     arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file (TOML), or a robot of the catalogue that has one."""
 
@@ -136,6 +134,7 @@ def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
     Raises:
         UnknownJointError: No such joint; close ones are named.
     """
+    config = config.whole
     wanted = {config.joint(name).name for name in names}
     kept = tuple(joint for joint in config.whole.joints if joint.name in wanted)
     return replace(config.whole, joints=kept) if names else config
