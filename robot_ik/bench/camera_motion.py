@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.bench.camera_rows import Effort, Figure
 from robot_ik.camera.filter import FilterOptions, MotionFilter
 from robot_ik.camera.one_euro import OneEuro
 from robot_ik.geometry import Pose, rotation_exp
@@ -96,3 +97,18 @@ def _errors(
 def _lags(errors: Array) -> list[Lag]:
     squares = np.sqrt(np.mean(errors**2, axis=0))
     return [Lag(delay, *(float(value) for value in row)) for delay, row in zip(DELAYS, squares, strict=True)]
+
+
+def prediction(effort: Effort) -> Iterator[Figure]:
+    """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
+    hands = 2 if effort.quick else 6
+    moving, resting = compare_filters(hands, 10.0 if effort.quick else 20.0, effort.seed)
+    late = next(row for row in moving if row.delay == 0.066)
+    yield Figure("hand seen 66 ms ago, taken as it is, RMS", 1e3 * late.hold, "mm")
+    yield Figure("hand seen 66 ms ago, predicted, RMS", 1e3 * late.predicted, "mm", 6.5)
+    yield Figure("what prediction leaves of the error", late.predicted / late.hold, "", 0.5)
+    worst = max(resting, key=lambda row: row.predicted)
+    yield Figure(
+        "hand at rest: noise of a prediction over that of a picture", worst.predicted / worst.hold, "", 1.0
+    )
+    yield Figure("hand at rest, calmed: the same", worst.calmed / worst.hold, "")

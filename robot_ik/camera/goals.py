@@ -130,14 +130,14 @@ class MarkerGoalSource:
         self.look(now)
         return self.goal_at(now)
 
-    def look(self, now: float) -> None:
-        """Looks at the newest picture, if there is a new one.
+    def look(self, now: float, *, wait: bool = False) -> None:
+        """Looks at the newest picture, if there is a new one; ``wait``: when there is.
 
         Raises:
             FrameTimeoutError: The source has ended or stopped.
             CalibrationError: The frames have not the size of the calibration.
         """
-        frame = self._new_frame()
+        frame = self._new_frame(wait)
         if frame is None:
             return
         seen = self._find(frame)
@@ -177,8 +177,8 @@ class MarkerGoalSource:
 
     # ------------------------------------------------------------------------------------ inside
 
-    def _new_frame(self) -> Frame | None:
-        newest = getattr(self.source, "newest", None)
+    def _new_frame(self, wait: bool) -> Frame | None:
+        newest = None if wait else getattr(self.source, "newest", None)
         frame: Frame | None = newest() if newest is not None else self.source.read()
         if frame is None or (self.last_frame is not None and frame.sequence == self.last_frame.sequence):
             return None

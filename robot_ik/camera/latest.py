@@ -93,7 +93,7 @@ class LatestGoals:
         goal = None
         try:
             if self._look_at is not None:
-                self._look_at(now)
+                self._look_at(now, wait=not self._virtual)
             else:
                 goal = self._goals.poll(now)
         except FrameTimeoutError as error:

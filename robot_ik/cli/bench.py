@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import arg
+from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, arg, subcommand
 
 from robot_ik.cli import console
+from robot_ik.cli.bench_camera import BenchCameraOptions, run_camera
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import GoalError, InvalidGoalError, UnsupportedJointError
 from robot_ik.files import folder_for_results, write_atomically
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
     from robot_ik.solvers.base import Solver
 
+Subject = Annotated[BenchCameraOptions, subcommand("camera")] | Annotated[None, subcommand("solvers")]
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 _EXTRA = ("kernels", "batch")
 _BATCH = 500  # times as many poses as in the other sets
@@ -63,10 +65,14 @@ class BenchOptions:
     """Where bench.json and the plots go."""
     plots: bool = True
     """Draw plots (needs matplotlib)."""
+    subject: Annotated[OmitArgPrefixes[OmitSubcommandPrefixes[Subject]], None] = None
+    """camera: measure that instead of the methods; see robot-ik bench camera --help."""
 
 
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
+    if options.subject is not None:
+        return run_camera(options.subject)
     import_mujoco()
     from robot_ik.bench.plots import need_matplotlib
     from robot_ik.bench.results import Results, Settings, this_machine

@@ -277,9 +277,9 @@ class _Aimed:
         """From grab to goal, and the age of the picture at each tick."""
         return self._goals.made.figures(), self._goals.used.figures()
 
-    def look(self, now: float) -> None:
+    def look(self, now: float, *, wait: bool = False) -> None:
         """Looks at the next picture."""
-        self._goals.look(now)
+        self._goals.look(now, wait=wait)
         goal, last = self._goals.measured, self._goals.last
         if goal is not None and isinstance(last, MarkerObservation):
             self.seen = self._eyes.seen(goal, last, self._source.truth)

@@ -1,0 +1,110 @@
+"""What ``robot-ik bench camera`` measures: one row, one function that gives figures beside what is wanted."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number.
+
+    Attributes:
+        quantity: What was measured, in words, with its unit in ``unit``.
+        value: What came out.
+        unit: mm, °, px, ms, …
+        wanted: The bound; None where none was set.
+        at_least: Whether ``wanted`` is the least rather than the most.
+        timed: Whether it depends on the machine and what else it does.
+    """
+
+    quantity: str
+    value: float
+    unit: str
+    wanted: float | None = None
+    at_least: bool = False
+    timed: bool = False
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the value meets what is wanted; None where nothing is."""
+        if self.wanted is None:
+            return None
+        return self.value >= self.wanted if self.at_least else self.value <= self.wanted
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**asdict(self), "passed": self.passed}
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured.
+
+    Attributes:
+        quick: A tenth of the pictures: for a look, not for the record.
+        seed: Of everything random.
+    """
+
+    quick: bool = False
+    seed: int = 1
+
+    def count(self, whole: int) -> int:
+        """How many of ``whole`` to do."""
+        return max(3, whole // 10) if self.quick else whole
+
+
+Measure = Callable[[Effort], Iterator[Figure]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table.
+
+    Attributes:
+        name: What it is called on the command line.
+        about: What it does, in words.
+        function: ``module:function``, imported when it is measured.
+        needs: Modules without which it cannot be.
+    """
+
+    name: str
+    about: str
+    function: str
+    needs: tuple[str, ...] = ()
+
+    @property
+    def available(self) -> bool:
+        """Whether everything it needs is there."""
+        module = self.function.partition(":")[0]
+        return all(importlib.util.find_spec(name) is not None for name in (module, *self.needs))
+
+    def measure(self, effort: Effort) -> Iterator[Figure]:
+        """Measures; figures come as they are ready."""
+        module, _, name = self.function.partition(":")
+        measure: Measure = getattr(importlib.import_module(module), name)
+        yield from measure(effort)
+
+
+_HERE = "robot_ik.bench."
+
+ROWS: tuple[Row, ...] = (
+    Row("corners", "corners of one marker", _HERE + "camera_accuracy:corners"),
+    Row("marker", "pose of one 50 mm marker", _HERE + "camera_accuracy:marker"),
+    Row("board", "pose of a board of 2×2 markers", _HERE + "camera_accuracy:board"),
+    Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "camera_accuracy:occlusion"),
+    Row("overlay", "where a robot on the board is drawn", _HERE + "camera_accuracy:overlay"),
+    Row("clutter", "goals from pictures that hold no marker", _HERE + "camera_accuracy:clutter"),
+    Row("projection", "drawn spheres against OpenCV's projection", _HERE + "camera_optics:projection"),
+    Row("calibration", "intrinsics from 20 views of a ChArUco board", _HERE + "camera_optics:calibration"),
+    Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
+    Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "camera_motion:prediction"),
+    Row("times", "finding and measuring a marker in a picture", _HERE + "camera_speed:times"),
+    Row("drawing", "drawing a robot over a picture", _HERE + "camera_speed:drawing"),
+    Row("loop", "picture to goal, solution and overlay", _HERE + "camera_speed:loop"),
+    Row("delay", "from the grab of a picture to its goal", _HERE + "camera_speed:delay"),
+)

@@ -1,0 +1,175 @@
+"""``robot-ik bench camera``: every figure of the camera beside what is wanted of it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.text import Text
+from tyro.conf import arg
+
+from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
+from robot_ik.cli import console
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import ConfigError, unknown_name_text
+from robot_ik.files import plain, write_atomically
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+# Rows that a bench may not import, because they measure whole jobs.
+JOB_ROWS: tuple[Row, ...] = ()
+ALL_ROWS = (*ROWS, *JOB_ROWS)
+
+
+@dataclass(frozen=True)
+class BenchCameraOptions:
+    """Measures the camera on synthetic pictures whose truth is known, and prints it beside what is wanted.
+
+    Accuracy is the same on every machine; times are the best of three rounds, and depend on what else runs.
+    Ctrl-C keeps what is done.
+
+    Exit code 0 where all that was measured is as wanted, else 1; with --quick, 0.
+    """
+
+    rows: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
+    """Which rows of the table: corners, marker, board, …"""
+    quick: bool = False
+    """A tenth of the pictures: for a look, not for the record."""
+    json: Annotated[str, arg(metavar="FILE", help_behavior_hint="")] = ""
+    """Write the figures there, too."""
+    seed: int = 1
+    """Of pictures and noise."""
+
+
+@dataclass
+class Measured:
+    """What a run has found.
+
+    Attributes:
+        figures: By row.
+        seconds: That each row took.
+    """
+
+    figures: dict[str, list[Figure]] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    complete: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing missed what is wanted."""
+        return all(one.passed is not False for figures in self.figures.values() for one in figures)
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "complete": self.complete,
+            "rows": {
+                name: {
+                    "seconds": round(self.seconds.get(name, 0.0), 1),
+                    "figures": [f.facts() for f in figures],
+                }
+                for name, figures in self.figures.items()
+            },
+        }
+
+
+def run_camera(options: BenchCameraOptions) -> int:
+    """Measures, prints and writes."""
+    import_mujoco()
+    rows = chosen_rows(options.rows)
+    effort, found = Effort(options.quick, options.seed), Measured()
+    try:
+        with console.progress() as bar:
+            measure(rows, effort, found, bar)
+        found.complete = True
+    finally:
+        # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
+        if found.figures:
+            print_figures(rows, found)
+            if options.json:
+                _write(Path(options.json), found, effort)
+    return console.DONE if options.quick or found.passed else console.NOT_ACHIEVED
+
+
+def chosen_rows(names: Sequence[str]) -> list[Row]:
+    """The rows of these names; all that there are when none is given.
+
+    Raises:
+        ConfigError: No such row, or one that cannot be measured here.
+    """
+    known = {row.name: row for row in ALL_ROWS if row.available}
+    for name in names:
+        if name not in known:
+            text = unknown_name_text("row", name, list(known))
+            raise ConfigError(text, file="command line", key="--rows")
+    return [known[name] for name in dict.fromkeys(names)] or list(known.values())
+
+
+def measure(rows: Sequence[Row], effort: Effort, found: Measured, bar: Progress) -> None:
+    """Fills ``found``, figure by figure."""
+    task = bar.add_task("measuring", total=len(rows), note="")
+    for row in rows:
+        bar.update(task, note=row.about)
+        figures = found.figures.setdefault(row.name, [])
+        began = time.monotonic()
+        try:
+            for figure in row.measure(effort):
+                figures.append(figure)
+                bar.update(task, note=f"{row.about}: {figure.quantity}")
+        finally:
+            found.seconds[row.name] = time.monotonic() - began
+        bar.advance(task)
+
+
+def print_figures(rows: Sequence[Row], found: Measured) -> None:
+    """The table: quantity, value, wanted, verdict."""
+    shown = console.table("row", "quantity", "measured", "wanted", "")
+    for row in rows:
+        for index, one in enumerate(found.figures.get(row.name, ())):
+            shown.add_row(
+                row.name if index == 0 else "", one.quantity, measured(one), wanted(one), _verdict(one)
+            )
+    console.out().print(shown)
+    missed = sum(one.passed is False for figures in found.figures.values() for one in figures)
+    every = sum(one.passed is not None for figures in found.figures.values() for one in figures)
+    console.out().print(
+        f"{every - missed} of {every} as wanted" + ("" if found.complete else "; not all measured")
+    )
+
+
+def measured(one: Figure) -> str:
+    """A value with its unit: whole numbers as they are, others with three figures."""
+    value = f"{one.value:.0f}" if not one.unit and one.value == round(one.value) else f"{one.value:.3g}"
+    return f"{value} {one.unit}".strip()
+
+
+def wanted(one: Figure) -> str:
+    """The bound with its sign and unit; empty where there is none."""
+    if one.wanted is None:
+        return ""
+    return f"{'≥' if one.at_least else '≤'} {one.wanted:g} {one.unit}".strip()
+
+
+def _verdict(one: Figure) -> Text:
+    if one.passed is None:
+        return Text("")
+    return Text("pass", style="green") if one.passed else Text("FAIL", style="bold red")
+
+
+def _write(path: Path, found: Measured, effort: Effort) -> None:
+    from robot_ik.bench.results import this_machine
+
+    facts = {
+        "schema": 1,
+        "machine": this_machine().model_dump(mode="json"),
+        "quick": effort.quick,
+        "seed": effort.seed,
+        **found.facts(),
+    }
+    write_atomically(path, json.dumps(plain(facts), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+    console.say(f"figures: {path}", "dim")
