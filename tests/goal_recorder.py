@@ -133,7 +133,8 @@ class _Tapper(MetaPathFinder):
 
         def tapped(module: Any) -> None:
             run(module)
-            tap(module)
+            if module.__name__ == name:  # pytest's rewriting loader is one for all modules
+                tap(module)
 
         spec.loader.exec_module = tapped  # type: ignore[method-assign]
         return spec

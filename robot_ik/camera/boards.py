@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from robot_ik.camera.board_view import BoardView, Layout, see_board
+from robot_ik.camera.bodies import grid_body, load_bodies
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.opencv import quiet
 from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, Pattern
@@ -106,13 +107,15 @@ def parse_board(text: str, dictionary: str = "") -> MarkerBoard | PatternBoard:
     kind, numbers = words[0], words[1:]
     chosen = dictionary or _DICTIONARY
     if kind.endswith(".toml"):
-        return _body(Path(kind), numbers[0] if numbers else "")
+        return _body(Path(kind), numbers[0] if numbers else "", chosen)
     try:
         if kind == "marker" and len(numbers) == 2:
             return MarkerBoard({int(numbers[0]): (_metres(numbers[1]), Pose())}, chosen)
         if kind == "grid" and len(numbers) == 3:
             columns, rows = _count(numbers[0])
-            return MarkerBoard(grid_layout(columns, rows, _metres(numbers[1]), _metres(numbers[2])), chosen)
+            return MarkerBoard(
+                grid_body(columns, rows, _metres(numbers[1]), _metres(numbers[2])).markers, chosen
+            )
         if kind == "charuco" and len(numbers) == 3:
             columns, rows = _count(numbers[0])
             return PatternBoard(
@@ -139,23 +142,8 @@ def _metres(text: str) -> float:
     return 1e-3 * float(text)
 
 
-def grid_layout(columns: int, rows: int, size: float, gap: float, first_id: int = 0) -> Layout:
-    """Markers in a grid: ids along the rows from the upper left; sizes in metres."""
-    pitch = size + gap
-    return {
-        first_id + row * columns + column: (
-            size,
-            Pose(((column - 0.5 * (columns - 1)) * pitch, (0.5 * (rows - 1) - row) * pitch, 0.0)),
-        )
-        for row in range(rows)
-        for column in range(columns)
-    }
-
-
-def _body(path: Path, name: str) -> MarkerBoard:
-    from robot_ik.camera.bodies import load_bodies
-
-    bodies = {body.name: body for body in load_bodies(path)}
+def _body(path: Path, name: str, dictionary: str) -> MarkerBoard:
+    bodies = load_bodies(path)
     if not name and len(bodies) == 1:
         name = next(iter(bodies))
     if name not in bodies:
@@ -163,4 +151,5 @@ def _body(path: Path, name: str) -> MarkerBoard:
             f"{path} has no body {name!r}" if name else f"{path} has several bodies",
             hint=f"name one: {', '.join(f'{path}:{one}' for one in bodies)}",
         )
-    return MarkerBoard(dict(bodies[name].markers), bodies[name].dictionary)
+    body = bodies[name]
+    return MarkerBoard(body.markers, body.dictionary or dictionary)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from robot_ik.camera.board_view import Layout
-from robot_ik.camera.boards import Board, MarkerBoard, grid_layout
+from robot_ik.camera.boards import Board, MarkerBoard
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.carried import CarriedSource
 from robot_ik.camera.handeye_model import Mount, Mounting, moved
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -140,7 +141,7 @@ def _carried_camera(
     )
     truth = Mount(camera, stage.pose_world_marker, "eye_in_hand")
     size = _MARKER_PART * stage.marker_size
-    layout = grid_layout(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID)
+    layout = grid_body(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID).markers
     markers = tuple(
         SyntheticMarker(
             id, side, truth.pose_other_board.compose(pose), dictionary=stage.dictionary,

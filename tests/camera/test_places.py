@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.boards import MarkerBoard, PatternBoard, grid_layout, parse_board
+from robot_ik.camera.boards import MarkerBoard, PatternBoard, parse_board
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.places import CameraPlace, locate_camera, today
 from robot_ik.camera.pose import marker_points
 from robot_ik.camera.sources import Frame
@@ -19,7 +20,7 @@ from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
-LAYOUT = grid_layout(3, 2, 0.05, 0.0125)
+LAYOUT = grid_body(3, 2, 0.05, 0.0125).markers
 POINTS = np.concatenate([pose.apply(marker_points(side)) for side, pose in LAYOUT.values()])
 BOARD = Pose((0.4, -0.1, 0.02), rotation_exp([0.0, 0.0, 0.7]))
 SEEN = Pose((0.03, -0.02, 0.7), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, -0.3, 0.2])))
@@ -132,7 +133,7 @@ def test_markers_are_seen_in_a_picture_as_a_board() -> None:
     assert view is not None and len(view.points) == 24
     place = locate_camera([view], BOARD, STANDARD_CAMERA)
     assert place.pose_parent_camera.distance(BOARD.compose(SEEN.inverse()))[0] < 1e-3
-    assert MarkerBoard(grid_layout(1, 1, 0.05, 0.0, 40)).see(frame, STANDARD_CAMERA) is None
+    assert MarkerBoard(grid_body(1, 1, 0.05, 0.01, 40).markers).see(frame, STANDARD_CAMERA) is None
 
 
 @pytest.mark.parametrize("text", ["charuco:7x5:30:22", "chessboard:7x5:30"])
@@ -165,3 +166,16 @@ def test_a_board_that_means_nothing_is_refused(text: str) -> None:
     with pytest.raises(CameraError, match="is no board") as refused:
         parse_board(text)
     assert "charuco:COLUMNSxROWS" in refused.value.hint
+
+
+def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "bodies.toml"
+    one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
+    path.write_text(one.format(name="hand", id=3))
+    board = parse_board(str(path), "DICT_4X4_50")
+    assert isinstance(board, MarkerBoard) and set(board.layout) == {3} and board.dictionary == "DICT_4X4_50"
+    path.write_text(one.format(name="hand", id=3) + one.format(name="table", id=4))
+    assert set(parse_board(f"{path}:table").layout) == {4}
+    with pytest.raises(CameraError, match="several bodies") as refused:
+        parse_board(str(path))
+    assert f"{path}:table" in refused.value.hint

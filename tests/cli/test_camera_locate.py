@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards import grid_layout
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.places import CameraPlace
 from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
 from robot_ik.cli.reach import ReachOptions, make_request
@@ -28,7 +28,9 @@ def _photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("shots").mkdir()
     rng = np.random.default_rng(0)
-    markers = {id: (side, SEEN.compose(pose)) for id, (side, pose) in grid_layout(2, 2, 0.05, 0.0125).items()}
+    markers = {
+        id: (side, SEEN.compose(pose)) for id, (side, pose) in grid_body(2, 2, 0.05, 0.0125).markers.items()
+    }
     for number in range(2):
         image = render_markers(STANDARD_CAMERA, markers, rng, margin=0.12)
         cv2.imwrite(f"shots/{number}.png", image)
