@@ -94,8 +94,8 @@ def states_table(states: Sequence[ServoState]) -> Table:
         shown.add_row(
             s.joint,
             str(s.id),
-            _number(s.position_deg, "°", 2),
-            _number(s.velocity_deg, " °/s", 1),
+            _either(s.position_deg, "°", s.position_mm, " mm", 2),
+            _either(s.velocity_deg, " °/s", s.velocity_mm, " mm/s", 1),
             current,
             _number(s.voltage, " V", 1),
             _number(s.temperature, " C", 0),
@@ -103,6 +103,10 @@ def states_table(states: Sequence[ServoState]) -> Table:
             errors,
         )
     return shown
+
+
+def _either(turn: float | None, turns: str, way: float | None, ways: str, digits: int) -> str:
+    return _number(turn, turns, digits) if way is None else _number(way, ways, digits)
 
 
 def _number(value: float | None, unit: str, digits: int) -> str:

@@ -70,7 +70,7 @@ def run_teach(options: TeachOptions) -> int:
     if not 0.0 < options.rate <= 200.0:
         raise wrong("--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     new_file(options.file, options.overwrite)
-    config = load_arm(options.arm)
+    config = load_arm(options.arm).whole
     require_model(config)
     times: list[float] = []
     poses: list[list[float]] = []
@@ -116,11 +116,9 @@ def _keep(path: Path, times: Sequence[float], poses: Sequence[Sequence[float]], 
     console.out().print(
         f"{path}: {len(motion)} samples, {motion.duration:.2f} s", markup=False, soft_wrap=True
     )
-    for name, most in zip(config.names, outside(motion, config).tolist(), strict=True):
-        if most > ALLOWED_OUTSIDE:
-            console.say(
-                f"{name} was {math.degrees(most):.1f} deg beyond its limits: play refuses that", "yellow"
-            )
+    for joint, most in zip(config.joints, outside(motion, config).tolist(), strict=True):
+        if most > ALLOWED_OUTSIDE * joint.lever:
+            console.say(f"{joint.name} was {joint.text(most)} beyond its limits: play refuses that", "yellow")
 
 
 def save_motion(path: Path, motion: Trajectory) -> None:
@@ -194,18 +192,18 @@ def run_play(options: PlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
     from robot_ik.cli.sim_bus import load_arm
 
-    config = load_arm(options.arm)
+    config = load_arm(options.arm).whole
     require_model(config)
     slowed(config, options.speed)  # its check
     motion = load_motion(options.file, config.names)
     for joint, most in zip(config.joints, outside(motion, config).tolist(), strict=True):
-        if most > ALLOWED_OUTSIDE:
-            low, high = (math.degrees(q) for q in joint.limits)
+        if most > ALLOWED_OUTSIDE * joint.lever:
+            low, high = joint.limits
             raise ConfigError(
-                f"it leaves the limits by {math.degrees(most):.1f} deg; nothing was moved",
+                f"it leaves the limits by {joint.text(most)}; nothing was moved",
                 file=options.file,
                 key=joint.name,
-                allowed=f"{low:.1f} to {high:.1f} deg",
+                allowed=f"{low / joint.per_unit:.1f} to {joint.text(high)}",
             )
     motion, stretch = playable(motion, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
@@ -243,12 +241,16 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
 
 def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
     from robot_ik.execution import execute
+    from robot_ik.hardware.control_table import OperatingMode
 
     arm.enable()
     execute(approach(arm.read().q, motion.q[0], arm.config), [arm], source=arm, clock=arm.clock, settle=0.2)
     done = execute(motion, [arm], source=arm, clock=arm.clock, settle=0.4)
     assert done.final_error is not None and done.tracking_error is not None  # there was a source
-    error, lag = np.abs(done.final_error), done.tracking_error
+    # By the last gear: a slide's way as its pinion turns.  Fingers that press may be held by something.
+    levers = np.array([joint.lever for joint in arm.config.joints])
+    free = np.array([joint.mode != OperatingMode.CURRENT_BASED_POSITION for joint in arm.config.joints])
+    error, lag = free * np.abs(done.final_error) / levers, free * done.tracking_error / levers
     console.out().print(
         f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "
         f"largest tracking error {math.degrees(float(np.max(lag))):.2f}°",
@@ -256,8 +258,9 @@ def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
     )
     worst = int(np.argmax(error))
     if error[worst] > ARRIVED:
+        joint = arm.config.joints[worst]
         raise HardwareError(
-            f"{arm.joints[worst]!r} ended {math.degrees(error[worst]):.1f} deg from where it was sent",
+            f"{joint.name!r} ended {joint.text(error[worst] * joint.lever)} from where it was sent",
             hint="is something in its way, or is it too weak?",
         )
     return console.DONE

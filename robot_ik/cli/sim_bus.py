@@ -206,7 +206,7 @@ def _ended_by_signal() -> Iterator[threading.Event]:
 def _announce(config: ArmConfig, port: PtyPort) -> None:
     """The port alone on stdout, for scripts; the rest is talk."""
     name = str(port.link or port.path)
-    ids = ", ".join(f"{joint.id} {joint.name} ({joint.model})" for joint in config.joints)
+    ids = ", ".join(f"{joint.id} {joint.name} ({joint.model})" for joint in config.whole.joints)
     print(name, flush=True)
     console.say(f"{config.name}: Protocol 2.0 at {config.baud} baud, torque off")
     console.say(f"servos: {ids}")

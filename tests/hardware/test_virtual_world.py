@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import mujoco
@@ -10,7 +11,7 @@ import pytest
 
 from robot_ik.errors import UnknownJointError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config import ArmConfig, Twin
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.fault_kinds import Fault
@@ -39,15 +40,20 @@ ARM = """
 class Rig:
     """The levers, their servos (the elbow's turns the other way, geared two to one) and a bus."""
 
-    def __init__(self, mass: float = 0.3, start: tuple[float, float] = (0.0, 0.0)) -> None:
-        import dataclasses
-
+    def __init__(
+        self, mass: float = 0.3, start: tuple[float, float] = (0.0, 0.0), twin: Twin | None = None
+    ) -> None:
         plain = ArmConfig.generic("levers", ["shoulder", "elbow"], [-3, -3], [3, 3])
         elbow = dataclasses.replace(plain.joints[1], direction=-1, ratio=2.0)
-        self.config = dataclasses.replace(plain, joints=(plain.joints[0], elbow))
+        shoulder = dataclasses.replace(plain.joints[0], twin=twin)
+        self.config = dataclasses.replace(plain, joints=(shoulder, elbow))
         self.model = mujoco.MjModel.from_xml_string(ARM.format(mass=mass))
         self.clock = VirtualClock()
         self.bus = VirtualBus.from_config(self.config, self.clock, start)
+        if twin is not None and twin.shadow:  # mounted the other way round, and told so
+            self.bus.servo(twin.id).memory.set("secondary_id", 1)
+            self.bus.servo(twin.id).memory.set("drive_mode", 1)
+            self.bus.servo(twin.id).shaft.turn_by(-2 * (shoulder.to_ticks(start[0])))
         self.world = World(self.model, self.config, self.bus)
         self.sim = SimBus(self.bus)
         self.sim.open()
@@ -203,3 +209,40 @@ def test_the_same_arm_driver_moves_the_world(rig: Callable[..., Rig]) -> None:
         assert arm.read().q == pytest.approx(target, abs=0.03)
         assert it.q() == pytest.approx(target, abs=0.03)
     assert not any(servo.torque for servo in it.bus.servos)
+
+
+TWINS = [Twin(3, direction=-1, zero_ticks=1000), Twin(3, shadow=True)]
+
+
+@pytest.mark.parametrize("twin", TWINS, ids=["two ids", "shadow, reversed"])
+def test_two_servos_share_one_joint_and_its_load(rig: Callable[..., Rig], twin: Twin) -> None:
+    it = rig(mass=1.0, twin=twin)
+    it.write("torque_enable", 1, *it.config.servo_ids)
+    it.wait(1.0)
+    joint = joint_torques(it.world)[0]
+
+    def torque(id: int) -> float:
+        return NM_PER_COUNT * (it.sim.read(id, TABLE["present_current"]).data or 0)
+
+    way = -1 if twin.direction == -1 else 1  # the register of a reversed servo counts its way
+    assert torque(1) == pytest.approx(joint / 2, abs=2 * NM_PER_COUNT)
+    assert torque(3) == pytest.approx(way * joint / 2, abs=2 * NM_PER_COUNT)
+    # With one of them limp the other carries all of it, and sags no more.
+    it.write("torque_enable", 0, 3)
+    it.wait(1.0)
+    assert torque(1) == pytest.approx(joint_torques(it.world)[0], abs=2 * NM_PER_COUNT) and torque(3) == 0
+    assert abs(it.q()[0]) < 0.03
+
+
+def test_two_servos_move_their_joint_as_one(rig: Callable[..., Rig]) -> None:
+    it = rig(mass=2.5, twin=TWINS[0])  # 5.5 N m at the shoulder: too much for one of 4.1
+    with open_arm(it.config, "sim", virtual_bus=it.bus) as arm:
+        arm.enable()
+        begin = arm.read().q
+        for k in range(100):
+            arm.clock.sleep_until(arm.clock.now() + 0.01)
+            arm.send(begin + min(1.0, k / 80) * (np.array([0.2, 0.0]) - begin), arm.clock.now())
+        assert arm.read().q[0] == pytest.approx(0.2, abs=0.03)
+        first, second = it.config.servos[0], it.config.servos[2]
+        shown = [s.to_radians(it.bus.servo(s.id).reading) for s in (first, second)]
+        assert shown[0] == pytest.approx(shown[1], abs=1e-6) == pytest.approx(it.q()[0], abs=1e-6)
