@@ -33,6 +33,7 @@ FAST_FRAME = 4
 LONGEST = 1024
 """Bytes of a packet; a length field that says more is damaged."""
 
+_STATUS = bytes((STATUS,))
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 
 
@@ -152,7 +153,7 @@ class StatusParser:
                 break
             answer = _status(buffer[at:end]) if len(buffer) >= end else None
             if answer is None:
-                if len(buffer) < end or buffer[at + 7] == STATUS:
+                if len(buffer) < end or buffer.startswith(_STATUS, at + 7):
                     self.damaged += 1
                 at += len(HEADER)
                 continue
