@@ -69,6 +69,7 @@ class MarkerTracker:
         self._use_window = window
         self._window = SearchWindow()
         self._use_memory = window if memory is None else memory
+        self._seen: tuple[Frame | None, list[tuple[int, RefinedCorners]]] = (None, [])
         self._memories: dict[int | frozenset[int], BranchMemory] = {}
 
     def size_of(self, marker_id: int) -> float:
@@ -134,6 +135,8 @@ class MarkerTracker:
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
     def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+        if frame is self._seen[0]:  # several bodies in one picture: it is looked at once
+            return self._seen[1]
         self.intrinsics.require_size(*frame.size)
         part, origin, detections = self._detect(frame.image)
         refined = refine_markers(
@@ -143,7 +146,9 @@ class MarkerTracker:
             cells=self.detector.cells,
             origin=origin,
         )
-        return [(d.id, corners) for d, corners in zip(detections, refined, strict=True)]
+        found = [(d.id, corners) for d, corners in zip(detections, refined, strict=True)]
+        self._seen = (frame, found)
+        return found
 
     def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection]]:
         """The part of the picture (grey) that was looked at, where it begins, and what is in it."""

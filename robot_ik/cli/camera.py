@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, subcommand
 
 from robot_ik.cli.camera_calibrate import CameraCalibrateOptions
+from robot_ik.cli.camera_detect import CameraDetectOptions
 from robot_ik.cli.camera_handeye import CameraHandeyeOptions
 from robot_ik.cli.camera_list import CameraListOptions
 from robot_ik.cli.camera_locate import CameraLocateOptions
@@ -19,6 +20,7 @@ Subcommand = (
     Annotated[CameraListOptions, subcommand("list")]
     | Annotated[CameraPrintOptions, subcommand("print")]
     | Annotated[CameraCalibrateOptions, subcommand("calibrate")]
+    | Annotated[CameraDetectOptions, subcommand("detect")]
     | Annotated[CameraLocateOptions, subcommand("locate")]
     | Annotated[CameraHandeyeOptions, subcommand("handeye")]
 )

@@ -1,0 +1,185 @@
+"""``robot-ik camera detect``: which markers are in pictures, where, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.geometry import Pose
+
+if TYPE_CHECKING:
+    from robot_ik.camera.intrinsics import CameraIntrinsics
+    from robot_ik.camera.sources import Frame
+
+# A pose that fits hardly better than its mirror image is marked: goals are not made from it either.
+_DOUBTFUL = 0.6
+
+
+@dataclass(frozen=True)
+class CameraDetectOptions:
+    """Finds markers in pictures, films and folders: ids, corners, and with --intrinsics their poses.
+
+    Exit code 1 when there is no marker in any of them.
+    """
+
+    images: Annotated[Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …")] = ()
+    """Files or folders; a camera's index or URL gives one picture."""
+    dictionary: str = "DICT_5X5_50"
+    """Of the markers, as OpenCV names it: DICT_4X4_50, DICT_APRILTAG_36H11, …"""
+    ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: all)")] = ()
+    """Only these markers."""
+    size: Annotated[float | None, arg(metavar="M")] = None
+    """Side of the black squares, metres."""
+    intrinsics: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Calibration of the camera; without it there are corners but no poses."""
+    bodies: Annotated[Path | None, arg(metavar="FILE.toml")] = None
+    """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
+    draw: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Write each picture there with what was found drawn over it."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One picture: its place (file, number in the film or folder), its size, and what is in it."""
+
+    file: str
+    frame: int
+    size: tuple[int, int]
+    values: dict[str, Any]
+
+
+def run(options: CameraDetectOptions) -> int:
+    """Prints what is in the pictures; 1 when that is nothing."""
+    from robot_ik.camera.intrinsics import CameraIntrinsics
+
+    intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
+    rows = list(_looked(options, intrinsics))
+    if options.json:
+        images = [
+            {"file": row.file, "frame": row.frame, "width": row.size[0], "height": row.size[1], **row.values}
+            for row in rows
+        ]
+        console.print_json({"schema": 1, "dictionary": options.dictionary, "images": images})
+    else:
+        _print_markers(rows, posed=intrinsics is not None)
+        _print_bodies(rows)
+    if intrinsics is None:
+        console.say("no --intrinsics: corners only, no poses", "yellow")
+    if any(row.values["markers"] for row in rows):
+        return console.DONE
+    wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
+    console.say(f"error: {wanted} of {options.dictionary} in {len(rows)} picture(s)", "bold red")
+    console.say("is it of another dictionary, too small, or without white all round it?", "cyan")
+    return console.NOT_ACHIEVED
+
+
+def _looked(options: CameraDetectOptions, intrinsics: CameraIntrinsics | None) -> Iterator[_Row]:
+    """Looks at all pictures, draws them when wanted."""
+    from robot_ik.camera.bodies import load_bodies
+    from robot_ik.camera.sightings import Lookout, as_values, drawn
+    from robot_ik.errors import CameraError
+
+    if not options.images:
+        raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
+    bodies = [] if options.bodies is None else list(load_bodies(options.bodies).values())
+    asked = (options.dictionary, intrinsics, options.size, options.ids, bodies)
+    lookout = Lookout(*asked)
+    with console.progress() as bar:
+        for name in options.images:
+            task = bar.add_task(name, total=None, note="")
+            for file, frame, in_film in _pictures(name):
+                if in_film and frame.sequence == 0:
+                    lookout = Lookout(*asked, film=True)
+                sighting = lookout.look(frame)
+                bar.update(task, note=str(frame.sequence))
+                yield _Row(file, frame.sequence, frame.size, as_values(sighting))
+                if options.draw is not None:
+                    _save(
+                        options.draw, file, frame.sequence if in_film else None, drawn(sighting, intrinsics)
+                    )
+            bar.remove_task(task)
+            lookout = Lookout(*asked)
+
+
+def _pictures(name: str) -> Iterator[tuple[str, Frame, bool]]:
+    """File, picture, and whether it is one of a film; a live camera gives one."""
+    from robot_ik.camera.sources import FolderSource, ImageSource, VideoSource, open_source
+
+    with open_source(name) as source:
+        if not isinstance(source, (FolderSource, ImageSource, VideoSource)):
+            yield name, source.read(), False
+            return
+        while not source.exhausted:
+            frame = source.read()
+            file = str(source.files[frame.sequence]) if isinstance(source, FolderSource) else name
+            yield file, frame, isinstance(source, VideoSource)
+
+
+def _save(folder: Path, file: str, number: int | None, image: Any) -> None:
+    from robot_ik.camera.picture_files import write_image
+    from robot_ik.files import make_folder
+
+    make_folder(folder)
+    stem = Path(file).stem or "picture"
+    write_image(folder / (f"{stem}.png" if number is None else f"{stem}-{number:05d}.png"), image)
+
+
+# ------------------------------------------------------------------------------------ tables
+
+
+def _print_markers(rows: Sequence[_Row], *, posed: bool) -> None:
+    columns = ("position, m", "distance", "tilt", "reprojection", "ambiguity", "sigma") if posed else ()
+    shown = console.table("picture", "id", "centre, px", *columns)
+    for row in rows:
+        for marker in row.values["markers"]:
+            centre = np.mean(marker["corners"], axis=0)
+            cells = [_place(row), str(marker["id"]), f"{centre[0]:.2f} {centre[1]:.2f}"]
+            shown.add_row(*cells, *(_pose_cells(marker) if posed else ()))
+    if shown.row_count:
+        console.out().print(shown)
+
+
+def _print_bodies(rows: Sequence[_Row]) -> None:
+    shown = console.table(
+        "picture", "body", "position, m", "distance", "tilt", "reprojection", "ambiguity", "sigma", "markers"
+    )
+    for row in rows:
+        for body in row.values["bodies"]:
+            left_out = f", without {_listed(body['rejected'])}" if body["rejected"] else ""
+            shown.add_row(_place(row), body["name"], *_pose_cells(body), _listed(body["ids"]) + left_out)
+    if shown.row_count:
+        console.out().print(shown)
+
+
+def _place(row: _Row) -> str:
+    return f"{Path(row.file).name} #{row.frame}" if row.frame else Path(row.file).name
+
+
+def _listed(ids: Sequence[int]) -> str:
+    return " ".join(map(str, ids))
+
+
+def _pose_cells(values: dict[str, Any]) -> list[Text]:
+    """Position, distance, tilt, reprojection error, ambiguity, and how sure the pose is."""
+    position = np.array(values["pose"]["position"])
+    distance = float(np.linalg.norm(position))
+    away = Pose(position, values["pose"]["wxyz"]).rotation[:, 2] @ position / -distance
+    sigma = np.sqrt(np.diag(values["covariance"]))
+    doubtful = values["ambiguity"] > _DOUBTFUL
+    return [
+        Text(" ".join(f"{x:.4f}" for x in position)),
+        Text(f"{distance:.4f} m"),
+        Text(f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f} deg"),
+        Text(f"{values['reprojection_error']:.3f} px"),
+        Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
+        Text(f"{1e3 * sigma[:3].max():.2f} mm {np.degrees(sigma[3:].max()):.2f} deg"),
+    ]
