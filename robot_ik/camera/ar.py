@@ -18,13 +18,16 @@ from robot_ik.camera.ar_draw import Artist, Drawing, Figure
 from robot_ik.camera.boards import MarkerBoard, PatternBoard
 from robot_ik.camera.filter import MotionFilter
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.pose import MarkerObservation, estimate_body
+from robot_ik.camera.pose import MarkerObservation, estimate_body, marker_points
+from robot_ik.camera.refine import unrefined
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+#: Corners of a board by name.
+Points = Mapping[tuple[int, int], Array]
 Sync = Literal["tracked", "latest"]
 
 # A board that is lost for longer is not drawn upon any more, seconds.
@@ -40,7 +43,9 @@ class Seen:
     Attributes:
         pose_camera_board: Its middle: x right, y up, z out of the print.
         covariance: (6, 6) of it, as in ``BodyObservation``.
-        points: (n, 2) pixels where its corners were seen, by their names.
+        points: Pixels (2,) where its corners were seen, by their names; ``places`` (3,) where they are on
+            the board, metres.
+        places: See ``points``.
         marker: The other marker, when it was asked for and seen.
         error: RMS reprojection error, px.
         time: Of the picture.
@@ -48,7 +53,8 @@ class Seen:
 
     pose_camera_board: Pose
     covariance: Array
-    points: Mapping[tuple[int, int], Array]
+    points: Points
+    places: Points
     marker: MarkerObservation | None
     error: float
     time: float
@@ -94,12 +100,22 @@ class BoardWatcher:
             return self._see_pattern(self._board, frame, marker)
         layout = self._board.layout
         corners = {id: one.corners for id, one in once.items() if id in layout}
-        body = estimate_body(corners, layout, self._intrinsics) if corners else None
+        measured = {
+            id: unrefined(once[id].corners, self._intrinsics, once[id].sigma) for id in sorted(corners)
+        }
+        body = estimate_body(measured, layout, self._intrinsics) if measured else None
         if body is None:
             return None
         points = {(i, k): corners[i][k] for i in body.ids for k in range(4)}
+        places = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
         return Seen(
-            body.pose_camera_body, body.covariance, points, marker, body.reprojection_error, frame.time
+            body.pose_camera_body,
+            body.covariance,
+            points,
+            places,
+            marker,
+            body.reprojection_error,
+            frame.time,
         )
 
     def _see_pattern(
@@ -114,19 +130,26 @@ class BoardWatcher:
         error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
         points = dict(zip(keys, view.pixels, strict=True))
-        return Seen(view.pose_camera_board.compose(middle), np.diag(sigma), points, marker, error, frame.time)
+        places = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
+        pose = view.pose_camera_board.compose(middle)
+        return Seen(pose, np.diag(sigma), points, places, marker, error, frame.time)
 
 
-def optical_motion(before: Seen, after: Seen) -> Array:
+def _corners(square: tuple[float, Pose]) -> Array:
+    """Corners (4, 3) of a marker of the board, board frame."""
+    return np.asarray(square[1].apply(marker_points(square[0])))
+
+
+def optical_motion(before: Points, after: Points) -> Array:
     """Shift, turn and zoom (2, 3) in the picture that carry the corners of one look to those of the next.
 
     Least squares over the corners seen twice: z' = a z + b with complex pixels; only a shift for one corner.
     """
-    common = sorted(before.points.keys() & after.points.keys())
+    common = sorted(before.keys() & after.keys())
     if not common:
         return np.eye(2, 3)
-    z = np.array([complex(*before.points[k]) for k in common])
-    w = np.array([complex(*after.points[k]) for k in common])
+    z = np.array([complex(*before[k]) for k in common])
+    w = np.array([complex(*after[k]) for k in common])
     spread = z - z.mean()
     power = float(np.vdot(spread, spread).real)
     a = np.vdot(spread, w - w.mean()) / power if power > 1.0 else 1.0 + 0.0j
@@ -212,17 +235,29 @@ class Registrar:
 
     def compose(self, seen: Seen | None, shown: Frame, qpos: ArrayLike) -> Shown:
         """The robot at ``qpos`` (nq,), drawn for ``seen``, laid over the picture ``shown``."""
-        pose = self._pose(seen, shown.time)
+        pose, motion = self.place(seen, shown)
         if pose is None:
             return Shown(shown.image, None, None, seen)
         drawing = self.artist.draw(self.figure, qpos, self._intrinsics, pose.inverse())
-        if self.remedies.shift and seen is not None and self._watcher is not None and shown.time > seen.time:
-            now = self._watcher.see(shown)
-            if now is not None:
-                drawing = drawing.shifted(optical_motion(seen, now), *self._intrinsics.size)
+        if motion is not None:
+            drawing = drawing.shifted(motion, *self._intrinsics.size)
         image = shown.image.copy()
         drawing.over(image, self._alpha)
         return Shown(image, drawing, pose, seen)
+
+    def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
+        """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""
+        pose = self._pose(seen, shown.time)
+        if pose is None or not self.remedies.shift or seen is None or not shown.time > seen.time:
+            return pose, None
+        now = None if self._watcher is None else self._watcher.see(shown)
+        if now is None:
+            return pose, None
+        if self._filter is None:
+            return pose, optical_motion(seen.points, now.points)
+        # the drawing is of the predicted board already: only what the prediction lacks is left
+        where = self._intrinsics.project(pose.apply(np.array([now.places[k] for k in now.points])))
+        return pose, optical_motion(dict(zip(now.points, where, strict=True)), now.points)
 
     def _pose(self, seen: Seen | None, time: float) -> Pose | None:
         if self._watcher is None:

@@ -1,17 +1,20 @@
 """The pretty back end: MuJoCo's OpenGL renderer behind a calibrated lens, where the machine has one.
 
 Whether OpenGL works is tried in a child process with a time limit, because a driver that fails may abort the
-process that asks; the answer is kept for this machine.  ``MUJOCO_GL`` is not touched before it has succeeded.
+process that asks; the answer is kept for this machine.  ``MUJOCO_GL`` is never set: MuJoCo reads it once, on
+import, and a renderer is given the context that was tried instead.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import json
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -99,8 +102,20 @@ def make_artist(name: str) -> tuple[Artist, str]:
     choice = choose_gl()
     if not choice.backend:
         return ARTISTS["painter"](), f"no OpenGL here ({choice.reason}): the painter draws instead"
-    # MuJoCo chose its own on import; the renderer's context is made for the one that was tried
     return GlArtist(choice.backend), ""
+
+
+@contextlib.contextmanager
+def _context_of(backend: str) -> Iterator[None]:
+    """MuJoCo's renderer makes its context with what this back end has, whatever was chosen on import."""
+    chooser: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+    own = chooser.GLContext
+    made: Any = importlib.import_module(f"mujoco.{backend}")
+    chooser.GLContext = made.GLContext
+    try:
+        yield
+    finally:
+        chooser.GLContext = own
 
 
 def pinhole_for(intrinsics: CameraIntrinsics, finer: float) -> CameraIntrinsics:
@@ -237,11 +252,10 @@ class GlArtist:
     def _renderer(self, model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjData]:
         key = (id(model), width, height)
         if key not in self._renderers:
-            # the back end has proved itself in a child: now, and not before, it may be named here
-            os.environ.setdefault("MUJOCO_GL", self._backend)
             model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
             model.vis.global_.offheight = max(model.vis.global_.offheight, height)
-            renderer = mujoco.Renderer(model, height, width)
+            with _context_of(self._backend):
+                renderer = mujoco.Renderer(model, height, width)
             self._renderers[key] = renderer, model, mujoco.MjData(model)
         renderer, _, data = self._renderers[key]
         return renderer, data

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards import MarkerBoard, grid_layout
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.boards import MarkerBoard
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.stage import Table
 from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
@@ -124,7 +125,7 @@ def synthetic_stage(
         look: See ``eye``.
     """
     way = motion or Motion()
-    board = MarkerBoard(grid_layout(2, 2, 0.05, 0.012), _DICTIONARY)
+    board = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
         return lambda t: way.pose(t).compose(pose)
