@@ -1,14 +1,17 @@
-"""Draws what the whole-body examples solve: `python docs/make_pictures.py [NAME …]`.
+"""Draws the pictures of these pages: `python docs/make_pictures.py [NAME …]`.
 
-It writes docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the answer of
-the example of that name, with its ball.  No OpenGL, nothing random: the same program draws the same picture.
+docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the answer of the
+example of that name, with its ball.  calibration.png: what is printed, shown to the camera, still missing.
+No OpenGL, nothing random: the same program draws the same picture.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -18,6 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from robot_ik.camera.coverage import cover, coverage_picture
+from robot_ik.camera.pattern_set import pattern_set
+from robot_ik.camera.patterns import CharucoPattern
+from robot_ik.camera.sheet_blocks import SheetWish
+from robot_ik.camera.sheet_page import rasterize
+from robot_ik.camera.sheets import make_sheet_page
+from robot_ik.camera.standard_set import STANDARD_CAMERA, Look
 from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
 
 Image = NDArray[np.uint8]
@@ -92,11 +102,46 @@ def draw(scene: Scene) -> Image:
     return np.concatenate([photo.image[:, seen] for photo in photos], axis=1)
 
 
+def calibration() -> Image:
+    """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
+    board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
+    shown = list(pattern_set(board, camera, 20, seed=2, look=Look(noise=1.0)))
+    found = [view for view in (board.find(v.image) for v in shown) if view is not None]
+    tiles = [rasterize(make_sheet_page(SheetWish("charuco")), 60.0)]
+    tiles += [cv2.cvtColor(v.image, cv2.COLOR_GRAY2BGR) for v in shown[1:3]]
+    for tile, corners in zip(tiles[1:], found[1:3], strict=True):
+        for x, y in corners.pixels:
+            cv2.circle(tile, (round(16 * x), round(16 * y)), 72, (40, 110, 250), 2, cv2.LINE_AA, 4)
+    rows = [np.concatenate([_tile(tile, 400, 300) for tile in tiles], axis=1)]
+    rotations = [view.pose.rotation for view in shown]
+    parts = [cover(found[:n], rotations[:n], camera.size) for n in (3, 20)]
+    rows.append(np.concatenate([coverage_picture(part, 600) for part in parts], axis=1))
+    return np.concatenate(rows)
+
+
+def _tile(image: Image, width: int, height: int) -> Image:
+    """The picture in the middle of white, as large as it goes."""
+    bgr = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    scale = min((width - 16) / bgr.shape[1], (height - 16) / bgr.shape[0])
+    small = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    tile = np.full((height, width, 3), 255, np.uint8)
+    y, x = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
+    tile[y : y + small.shape[0], x : x + small.shape[1]] = small
+    return tile
+
+
+# One row a picture; whoever adds one adds its function above.
+PICTURES: dict[str, Callable[[], Image]] = {
+    **{name: partial(draw, scene) for name, scene in SCENES.items()},
+    "calibration": calibration,
+}
+
+
 def main(names: list[str]) -> None:
-    """Draws the scenes of those names, by default all."""
-    for name in names or list(SCENES):
+    """Draws the pictures of those names, by default all."""
+    for name in names or list(PICTURES):
         path = HERE / "images" / f"{name}.png"
-        cv2.imwrite(str(path), draw(SCENES[name]), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        cv2.imwrite(str(path), PICTURES[name](), [cv2.IMWRITE_PNG_COMPRESSION, 9])
         print(path.name)
 
 

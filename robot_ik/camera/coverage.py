@@ -119,10 +119,10 @@ def coverage_picture(coverage: Coverage, width: int = 900) -> Image:
     canvas = np.full((tall, width, 3), _PAPER, dtype=np.uint8)
     _draw_parts(canvas[2 * _RIM : 2 * _RIM + height, _RIM : _RIM + shown], coverage)
     _draw_leans(canvas[2 * _RIM : 2 * _RIM + disc, width - disc - _RIM : width - _RIM], coverage)
-    _write(canvas, "corners in the picture (number of views)", (_RIM, 2 * _RIM - 10))
+    _write(canvas, f"corners of {len(coverage.leans)} views (views to a part)", (_RIM, 2 * _RIM - 10))
     _write(
         canvas,
-        f"tilts of {len(coverage.leans)} views, rings 20, 40, 60 deg",
+        "tilts: rings 20, 40, 60 deg",
         (width - disc - _RIM, 2 * _RIM - 10),
     )
     return canvas
