@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.ar import BoardWatcher, Registrar, Remedies, Seen
 from robot_ik.camera.ar_draw import Artist, Figure, PainterArtist
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.boards import MarkerBoard
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.standard_set import STANDARD_CAMERA, random_pose, render_markers

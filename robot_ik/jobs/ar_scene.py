@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.boards import MarkerBoard
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.stage import Table
 from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
