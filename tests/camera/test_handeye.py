@@ -17,62 +17,29 @@ from robot_ik.camera.handeye import solve_handeye
 from robot_ik.camera.handeye_model import (
     MOUNTINGS,
     HandEyeSample,
-    Mount,
     Mounting,
     view_derivatives,
 )
+from robot_ik.camera.handeye_set import handeye_set
 from robot_ik.camera.handeye_start import start_handeye
-from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.pose import marker_points
 from robot_ik.camera.rotation_average import mean_rotation, robust_mean_pose, rotation_spread
+from robot_ik.camera.standard_set import STANDARD_CAMERA, STANDARD_SIZE
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
 
-CAMERA = CameraIntrinsics(640, 480, 800.0, 800.0, 322.3, 236.8, (-0.18, 0.05, 0.0005, -0.0003, 0.0))
-# A single marker of 50 mm: with 0.1 px at 0.5 to 0.9 m its pose is known to about 0.5 mm and 0.3 degrees.
-MARKER = 0.025 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], dtype=float)
-
-
-def made(
-    seed: int,
-    mounting: Mounting,
-    count: int = 15,
-    *,
-    pixel: float = 0.1,
-    arm: tuple[float, float] = (3e-4, np.deg2rad(0.05)),
-    spread_deg: float = 25.0,
-    axes: tuple[float, float, float] = (1.0, 1.0, 1.0),
-) -> tuple[Mount, list[HandEyeSample]]:
-    """A mount and what a camera would see; ``arm``: standard deviation of the hand's pose, each axis."""
-    rng = np.random.default_rng(seed)
-    truth = Mount(
-        Pose(rng.normal(0, 0.05, 3), rotation_exp(rng.normal(0, 1, 3))),
-        Pose(rng.normal(0, 0.3, 3), rotation_exp(rng.normal(0, 1, 3))),
-        mounting,
-    )
-    samples = []
-    for _ in range(count):
-        turn = rotation_exp(np.deg2rad(spread_deg) * rng.normal(0, 1, 3) * axes)
-        place = (*rng.normal(0, 0.04, 2), rng.uniform(0.5, 0.9))
-        seen = Pose(place, (0, 1, 0, 0)).compose(Pose(wxyz=turn))
-        chain = truth.pose_parent_camera.compose(seen).compose(truth.pose_other_board.inverse())
-        hand = chain if mounting == "eye_to_hand" else chain.inverse()
-        pixels = CAMERA.project(seen.apply(MARKER)) + rng.normal(0, 1, (4, 2)) * pixel
-        said = Pose.exp(np.r_[rng.normal(0, 1, 3) * arm[0], rng.normal(0, 1, 3) * arm[1]])
-        rough = Pose.exp(rng.normal(0, 1, 6) * (5 * pixel) * np.r_[[5e-4] * 3, [4e-3] * 3])
-        view = BoardView(MARKER, pixels, seen.compose(rough), max(pixel, 0.01))
-        samples.append(HandEyeSample(hand.compose(said), view))
-    return truth, samples
+MARKER = marker_points(STANDARD_SIZE)
 
 
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6), mounting=st.sampled_from(MOUNTINGS))
 def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None:
-    truth, samples = made(seed, mounting, 6, pixel=0.0, arm=(0.0, 0.0))
+    truth, samples = handeye_set(6, mounting=mounting, seed=seed, pixel=0.0, arm=(0.0, 0.0))
     start = start_handeye(samples, mounting)
     assert max(start.pose_parent_camera.distance(truth.pose_parent_camera)) < 1e-7
-    found = solve_handeye(samples, CAMERA, mounting=mounting)
+    found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
     for pose, true in (
         (found.pose_parent_camera, truth.pose_parent_camera),
         (found.pose_other_board, truth.pose_other_board),
@@ -84,11 +51,11 @@ def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6))
 def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> None:
-    _, samples = made(seed, "eye_to_hand", 8)
+    _, samples = handeye_set(8, mounting="eye_to_hand", seed=seed)
     world = Pose.exp(np.random.default_rng(seed).normal(0, 1, 6))
     elsewhere = [HandEyeSample(world.compose(one.pose_world_hand), one.view) for one in samples]
-    here = solve_handeye(samples, CAMERA, mounting="eye_to_hand")
-    there = solve_handeye(elsewhere, CAMERA, mounting="eye_to_hand")
+    here = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
+    there = solve_handeye(elsewhere, STANDARD_CAMERA, mounting="eye_to_hand")
     wanted = world.compose(here.pose_parent_camera)
     assert max(there.pose_parent_camera.distance(wanted)) < 1e-5
     assert max(there.pose_other_board.distance(here.pose_other_board)) < 1e-5
@@ -97,14 +64,14 @@ def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> Non
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None:
-    mount, (sample, *_) = made(3, mounting)
-    miss, shared, hand = view_derivatives(mount, sample, CAMERA)
-    np.testing.assert_allclose(miss, mount.miss(sample, CAMERA).ravel(), atol=1e-10)
+    mount, (sample, *_) = handeye_set(mounting=mounting, seed=3)
+    miss, shared, hand = view_derivatives(mount, sample, STANDARD_CAMERA)
+    np.testing.assert_allclose(miss, mount.miss(sample, STANDARD_CAMERA).ravel(), atol=1e-10)
     step = 1e-6
     for k in range(12):
         move = np.eye(12)[k] * step
         difference = (
-            mount.moved(move).miss(sample, CAMERA) - mount.moved(-move).miss(sample, CAMERA)
+            mount.moved(move).miss(sample, STANDARD_CAMERA) - mount.moved(-move).miss(sample, STANDARD_CAMERA)
         ).ravel()
         np.testing.assert_allclose(shared[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
     for k in range(6):
@@ -112,16 +79,16 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
             HandEyeSample(sample.pose_world_hand.compose(Pose.exp(sign * step * np.eye(6)[k])), sample.view)
             for sign in (1, -1)
         )
-        difference = (mount.miss(there, CAMERA) - mount.miss(back, CAMERA)).ravel()
+        difference = (mount.miss(there, STANDARD_CAMERA) - mount.miss(back, STANDARD_CAMERA)).ravel()
         np.testing.assert_allclose(hand[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mounting: Mounting) -> None:
     errors, stated, arm = [], [], []
-    for seed in range(8):
-        truth, samples = made(seed, mounting)
-        found = solve_handeye(samples, CAMERA, mounting=mounting)
+    for seed in range(6):
+        truth, samples = handeye_set(mounting=mounting, seed=seed)
+        found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
         errors.append(found.pose_parent_camera.distance(truth.pose_parent_camera))
         stated.append((found.sigma_position, found.sigma_angle))
         arm.append((found.arm_position, found.arm_angle))
@@ -136,18 +103,18 @@ def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mou
 def test_views_turned_by_little_are_said_to_be_worse() -> None:
     said = []
     for spread in (8.0, 25.0):
-        _, samples = made(1, "eye_in_hand", spread_deg=spread)
-        said.append(solve_handeye(samples, CAMERA, mounting="eye_in_hand").sigma_position)
+        _, samples = handeye_set(seed=1, spread_deg=spread)
+        said.append(solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand").sigma_position)
     assert said[0] > 2 * said[1]
 
 
 def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
-    truth, samples = made(5, "eye_to_hand", 12, arm=(0.0, 0.0))
-    found = solve_handeye(samples, CAMERA, mounting="eye_to_hand")
+    truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm=(0.0, 0.0))
+    found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
     def misses(step: Array) -> Array:
         mount = truth.moved(step)
-        return np.concatenate([mount.miss(sample, CAMERA).ravel() for sample in samples])
+        return np.concatenate([mount.miss(sample, STANDARD_CAMERA).ravel() for sample in samples])
 
     judge = truth.moved(least_squares(misses, np.zeros(12), x_scale=1e-3).x)
     position, angle = found.pose_parent_camera.distance(judge.pose_parent_camera)
@@ -156,14 +123,14 @@ def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
-    truth, samples = made(2, mounting)
+    truth, samples = handeye_set(mounting=mounting, seed=2)
     bumped = Pose.exp([0.008, -0.006, 0.01, 0.03, -0.04, 0.02])
     samples[4] = HandEyeSample(samples[4].pose_world_hand.compose(bumped), samples[4].view)
     view = samples[11].view
     moved = view.pixels + np.array([[9, 0], [0, 7], [-6, 0], [0, -8]])
     shifted = BoardView(view.points, moved, view.pose_camera_board)
     samples[11] = HandEyeSample(samples[11].pose_world_hand, shifted)
-    found = solve_handeye(samples, CAMERA, mounting=mounting)
+    found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
     assert found.outliers == (4, 11)
     position, angle = found.pose_parent_camera.distance(truth.pose_parent_camera)
     assert position < 1.5e-3 and angle < np.deg2rad(0.25)
@@ -171,13 +138,13 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
 
 
 def test_a_flipped_first_estimate_does_no_harm() -> None:
-    truth, samples = made(7, "eye_to_hand")
+    truth, samples = handeye_set(mounting="eye_to_hand", seed=7)
     view = samples[6].view
     mirrored = view.pose_camera_board.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
     samples[6] = HandEyeSample(
         samples[6].pose_world_hand, BoardView(view.points, view.pixels, mirrored, view.sigma)
     )
-    found = solve_handeye(samples, CAMERA, mounting="eye_to_hand")
+    found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
     assert not found.outliers
     assert found.pose_parent_camera.distance(truth.pose_parent_camera)[0] < 1.5e-3
 
@@ -191,9 +158,9 @@ def test_a_flipped_first_estimate_does_no_harm() -> None:
     ],
 )
 def test_motions_that_cannot_tell_are_refused(changes: dict[str, object], words: str) -> None:
-    _, samples = made(0, "eye_in_hand", **changes)  # type: ignore[arg-type]
+    _, samples = handeye_set(**changes)  # type: ignore[arg-type]
     with pytest.raises(CalibrationError, match=words) as refused:
-        solve_handeye(samples, CAMERA, mounting="eye_in_hand")
+        solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
     assert "30 degrees" in refused.value.hint
 
 
@@ -206,7 +173,7 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
         with pytest.raises(CameraError):
             BoardView(points, pixels, Pose())
     with pytest.raises(CalibrationError, match="eye_in_hand, eye_to_hand"):
-        solve_handeye([], CAMERA, mounting="beside")  # type: ignore[arg-type]
+        solve_handeye([], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
 
 
 # --------------------------------------------------------------------------------- rotations
