@@ -24,7 +24,7 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test explore soak strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
+.PHONY: help reach test explore soak fuzz strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
@@ -33,6 +33,7 @@ help:
 	@echo 'make check         ruff, mypy on the built wheel, import contracts'
 	@echo 'make format        let ruff put the layout and the imports in order'
 	@echo 'make soak          the long tests'
+	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
 	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
 	@echo 'make wheel         build wheel and sdist into dist/ and try both in an empty environment'
@@ -53,6 +54,12 @@ explore: $(STAMP)
 
 soak: $(STAMP)
 	@$(PY) -m pytest -m soak --timeout 3600 $(ARGS)
+
+# atheris is no dependency: it has wheels for Linux only.  First what is quick, then servos and arm.
+fuzz: $(STAMP)
+	@test -d $(VENV)/fuzz || $(PY) -m pip install --quiet --disable-pip-version-check --target $(VENV)/fuzz atheris
+	@PYTHONPATH=$(VENV)/fuzz $(PY) tests/fuzz/fuzz_codec.py --law codec servo_parser host_parser fast_parser driver $(ARGS)
+	@PYTHONPATH=$(VENV)/fuzz $(PY) tests/fuzz/fuzz_codec.py --law servos arm $(ARGS)
 
 # Clients of other people, in an environment of their own: they are not dependencies.
 strangers: $(STAMP)

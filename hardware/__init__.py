@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from robot_ik.errors import BusNotOpenError
+
 if __name__ != "robot_ik.hardware":
     raise ImportError(
         "this is the hardware room of robot_ik: `import robot_ik.hardware`, not `import hardware` "
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.ports import Clock
 
-__all__ = ["BUSES", "Bus", "bus_row", "open_arm", "open_bus"]
+__all__ = ["BUSES", "Bus", "bus_row", "no_pty", "open_arm", "open_bus"]
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,20 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) 
 
 
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
-    from robot_ik.hardware.served import ServedBus
+    try:
+        from robot_ik.hardware.served import ServedBus
+    except ImportError as reason:
+        raise no_pty(reason) from reason
 
     assert servos is not None
     return ServedBus(servos, config.baud)
+
+
+def no_pty(reason: ImportError) -> BusNotOpenError:
+    """For systems where termios or fcntl cannot be imported: Windows."""
+    return BusNotOpenError(
+        f"this system has no pseudo terminals ({reason})", hint="use --bus sim: the same servos in process"
+    )
 
 
 def _port(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:

@@ -19,7 +19,18 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+def ending_signals(there: Any = signal) -> tuple[int, ...]:
+    """Signals that end a program here: no SIGHUP on Windows, but SIGBREAK (Ctrl-Break, a closed console).
+
+    Args:
+        there: What has them by name.
+    """
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+    return tuple(getattr(there, name) for name in names if hasattr(there, name))
+
+
+SIGNALS = ending_signals()
 
 PATIENCE = 5.0
 """s after which a program that swallowed the first exception gets a second one."""

@@ -10,8 +10,9 @@ import contextlib
 import errno
 import os
 import select
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +44,30 @@ class QuietPortHandler(PortHandler):
     """One serial port for one process; counts its bytes.
 
     ``openPort`` raises what pyserial raises; ``describe_failure`` turns that into words.
+
+    Args:
+        port_name: As the system names it.
+        baud: bit/s.
+        counters: Its bytes are added here.
+        answer_time: s a servo is given to answer.
+        posix: A port is a file on which one can wait and which must be locked; else (Windows) a handle that
+            the system itself gives to one program only.
+        make_serial: Opens a port, as ``serial.Serial``.
     """
 
     def __init__(
-        self, port_name: str, baud: int, counters: Counters, answer_time: float = ANSWER_TIME
+        self,
+        port_name: str,
+        baud: int,
+        counters: Counters,
+        answer_time: float = ANSWER_TIME,
+        *,
+        posix: bool = os.name == "posix",
+        make_serial: Callable[..., Any] = serial.Serial,
     ) -> None:
         super().__init__(port_name)
+        self._posix = posix
+        self._make_serial = make_serial
         self.baudrate = baud
         self.answer_time = answer_time
         self.seconds_per_byte = 10.0 / baud
@@ -58,19 +77,19 @@ class QuietPortHandler(PortHandler):
     def setupPort(self, cflag_baud: int) -> bool:
         """Opens the port, exclusively."""
         self.closePort()
-        self.ser = serial.Serial(
+        self.ser = self._make_serial(
             port=self.port_name,
             baudrate=cflag_baud,
             bytesize=serial.EIGHTBITS,
-            timeout=0 if os.name == "posix" else _POLL,
+            timeout=0 if self._posix else _POLL,
             write_timeout=WRITE_TIMEOUT,
-            exclusive=True if os.name == "posix" else None,
+            exclusive=True if self._posix else None,
         )
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10_000.0 / cflag_baud  # ms; 8N1 is 10 bits a byte
         self.seconds_per_byte = 10.0 / cflag_baud
-        self._file = self.ser.fileno() if os.name == "posix" else -1
+        self._file = self.ser.fileno() if self._posix else -1
         return True
 
     def closePort(self) -> None:
@@ -97,7 +116,7 @@ class QuietPortHandler(PortHandler):
 
     def receive(self, deadline: float) -> bytes:
         """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing."""
-        if os.name != "posix":
+        if not self._posix:
             while not (data := bytes(self.ser.read(self.ser.in_waiting or 1))):
                 if time.monotonic() > deadline:
                     break
@@ -113,7 +132,7 @@ class QuietPortHandler(PortHandler):
 
     def clear(self) -> None:
         """Throws away what has come in."""
-        if os.name != "posix":
+        if not self._posix:
             self.ser.reset_input_buffer()
         else:
             termios.tcflush(self._file, termios.TCIFLUSH)
@@ -122,7 +141,7 @@ class QuietPortHandler(PortHandler):
         """At most ``length`` bytes; sleeps until there are some or the packet's time is over."""
         if length <= 0:
             return b""
-        if os.name != "posix":
+        if not self._posix:
             data = bytes(self.ser.read(length))
         else:
             wait = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
@@ -136,7 +155,7 @@ class QuietPortHandler(PortHandler):
 
     def writePort(self, packet: Sequence[int] | bytes) -> int:
         """Number of bytes written: all of them, or an error."""
-        if os.name != "posix":
+        if not self._posix:
             self.ser.write(bytes(packet))
         else:
             # Not pyserial's write: it reports a timeout for bytes that are out if this process was stalled.
@@ -163,15 +182,25 @@ class QuietPortHandler(PortHandler):
                 return
 
 
-def describe_failure(port: str, error: Exception, ports: Sequence[Any] | None = None) -> BusNotOpenError:
+def describe_failure(
+    port: str, error: Exception, ports: Sequence[Any] | None = None, system: str = sys.platform
+) -> BusNotOpenError:
     """Why ``port`` could not be opened, which ports there are and what to do.
 
     Args:
         port: As given by the user.
         error: What opening it raised.
         ports: Serial ports of this machine (objects with ``device`` and ``description``); asked for if None.
+        system: As ``sys.platform``.
     """
     text, number = str(error), getattr(error, "errno", None)
+    if system == "win32":  # pyserial tells the reason in words only; a port in use is "access denied"
+        words = {
+            "PermissionError": errno.EBUSY,
+            "Access is denied": errno.EBUSY,
+            "FileNotFound": errno.ENOENT,
+        }
+        number = next((value for word, value in words.items() if word in text), number)
     if "exclusively lock" in text or number in (errno.EBUSY, errno.EWOULDBLOCK):
         who = holders(port)
         reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
@@ -181,6 +210,8 @@ def describe_failure(port: str, error: Exception, ports: Sequence[Any] | None = 
     elif number in (errno.EACCES, errno.EPERM):
         reason = "this user may not open it"
         hint = "join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
+        if system == "darwin":
+            hint = "allow the adapter's driver in System Settings, Privacy & Security; use its name /dev/cu.…"
     elif number == errno.EISDIR or "Inappropriate ioctl" in text or "(25" in text:
         reason, hint = "it is not a serial port", ""
     else:

@@ -70,9 +70,35 @@ def latency_ms(path: str, sys_root: str = "/sys") -> int | None:
         return None
 
 
-def serial_row(path: str, about: str, *, sys_root: str = "/sys") -> Row:
-    """One serial port: may it be used, is it in use, how late does it answer."""
+_FTDI = 0x0403  # USB vendor; most adapters of servos have such a chip
+
+_LATENCY_ADVICE = {
+    "win32": "set it to 1 ms: Device Manager, Ports, this one, Port Settings, Advanced, Latency Timer",
+    "darwin": "where cycles are slow: FTDI's own driver (VCP) lets the latency timer be set to 1 ms",
+}
+"""Systems on which a latency timer cannot be read -> what to do about it."""
+
+
+def serial_row(
+    path: str, about: str, *, sys_root: str = "/sys", system: str = sys.platform, vendor: int | None = None
+) -> Row:
+    """One serial port: may it be used, is it in use, how late does it answer.
+
+    Args:
+        path: Its name.
+        about: Its description.
+        sys_root: Where Linux tells of devices.
+        system: As ``sys.platform``.
+        vendor: Of the USB adapter, where known.
+    """
     what = f"serial {path}"
+    if advice := _LATENCY_ADVICE.get(system):
+        # Windows has no files for ports, and tells by opening only who may use one.
+        if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
+            return Row(what, NOTE, f"{about}; no permission", permission_hint(path))
+        late = vendor == _FTDI
+        text = "; its latency timer cannot be read, as it comes it is 16 ms"
+        return Row(what, NOTE if late else OK, about + (text if late else ""), advice if late else "")
     if not os.access(path, os.R_OK | os.W_OK):
         return Row(what, NOTE, f"{about}; no permission", permission_hint(path))
     users = users_of(path)
@@ -84,14 +110,14 @@ def serial_row(path: str, about: str, *, sys_root: str = "/sys") -> Row:
         timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
         # 16 ms, the driver's default, holds six servos to about 57 cycles a second.
         return Row(what, NOTE, f"{about}; answers {latency} ms late", f"echo 1 | sudo tee {timer}")
-    return Row(what, OK, about + ("; free" if sys.platform.startswith("linux") else ""))
+    return Row(what, OK, about + ("; free" if system.startswith("linux") else ""))
 
 
 def check_serial(until: float) -> list[Row]:
     """Serial ports with what stands in the way of using them."""
     from serial.tools import list_ports
 
-    ports = [port for port in list_ports.comports() if os.path.exists(port.device)]
+    ports = [p for p in list_ports.comports() if sys.platform == "win32" or os.path.exists(p.device)]
     # On-board UARTs are listed whether or not anything is behind them.
     rows = [serial_row(p.device, p.description or "serial port") for p in ports if "ttyS" not in p.device]
     if not rows:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from robot_ik.ports import Clock
 
 #: Ports that only a machine's own board has; no adapter of servos is behind them.
-_ONBOARD = ("ttyS", "ttyAMA", "Bluetooth")
+_ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +35,17 @@ class BusOptions:
     """Arm file (TOML), or a robot of the catalogue that has one."""
 
 
-def serial_ports() -> list[Any]:
-    """Serial ports of this machine behind which servos may be, as pyserial lists them."""
+def serial_ports(listed: Iterable[Any] | None = None) -> list[Any]:
+    """Serial ports of this machine behind which servos may be.
+
+    Args:
+        listed: Ports as pyserial lists them; asked for if None.
+    """
     from serial.tools import list_ports
 
-    ports = [port for port in list_ports.comports() if not any(word in port.device for word in _ONBOARD)]
-    return sorted(ports, key=lambda port: str(port.device))
+    found = list_ports.comports() if listed is None else listed
+    ports = [port for port in found if not any(word in port.device for word in _ONBOARD)]
+    return sorted(ports, key=lambda port: (len(port.device), str(port.device)))  # COM3 before COM10
 
 
 def port_name(bus: str) -> str:
@@ -69,9 +74,14 @@ def served_or_real(bus: str, arm: str) -> Iterator[str]:
         yield name
         return
     from robot_ik.cli.sim_bus import load_arm
+    from robot_ik.hardware import no_pty
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.pty import PtyPort
     from robot_ik.ports import RealClock
+
+    try:
+        from robot_ik.hardware.virtual.pty import PtyPort
+    except ImportError as reason:
+        raise no_pty(reason) from reason
 
     with PtyPort(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
         yield port.path
@@ -134,7 +144,6 @@ def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
     Raises:
         UnknownJointError: No such joint; close ones are named.
     """
-    config = config.whole
     wanted = {config.joint(name).name for name in names}
     kept = tuple(joint for joint in config.whole.joints if joint.name in wanted)
     return replace(config.whole, joints=kept) if names else config

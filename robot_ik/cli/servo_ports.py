@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import sys
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -66,10 +67,11 @@ def run_ports(options: PortsOptions) -> int:
     return console.DONE if rows else console.NOT_ACHIEVED
 
 
-def port_row(port: Any, sys_root: str = "/sys") -> PortRow:
-    """What is known of a port as pyserial lists it, without opening it."""
-    row = serial_row(port.device, port.description or "serial port", sys_root=sys_root)
+def port_row(port: Any, sys_root: str = "/sys", system: str = sys.platform) -> PortRow:
+    """What is known of a port as pyserial lists it, without opening it; ``system``: as ``sys.platform``."""
     vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
+    about = port.description or "serial port"
+    row = serial_row(port.device, about, sys_root=sys_root, system=system, vendor=vendor)
     return PortRow(
         port.device,
         stable_name(port.device),

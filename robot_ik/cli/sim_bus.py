@@ -15,7 +15,7 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
-from robot_ik.errors import ConfigError, HardwareError, RobotIkError, UnknownRobotError
+from robot_ik.errors import ConfigError, RobotIkError, UnknownRobotError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -68,10 +68,9 @@ def run(options: SimBusOptions) -> int:
     try:
         from robot_ik.hardware.virtual.pty import PtyPort
     except ImportError as reason:  # no termios: Windows
-        raise HardwareError(
-            f"this system has no pseudo terminals ({reason})",
-            hint="use --bus sim: the same servos in process",
-        ) from reason
+        from robot_ik.hardware import no_pty
+
+        raise no_pty(reason) from reason
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.fault_file import FaultScript, load_faults
     from robot_ik.ports import RealClock

@@ -40,7 +40,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--law", nargs="*", choices=list(laws.LAWS), default=list(laws.LAWS))
+    parser.add_argument("--law", nargs="+", choices=list(laws.LAWS), default=list(laws.LAWS))
     parser.add_argument("--corpus", type=Path, default=Path("build/fuzz"))
     options = parser.parse_args()
     names = [name for name in options.law for _ in range(SHARES[name])]
@@ -58,9 +58,16 @@ def main() -> None:
             sys.stderr.write(f"\n{name} {data[1:].hex()}\n")
             raise
 
-    seed_corpus(options.corpus, names)
+    corpus = options.corpus / "-".join(options.law)  # the first byte means another law elsewhere
+    seed_corpus(corpus, names)
     arguments = [f"-max_total_time={round(60 * options.minutes)}", f"-max_len={LONGEST}", "-timeout=10"]
-    arguments += ["-len_control=0", "-print_final_stats=1", "-rss_limit_mb=4096", str(options.corpus)]
+    arguments += [
+        "-len_control=0",
+        "-print_final_stats=1",
+        "-rss_limit_mb=4096",
+        f"-artifact_prefix={corpus.parent}/",
+        str(corpus),
+    ]
     atheris.Setup([sys.argv[0], *arguments], one)
     print(f"laws: {', '.join(options.law)}; set up in {time.monotonic() - began:.1f} s", flush=True)
     atheris.Fuzz()

@@ -1,0 +1,172 @@
+"""What is different on Windows and macOS; ports, errors and signals are handed in, nothing is opened."""
+
+from __future__ import annotations
+
+import errno
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import serial
+
+from robot_ik.cli.device_checks import serial_row
+from robot_ik.cli.servo_link import serial_ports, served_or_real
+from robot_ik.cli.servo_ports import port_row
+from robot_ik.errors import BusNotOpenError
+from robot_ik.hardware import open_bus
+from robot_ik.hardware.bus import Counters
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.exit_guard import ending_signals
+from robot_ik.hardware.quiet_port import QuietPortHandler, describe_failure
+from robot_ik.hardware.virtual.bus import VirtualBus
+
+WINDOWS, MAC = "win32", "darwin"
+
+
+def listed(device: str, about: str = "USB Serial Port", vid: int | None = 0x0403) -> Any:
+    return SimpleNamespace(device=device, description=about, vid=vid, pid=0x6014, serial_number="FT1")
+
+
+def test_ports_of_windows_and_mac_are_listed_without_those_of_the_board() -> None:
+    ports = [listed("COM10"), listed("COM3")]
+    assert [p.device for p in serial_ports(ports)] == ["COM3", "COM10"]
+    mac = ["usbserial-FT1", "Bluetooth-Incoming-Port", "debug-console", "wlan-debug", "usbmodem1"]
+    found = [p.device for p in serial_ports(listed(f"/dev/cu.{name}") for name in mac)]
+    assert found == ["/dev/cu.usbmodem1", "/dev/cu.usbserial-FT1"]
+
+
+def test_a_windows_port_is_no_file_and_its_latency_is_set_in_the_device_manager() -> None:
+    row = port_row(listed("COM3"), system=WINDOWS)
+    assert (row.usb, row.serial, row.stable, row.latency_ms) == ("0403:6014", "FT1", "", None)
+    assert row.status == "note" and "Device Manager" in row.do and "permission" not in row.do
+    quiet = port_row(listed("COM4", vid=0x1A86), system=WINDOWS)
+    assert quiet.status == "ok" and quiet.do == ""
+
+
+def test_a_mac_port_may_be_forbidden_and_its_latency_is_the_drivers(tmp_path: Path) -> None:
+    port = tmp_path / "cu.usbserial-FT1"
+    port.touch()
+    row = serial_row(str(port), "USB", system=MAC, vendor=0x0403)
+    assert "16 ms" in row.found and "VCP" in row.do
+    gone = serial_row(str(tmp_path / "cu.other"), "USB", system=MAC)
+    assert "no permission" in gone.found
+
+
+def windows_error(name: str, number: int, text: str) -> serial.SerialException:
+    """As pyserial says it on Windows: the reason is in the words only."""
+    return serial.SerialException(f"could not open port 'COM3': {name}({number}, '{text}', None, 5)")
+
+
+def test_who_has_the_port_already_is_refused_by_name_on_every_system() -> None:
+    errors = {
+        WINDOWS: windows_error("PermissionError", 13, "Access is denied."),
+        MAC: serial.SerialException(errno.EBUSY, "could not open port /dev/cu.usbserial: Resource busy"),
+        "linux": serial.SerialException("Could not exclusively lock port /dev/ttyUSB0: [Errno 11]"),
+    }
+    for system, error in errors.items():
+        failure = describe_failure("COM3", error, [listed("COM3")], system)
+        assert str(failure.args[0]).startswith("cannot open COM3: it is already open")
+        assert "close the other program first" in failure.hint and "COM3 (USB" in failure.hint
+
+
+def test_missing_and_forbidden_ports_are_told_from_one_in_use() -> None:
+    gone = windows_error("FileNotFoundError", 2, "The system cannot find the file specified.")
+    assert "no such port" in str(describe_failure("COM9", gone, [], WINDOWS))
+    denied = PermissionError(errno.EACCES, "Permission denied")
+    assert "dialout" in describe_failure("/dev/ttyUSB0", denied, [], "linux").hint
+    mac = describe_failure("/dev/tty.usb", denied, [], MAC).hint
+    assert "/dev/cu." in mac and "dialout" not in mac
+
+
+class WindowsPort:
+    """A ``serial.Serial`` without a file: bytes go to virtual servos and come back."""
+
+    def __init__(self, bus: VirtualBus, **options: Any) -> None:
+        self.options, self._bus, self._data = options, bus, b""
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self._data)
+
+    def read(self, size: int) -> bytes:
+        data, self._data = self._data[:size], self._data[size:]
+        return data
+
+    def write(self, data: bytes) -> int:
+        self._data += self._bus.handle(bytes(data))
+        return len(data)
+
+    def reset_input_buffer(self) -> None:
+        self._data = b""
+
+    def close(self) -> None:
+        self.options = {}
+
+
+def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
+    made: list[WindowsPort] = []
+
+    def make_serial(**options: Any) -> WindowsPort:
+        made.append(WindowsPort(bus, **options))
+        return made[-1]
+
+    def handler(name: str, baud: int, counters: Counters, answer_time: float) -> QuietPortHandler:
+        return QuietPortHandler(name, baud, counters, answer_time, posix=False, make_serial=make_serial)
+
+    driver = DynamixelBus("COM3", make_handler=handler)
+    driver.open()
+    assert (
+        made[0].options["port"] == "COM3" and made[0].options["exclusive"] is None
+    )  # the system's own affair
+    assert 0 < made[0].options["timeout"] < 0.01  # it sleeps while it waits
+    assert driver.ping(2) == 1020
+    present = bus.servo(1).table["present_position"]
+    assert driver.read(3, present).data == 300
+    driver.use_fast_reads((1, 2, 3))
+    goals = {id: (bus.servo(1).table["goal_position"], 5) for id in (1, 2, 3)}
+    assert [s.data for s in driver.exchange(goals, dict.fromkeys((1, 2, 3), present)).values()] == [
+        100,
+        200,
+        300,
+    ]
+    driver.close()
+    assert made[0].options == {}
+
+
+@pytest.fixture
+def without_pty(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("robot_ik.hardware.virtual.pty", "robot_ik.hardware.served"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+
+
+def test_without_pseudo_terminals_the_bus_pty_names_sim(without_pty: None, arm_config: ArmConfig) -> None:
+    with pytest.raises(BusNotOpenError, match="no pseudo terminals") as caught:
+        open_bus("pty", arm_config)
+    assert "--bus sim" in caught.value.hint
+    with pytest.raises(BusNotOpenError, match="no pseudo terminals"), served_or_real("pty", "tabletop_puma"):
+        pass
+    open_bus("sim", arm_config).close()
+
+
+def test_signals_are_those_that_the_system_has() -> None:
+    windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
+    assert ending_signals(windows) == (2, 15, 21)
+    if sys.platform != "win32":
+        assert ending_signals() == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize(("system", "folder"), [(WINDOWS, "AppData/Local"), (MAC, "Library/Caches")])
+def test_what_is_compiled_is_kept_where_the_system_keeps_such(
+    system: str, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from robot_ik.kernels import jit
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("LOCALAPPDATA", raising=False)
+    monkeypatch.setattr(jit, "sys", SimpleNamespace(platform=system))
+    assert jit._user_cache() == Path.home() / folder
