@@ -186,12 +186,17 @@ def helps() -> dict[str, str]:
     import contextlib
     import io
 
-    found = {}
-    for name in cli.COMMANDS:
+    def asked(*words: str) -> str:
         stream = io.StringIO()
         with contextlib.redirect_stdout(stream):
-            cli.main([name, "--help"])
-        found[name] = stream.getvalue()
+            cli.main([*words, "--help"])
+        return stream.getvalue()
+
+    found = {}
+    for name in cli.COMMANDS:
+        text = asked(name)
+        subcommands = re.findall(r"• ([a-z][a-z-]*) ", text)
+        found[name] = " ".join([text, *(asked(name, subcommand) for subcommand in subcommands)])
     return found
 
 
