@@ -26,6 +26,8 @@ Mask = NDArray[np.bool_]
 # Shadows fall from the light that the robot is drawn with, at least so steeply (cosine to the vertical); they
 # are softened over so much of the robot's height in the picture, and take so much of the light.
 _STEEP, _SOFT, _DARK = 0.6, 0.012, 0.42
+# They are drawn so many times coarser than the picture: nobody can tell.
+_COARSE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,35 +114,38 @@ def shadow_sheet(
     normal, origin = inverse.rotation[:, 2], inverse.position
     fall = -painter.LIGHT
     fall = fall - normal * max(_STEEP + float(fall @ normal), 0.0)
-    height = (faces.points - origin) @ normal
-    points = faces.points - np.outer(np.maximum(height, 0.0) / (fall @ normal), fall)
-    # a hair above the plane, so that things standing on it do not hide it where they stand
-    good = (points[:, 2] > painter.NEAR) & faces.within
-    pixels = np.full((len(points), 2), np.nan)
-    pixels[good] = intrinsics.project(points[good])
-    good &= np.abs(np.nan_to_num(pixels, nan=1e9)).max(axis=1) < 8 * max(intrinsics.size)
-    whole = np.logical_and.reduce(good[faces.faces], axis=1)
+    lift = np.maximum((faces.points - origin) @ normal, 0.0) / (fall @ normal)
+    points = faces.points - lift[:, None] * fall
+    pixels, depths, good = painter.project(points, intrinsics)
+    good &= faces.within
+    whole = np.ones(len(faces.faces), dtype=bool)
+    if not good.all():
+        whole = np.logical_and.reduce(good[faces.faces], axis=1)
+    soft = max(1.0, _SOFT * _extent(faces.pixels[faces.within, 1]) / _COARSE)
     flat = replace(
         faces,
-        pixels=np.where(good[:, None], pixels, 0.0),
-        inverse=1.0 / np.maximum(points[:, 2], painter.NEAR),
+        pixels=(pixels + 0.5) / _COARSE - 0.5,
+        inverse=depths,
         chosen=faces.chosen[whole[faces.chosen]],
         within=good,
     )
-    soft = max(1.0, _SOFT * _extent(faces.pixels[faces.within, 1]))
-    box = painter.bounding_box(flat, *intrinsics.size, margin=3 + round(3 * soft))
+    width, height = intrinsics.size
+    box = painter.bounding_box(flat, width // _COARSE, height // _COARSE, margin=3 + round(3 * soft))
     if box == EMPTY:
         return Layer.empty(), 0.0
     samples = painter.Samples(box, 1)
     samples.fill(flat)
     dark = (samples.depth[0] > 0).astype(np.uint8) * 255
     dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
+    dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
+    x0, y0, x1, y1 = (_COARSE * v for v in box)
     if things is not None:
-        behind = painter.Samples(box, 1)
+        behind = painter.Samples((x0, y0, x1, y1), 1)
         behind.fill(things)
-        hidden = behind.depth[0] > _plane_inverse(box, intrinsics, inverse) * 1.005
+        # what stands on the plane does not hide the plane where it stands
+        hidden = behind.depth[0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
-    return Layer(box, np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
+    return Layer((x0, y0, x1, y1), np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
 
 
 def _extent(values: Array) -> float:

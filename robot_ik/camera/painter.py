@@ -125,7 +125,7 @@ def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Po
     return rotation, np.asarray(data.geom_xpos) @ turn.T + camera.position
 
 
-def _project(points: Array, intrinsics: CameraIntrinsics) -> tuple[Array, Array, Mask]:
+def project(points: Array, intrinsics: CameraIntrinsics) -> tuple[Array, Array, Mask]:
     """Pixels (n, 2), one over depth (n,), and which of the points (n, 3) the lens can see."""
     inverse = 1.0 / np.maximum(points[:, 2], 0.5 * NEAR)
     ideal = points[:, :2] * inverse[:, None]
@@ -164,7 +164,7 @@ def faces_in_picture(
         scanline.place_vertices(mesh.vertices, mesh.vertex_geom, rotation, position, points)
         light, half = LIGHT @ rotation, _HALFWAY @ rotation
         scanline.light_corners(mesh.corner_normals, mesh.face_geom, light, half, _AMBIENT, lit)
-    pixels, inverse, within = _project(points, intrinsics)
+    pixels, inverse, within = project(points, intrinsics)
     geom = mesh.geoms[mesh.face_geom].astype(np.int32)
     whole = Faces(points, pixels, inverse, mesh.faces, np.arange(len(mesh.faces)), geom, lit, within, mesh)
     return whole if within.all() else _clipped(whole, points, intrinsics)
@@ -191,7 +191,7 @@ def _clipped(whole: Faces, points: Array, intrinsics: CameraIntrinsics) -> Faces
             origin.append(np.full(len(k), f))
             count += len(cut)
     extra = np.concatenate(added)
-    pixels, inverse, _ = _project(extra, intrinsics)
+    pixels, inverse, _ = project(extra, intrinsics)
     source, fan = np.concatenate(origin), np.concatenate(fans)
     flat = np.repeat(whole.lit[source].mean(axis=1, keepdims=True), 4, axis=1)
     return Faces(
