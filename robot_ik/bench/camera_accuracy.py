@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.boards import grid_layout
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.goals import MarkerGoalSource
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import ClosingSource, Frame
@@ -100,7 +100,7 @@ def _boards(
     effort: Effort, side: int, distance: float, count: int, *, hidden: bool = False, tilt: float = 60.0
 ) -> Iterator[tuple[Pose, BodyObservation | None]]:
     """True pose and observation of a board of side × side markers, tilted by up to ``tilt`` degrees."""
-    layout = grid_layout(side, side, STANDARD_SIZE, _GAP)
+    layout = grid_body(side, side, STANDARD_SIZE, _GAP).markers
     size = side * STANDARD_SIZE + (side - 1) * _GAP
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: s for i, (s, _) in layout.items()})
     rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])

@@ -101,7 +101,7 @@ def _lags(errors: Array) -> list[Lag]:
 
 def prediction(effort: Effort) -> Iterator[Figure]:
     """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
-    hands = 2 if effort.quick else 6
+    hands = 1 if effort.quick else 6
     moving, resting = compare_filters(hands, 10.0 if effort.quick else 20.0, effort.seed)
     late = next(row for row in moving if row.delay == 0.066)
     yield Figure("hand seen 66 ms ago, taken as it is, RMS", 1e3 * late.hold, "mm")

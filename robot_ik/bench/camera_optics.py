@@ -15,7 +15,7 @@ from robot_ik.bench.camera_rows import Effort, Figure
 from robot_ik.camera.ar_draw import Figure as Robot
 from robot_ik.camera.ar_draw import RayArtist
 from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.boards import grid_layout
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibrate import calibrate
 from robot_ik.camera.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -133,10 +133,10 @@ def handeye(effort: Effort) -> Iterator[Figure]:
 
 def _sample(hand_camera: Pose, rng: np.random.Generator) -> HandEyeSample:
     """One view of a 3×3 board that lies at the world's origin, and where the arm says that it stood."""
-    layout = grid_layout(3, 3, 0.05, 0.012)
+    layout = grid_body(3, 3, 0.05, 0.012).markers
     points = np.concatenate([pose.apply(marker_points(side)) for side, pose in layout.values()])
     camera_board, _ = random_pose(
-        STANDARD_CAMERA, rng, rng.uniform(0.4, 0.8), size=0.174, tilt_deg=(10.0, 45.0)
+        STANDARD_CAMERA, rng, rng.uniform(0.6, 0.9), size=0.174, tilt_deg=(10.0, 45.0)
     )
     pixels = STANDARD_CAMERA.project(camera_board.apply(points)) + rng.normal(0.0, _PIXELS, (len(points), 2))
     true = camera_board.inverse().compose(hand_camera.inverse())

@@ -60,12 +60,7 @@ class PatientSource(ListSource):
 
 
 def frame(
-    poses: dict[int, Pose],
-    number: int = 0,
-    *,
-    time: float | None = None,
-    size: float = 0.05,
-    seed: int = 0,
+    poses: dict[int, Pose], number: int = 0, *, time: float | None = None, size: float = 0.05, seed: int = 0
 ) -> Frame:
     """Markers on one wall: rendered one by one and joined by the darker pixel where both show paper."""
     image = None

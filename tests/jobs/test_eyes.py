@@ -193,6 +193,26 @@ def test_on_virtual_time_pictures_come_at_their_rate() -> None:
         assert latest.poll(clock.now()) is None and latest.ended
 
 
+class Predicting(Counting):
+    """Looks, and tells the goal at any time."""
+
+    def look(self, now: float, *, wait: bool = False) -> None:
+        self.poll(now)
+
+    def goal_at(self, now: float) -> tuple[int, float]:
+        return self.count, now
+
+
+def test_a_source_that_predicts_is_asked_at_each_ticks_own_time() -> None:
+    goals, clock = Predicting(), VirtualClock()
+    with LatestGoals(goals, clock, 10.0) as latest:
+        for k in range(30):
+            clock.sleep_until(0.01 * k)
+            assert latest.poll(clock.now()) == (1 + k // 10, clock.now())
+    with LatestGoals(Predicting(delay=0.1), RealClock(), None) as latest:
+        assert latest.poll(7.0)[1] == 7.0  # nobody waits for the first picture
+
+
 def test_looking_never_holds_up_the_loop() -> None:
     goals, clock, before = Counting(delay=0.2), RealClock(), sys.getswitchinterval()
     with LatestGoals(goals, clock, None) as latest:

@@ -237,3 +237,30 @@ def test_malformed_options_are_refused_before_anything_is_sent(puma, options):
             **({"clock": VirtualClock(), "start": puma.home, "duration": 1.0} | options),
         )  # fmt: skip
     assert len(recorder) == 0
+
+
+def test_weights_may_change_at_every_tick_without_a_new_problem(puma, monkeypatch):
+    """And count: out of reach, a heavy orientation is kept and a light one is given up."""
+    from robot_ik import problem
+
+    made = []
+    real = problem.Problem.__init__
+    monkeypatch.setattr(
+        problem.Problem, "__init__", lambda self, *a, **k: (made.append(1), real(self, *a, **k))[1]
+    )
+    goal = beside(puma, (0.9, -0.9, 0.6))
+    far = [
+        PoseGoal("gripper", goal.position, goal.wxyz, position_weight=w, angle_weight=1.0)
+        for w in np.linspace(1.0, 0.05, 20)
+    ]
+    near = PositionGoal("gripper", puma.forward(puma.home).position)
+    steps = [(0.01 * k, near if k % 3 == 0 else far[k % 20]) for k in range(60)]
+    report, _ = run(puma, ScriptSource(steps), duration=0.6)
+    assert len(made) == 2 and report.held == 0
+    angles = {}
+    for w in (1.0, 0.05):
+        script = ScriptSource([(0.0, far[10]), (0.01, far[0 if w == 1.0 else -1])])
+        report, _ = run(puma, script, duration=3.0)
+        angles[w] = report.last.miss.angle
+        assert report.last.goals[0].weights == (w, 1.0)
+    assert angles[0.05] < 0.3 * angles[1.0]
