@@ -1,0 +1,65 @@
+"""The benchmark of the camera: its rows, its figures, and that they can fail."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_ik.bench import camera_accuracy, camera_optics
+from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
+
+
+def figures(of: object, **effort: object) -> dict[str, Figure]:
+    return {one.quantity: one for one in of(Effort(quick=True, **effort))}  # type: ignore[operator]
+
+
+def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
+    assert len({row.name for row in ROWS}) == len(ROWS)
+    assert all(row.available for row in ROWS)
+    assert not Row("later", "what is not built yet", "robot_ik.bench.later:later").available
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted", "at_least", "passed"),
+    [(1.0, 1.0, False, True), (1.1, 1.0, False, False), (1.1, 1.0, True, True), (0.9, 1.0, True, False)],
+)
+def test_a_figure_passes_on_the_right_side(value: float, wanted: float, at_least: bool, passed: bool) -> None:
+    assert Figure("x", value, "mm", wanted, at_least).passed is passed
+    assert Figure("x", value, "mm").passed is None
+
+
+def test_clutter_gives_no_goal_and_a_source_that_believes_all_is_caught(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert all(one.value == 0 for one in figures(camera_accuracy.clutter).values())
+    (view,) = camera_accuracy.standard_set(0.3, 1, seed=2, marker_id=7, dictionary="DICT_5X5_50")
+    tracker = camera_accuracy.MarkerTracker
+    real = tracker.observe
+
+    def believing(self: object, frame: object) -> object:
+        return real(self, camera_accuracy.frame_of(view.image))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tracker, "observe", believing)
+    found = list(figures(camera_accuracy.clutter).values())
+    assert [one.passed for one in found] == [False, False]
+
+
+def test_boards_are_seen_as_well_as_wanted_and_half_hidden_ones_too() -> None:
+    found = figures(camera_accuracy.occlusion)
+    assert len(found) == 4 and all(one.passed in (True, None) for one in found.values()), found
+
+
+def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(camera_optics, "_SPHERES", 30)
+    found = figures(camera_optics.projection)
+    assert len(found) == 8 and all(one.passed for one in found.values()), found
+    middle = camera_optics._middle
+    monkeypatch.setattr(camera_optics, "_middle", lambda *given: middle(*given) + np.array([0.5, 0.0]))
+    assert not any(one.passed for one in figures(camera_optics.projection).values())
+
+
+def test_handeye_comes_near_and_says_how_near() -> None:
+    found = figures(camera_optics.handeye)
+    assert all(one.passed for one in found.values()), found

@@ -1,0 +1,63 @@
+"""``robot-ik bench camera`` on the command line: one cheap row, its file, wrong names, and Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from robot_ik.bench.camera_rows import Effort, Figure, Row
+from robot_ik.cli import bench_camera
+from robot_ik.cli.main import main
+
+
+def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "figures.json"
+    assert main(["bench", "camera", "--quick", "--rows", "prediction", "--json", str(file)]) == 0
+    out = capsys.readouterr().out
+    (late,) = [line for line in out.splitlines() if "66 ms ago, predicted" in line]
+    assert "≤ 6.5 mm" in late and "pass" in late and "3 of 3 as wanted" in out
+    facts = json.loads(file.read_text(encoding="utf-8"))
+    assert facts["complete"] and facts["quick"] and facts["seed"] == 1 and facts["machine"]["cores"] > 0
+    rows = facts["rows"]["prediction"]["figures"]
+    (predicted,) = [one for one in rows if one["quantity"].endswith("ago, predicted, RMS")]
+    assert predicted["passed"] and 0.0 < predicted["value"] < 6.5 and predicted["unit"] == "mm"
+
+
+def test_an_unknown_row_names_the_close_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "camera", "--rows", "predicton"]) == 2
+    told = capsys.readouterr().err
+    assert "did you mean 'prediction'" in told and "Traceback" not in told
+
+
+def failing(_: Effort) -> Iterator[Figure]:
+    yield Figure("depth", 3.0, "mm", 2.0)
+
+
+def interrupted(_: Effort) -> Iterator[Figure]:
+    yield Figure("first", 1.0, "mm", 2.0)
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(("function", "code"), [("failing", 1), ("interrupted", 130)])
+def test_what_is_missed_or_interrupted_is_told(
+    function: str,
+    code: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    row = Row("mine", "a row of this test", f"{__name__}:{function}")
+    monkeypatch.setattr(bench_camera, "ALL_ROWS", (row,))
+    file = tmp_path / "figures.json"
+    assert main(["bench", "camera", "--json", str(file)]) == code
+    out = capsys.readouterr().out
+    if code == 1:
+        assert "FAIL" in out and "0 of 1 as wanted" in out
+    else:
+        assert "1 of 1 as wanted; not all measured" in out
+    assert json.loads(file.read_text(encoding="utf-8"))["complete"] is (code == 1)
