@@ -66,8 +66,8 @@ class BranchMemory:
             self._poses = ()
         # Errors that the corners' covariance does not explain are in both branches: they prove less.
         scale = max(1.0, branches.costs[0] / branches.expected)
-        odds = -0.5 * (np.array(branches.costs) - branches.costs[0]) / scale
-        alone = odds = np.maximum(odds, -_MOST_BY_PICTURE)
+        alone = -0.5 * (np.array(branches.costs) - branches.costs[0]) / scale
+        odds = np.maximum(alone, -_MOST_BY_PICTURE)
         spread = np.array([covariance[3:, 3:].trace() for covariance in branches.covariances])
         index = 0
         if self._poses:
@@ -80,7 +80,7 @@ class BranchMemory:
         odds -= odds.max()
         self._poses, self._odds, self._spread = branches.poses, odds, spread
         self._chosen, self._time = index, time
-        return Choice(index, self._ambiguity(branches, 0.5 * (alone + odds), index, scale))
+        return Choice(index, self._ambiguity(branches, alone, odds, index, scale))
 
     @staticmethod
     def _stay(odds: Array, plausible: Array) -> int:
@@ -89,13 +89,13 @@ class BranchMemory:
         return best if odds[best] > odds[same] + _HYSTERESIS else same
 
     @staticmethod
-    def _ambiguity(branches: Branches, odds: Array, index: int, scale: float) -> float:
-        """The ratio of errors that one picture with this much evidence would have.
+    def _ambiguity(branches: Branches, alone: Array, odds: Array, index: int, scale: float) -> float:
+        """The ratio of errors that one picture with as much evidence would have.
 
-        The evidence is half of this picture, half of all: pictures in a row share some of their errors.
+        That of this picture or, where it is more, half of it and half of all: pictures in a row share errors.
         """
         if len(odds) < 2:
             return 0.0
-        lead = float(odds[index] - odds[1 - index])
-        cost = branches.costs[0] + branches.expected
-        return float(np.sqrt(cost / (cost + 2.0 * scale * max(lead, 0.0))))
+        lead = [values[index] - values[1 - index] for values in (alone, 0.5 * (alone + odds))]
+        more = 2.0 * scale * max(*lead, 0.0) / (branches.costs[0] + branches.expected)
+        return float(1.0 / np.sqrt(1.0 + more))

@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 # A marker of a body is left out when its corners miss by more than this many standard deviations (RMS) and
 # by more than this many pixels: half hidden, or not where the layout says.
 _OUTLIER_SIGMAS, _OUTLIER_PIXELS = 4.0, 0.3
-# A marker whose corners miss by more standard deviations than this, and than the others do, counts less:
-# Huber's weights, once for each marker.
-_HUBER, _REWEIGHTINGS = 1.5, 3
+# A marker whose corners miss by more standard deviations than this, and by so much more than the others do,
+# counts less, with the square of it.
+_DOUBTED, _REWEIGHTINGS = 1.5, 4
 _CORNER_NUMBERS = 8
 
 
@@ -185,8 +185,8 @@ def _weighted(data: CornerData, chosen: list[int], pose: Pose) -> CornerData:
     weighted = part
     for _ in range(_REWEIGHTINGS):
         size = np.sqrt(part.fit(pose).costs / _CORNER_NUMBERS)
-        limit = _HUBER * max(1.0, float(np.median(size)))
-        weights = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+        limit = _DOUBTED * max(1.0, float(np.median(size)))
+        weights = np.minimum(1.0, (limit / np.maximum(size, 1e-12)) ** 2)
         if weights.min() == 1.0:
             break
         weighted = part.chosen(range(len(chosen)), weights)

@@ -48,7 +48,7 @@ class SearchWindow:
         high = np.max([b[1] for b in boxes], axis=0)
         x0, y0 = np.maximum(np.floor(low), 0).astype(int)
         x1, y1 = np.minimum(np.ceil(high) + 1, (width, height)).astype(int)
-        if (x1 - x0) * (y1 - y0) > _LARGEST_PART * width * height:
+        if x1 <= x0 or y1 <= y0 or (x1 - x0) * (y1 - y0) > _LARGEST_PART * width * height:
             return None
         return int(x0), int(y0), int(x1), int(y1)
 
