@@ -23,6 +23,8 @@ SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
 #: White round a marker that its detection needs, in markers: a cell, of six to ten in a marker with border.
 QUIET = 1.0 / 6.0
+# What finds a board or cube as one body, with the file that --body writes.
+_BODY_USE = "robot-ik camera detect 0 --intrinsics camera.yaml --bodies body.toml"
 # Height of the letters under a marker, mm.
 _LABEL = 2.1
 
@@ -139,7 +141,8 @@ def _markers(wish: SheetWish, room: Room) -> Block:
     height = rows * step - wish.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
     what = "marker" if len(ids) == 1 else "markers"
     about = f"{what} {_names(ids)} of {wish.dictionary}, {wish.size:g} mm"
-    use = f"robot-ik camera detect 0 --ids {' '.join(map(str, ids))} --size-mm {wish.size:g}"
+    options = f"--dictionary {wish.dictionary} --size {wish.size / 1e3:g} --ids {' '.join(map(str, ids))}"
+    use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
     return Block(width, height, np.concatenate(boxes), tuple(words), about, use)
 
 
@@ -159,7 +162,7 @@ def _board(wish: SheetWish, room: Room) -> Block:
         f"gap {wish.gap:g} mm"
     )
     size = [n * pitch - wish.gap + 2 * quiet for n in (columns, rows)]
-    return Block(size[0], size[1], np.concatenate(boxes), (), about, "")
+    return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE)
 
 
 def _cube(wish: SheetWish, room: Room) -> Block:
@@ -178,7 +181,7 @@ def _cube(wish: SheetWish, room: Room) -> Block:
         "(cut out, glue onto the cube)"
     )
     width, height = (float(v) for v in high - low)
-    return Block(width, height, np.concatenate(boxes), (), about, "")
+    return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE)
 
 
 def _outline(edge: float, line: float = 0.15) -> Array:

@@ -6,8 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tyro
 
 from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
+from robot_ik.camera.sheets import make_sheet_page
+from robot_ik.cli.camera import CameraOptions
+from robot_ik.cli.camera_print import CameraPrintOptions
 
 
 def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
@@ -23,6 +28,17 @@ def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
     run = robot_ik("camera", "print", "board", "--out", png, "--body", body, "--dpi", 72, "--ids", 4)
     assert run.code == 0 and png.read_bytes().startswith(b"\x89PNG")
     assert list(load_bodies(body)["table"].markers) == [4, 5, 6, 7]
+
+
+@pytest.mark.parametrize("kind", ["marker", "board", "cube", "charuco", "chessboard"])
+def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
+    page = make_sheet_page(SheetWish(kind, size_mm=20.0, ids=() if kind.startswith("ch") else (3,)))
+    commands = [w.text.split() for w in page.words if w.text.startswith("robot-ik ")]
+    assert len(commands) == 2 and ["robot-ik", "camera", "print", kind] == commands[0][:4]
+    for words in commands:
+        chosen = tyro.cli(CameraOptions, args=words[2:]).command
+        if isinstance(chosen, CameraPrintOptions):
+            assert chosen.size_mm == 20.0
 
 
 @pytest.mark.parametrize(
