@@ -7,6 +7,7 @@ which FileStorage needs and the others ignore.  Read: that, FileStorage's own (`
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -21,8 +22,12 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 from robot_ik.files import write_atomically
 
+logger = logging.getLogger("robot_ik.camera")
+
 Array = NDArray[np.float64]
 
+# Ours refuses to calibrate so badly; files of others are read, with a word.
+_POOR_RMS_PX = 1.0
 _MATRIX_KEYS = ("camera_matrix", "K", "M1", "cameraMatrix", "intrinsic_matrix")
 _DISTORTION_KEYS = ("distortion_coefficients", "D", "D1", "dist", "distCoeffs", "dist_coeffs")
 _MODEL_NAMES = {
@@ -81,6 +86,11 @@ def load_intrinsics(path: Path | str) -> CameraIntrinsics:
         intrinsics.require_plausible()
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error.args[0]}", hint=error.hint) from None
+    if intrinsics.rms is not None and intrinsics.rms > _POOR_RMS_PX:
+        logger.warning(
+            "%s: its reprojection error is %.2f px; a good calibration has less than %g px: calibrate again",
+            path, intrinsics.rms, _POOR_RMS_PX,
+        )  # fmt: skip
     return intrinsics
 
 

@@ -23,8 +23,11 @@ Image = NDArray[np.uint8]
 _STILL = 1.0 / 640.0
 # What makes a view a new one: place in parts of the picture, scale as a ratio, lean in degrees.
 _NEW_PLACE, _NEW_SCALE, _NEW_LEAN = 0.12, 1.2, 9.0
-# Pictures without the pattern after which it is asked whether another one is meant.
-_MISSES = 12
+# Pictures without the pattern after which it is asked whether another one is meant; then after four times as
+# many, and so on: asking takes a second, and a live board is often just not yet there.
+_MISSES, _PATIENCE = 12, 4
+# Pictures to ask about while more are to come.
+_ASKED = 3
 
 
 class ViewGatherer:
@@ -47,7 +50,13 @@ class ViewGatherer:
         self._before: FoundPattern | None = None
         self._kinds: list[Array] = []
         self._misses: deque[Image] = deque(maxlen=_MISSES)
+        self._missed, self._ask_at = 0, _MISSES
         self._found_any = False
+
+    @property
+    def in_view(self) -> bool:
+        """Whether the last picture showed the pattern."""
+        return self._before is not None
 
     def offer(self, frame: Frame, name: str, *, choosy: bool) -> bool:
         """Looks at a picture; True when it became a view.
@@ -106,12 +115,13 @@ class ViewGatherer:
 
     def _miss(self, image: Image) -> None:
         self._misses.append(image)
-        if not self._found_any and len(self._misses) == _MISSES:
+        self._missed += 1
+        if not self._found_any and self._missed == self._ask_at:
+            self._ask_at *= _PATIENCE
             self._ask_what_it_is(last=False)
-            self._misses.clear()
 
     def _ask_what_it_is(self, *, last: bool) -> None:
-        images = list(self._misses)
+        images = list(self._misses) if last else list(self._misses)[-_ASKED:]
         other = fitting_pattern(self.pattern, images)
         if isinstance(other, CharucoPattern) and other.legacy and _same_counts(other, self.pattern):
             self.pattern = other

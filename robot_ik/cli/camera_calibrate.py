@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 # More views than these teach nothing.
 _MOST_VIEWS = 40
+# Pictures of a live camera without the board before that is told.
+_UNSEEN = 60
 
 
 @dataclass(frozen=True)
@@ -126,14 +128,19 @@ def _gather_moving(
 ) -> None:
     from robot_ik.camera.calibration_views import missing_words
     from robot_ik.camera.device import DeviceSource
+    from robot_ik.camera.pattern_guess import describe
 
-    live = isinstance(source, DeviceSource)
+    live, unseen = isinstance(source, DeviceSource), 0
     if live:
         console.say("show the board, hold it still, move it on; Ctrl-C when done", "cyan")
     while not getattr(source, "exhausted", False) and len(gatherer.views) < _MOST_VIEWS:
         frame = source.read()
         name = f"{Path(text).name or text} {frame.sequence}"
-        if not gatherer.offer(frame, name, choosy=True):
+        taken = gatherer.offer(frame, name, choosy=True)
+        unseen = 0 if gatherer.in_view else unseen + 1
+        if live and unseen == _UNSEEN:
+            console.say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?", "yellow")
+        if not taken:
             continue
         if live:
             _keep(frame, len(gatherer.views), options.out)

@@ -104,6 +104,15 @@ def test_a_wrong_board_size_is_told() -> None:
     assert "--columns 7 --rows 4 (inner corners, not squares)" in caught.value.hint
 
 
+def test_a_wrong_board_before_a_live_camera_is_told_soon() -> None:
+    gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
+    other = picture(ChessboardPattern(7, 4, 0.025))
+    with pytest.raises(CalibrationError, match="but a chessboard of 7x4"):
+        for _ in range(12):
+            assert not gatherer.offer(other, "live", choosy=True)
+            assert not gatherer.in_view
+
+
 def test_nothing_there_is_told() -> None:
     gatherer = ViewGatherer(CharucoPattern(8, 6, 0.03, 0.022))
     gatherer.offer(frame(120), "wall.png", choosy=False)

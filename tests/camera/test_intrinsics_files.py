@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from pathlib import Path
 
@@ -118,6 +119,14 @@ def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, text: str, message: str
     path.write_text(text)
     with pytest.raises(CalibrationError, match=rf"{path}(.|\n)*{message}"):
         CameraIntrinsics.load(path)
+
+
+def test_a_poor_calibration_is_read_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for rms, warned in ((0.4, 0), (1.7, 1)):
+        dataclasses.replace(CAMERA, rms=rms).save(tmp_path / "camera.yaml")
+        assert CameraIntrinsics.load(tmp_path / "camera.yaml").rms == rms
+        assert len(caplog.records) == warned
+    assert "1.70 px" in caplog.text and "calibrate again" in caplog.text
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
