@@ -123,6 +123,35 @@ def test_marker_bits_have_a_black_border() -> None:
     assert set(np.unique(bits)) == {0, 255}
 
 
+@pytest.mark.parametrize(
+    ("dictionary", "marker_id", "rows"),
+    [
+        ("DICT_5X5_50", 7, (14, 4, 5, 3, 11)),
+        ("DICT_APRILTAG_36H11", 3, (6, 19, 37, 57, 56, 39)),
+    ],
+)
+def test_what_is_printed_is_the_same_with_every_opencv(
+    dictionary: str, marker_id: int, rows: tuple[int, ...]
+) -> None:
+    """A sheet printed with one release must be read by the next: these are the bits of 4.14."""
+    inner = marker_bits(dictionary, marker_id)[1:-1, 1:-1] > 127
+    assert tuple(int("".join("01"[int(b)] for b in row), 2) for row in inner) == rows
+
+
+def test_the_quick_search_finds_markers_of_the_expected_size() -> None:
+    image = photographed(sheet([3, 11, 17]), np.random.default_rng(2))
+    detector = MarkerDetector()
+    full = detector.detect(image)
+    side = float(np.linalg.norm(full[0].corners[1] - full[0].corners[0]))
+    quick = detector.detect_quickly(image, 4 * side)
+    assert [d.id for d in quick] == [3, 11, 17]
+    for a, b in zip(full, quick, strict=True):
+        assert a.corners == pytest.approx(b.corners, abs=1.5)
+    part = detector.detect_quickly(image[:, 100:], 4 * side, origin=(100, 0))
+    assert [d.id for d in part] == [11, 17]
+    assert part[0].corners == pytest.approx(full[1].corners, abs=1.5)
+
+
 def test_a_marker_under_steep_view_and_weak_contrast_is_found() -> None:
     lean = rotation_exp([np.deg2rad(60), 0, 0])
     pose = Pose((0.0, 0.0, 0.8), quat_multiply(FACING, lean))
