@@ -60,9 +60,11 @@ class BoardView:
 def see_board(tracker: MarkerTracker, frame: Frame, layout: Layout) -> BoardView | None:
     """The markers of ``layout`` in a frame; None when none of them gives a pose.
 
-    Ids that come twice are left out, and markers that contradict the others.
+    Ids that come twice are left out, markers that contradict the others, and those whose edges could not be
+    measured where others' could.
     """
     seen = tracker.observe(frame)
+    seen = [one for one in seen if one.refined] or seen
     count = Counter(one.id for one in seen)
     used = {one.id: one for one in seen if one.id in layout and count[one.id] == 1}
     if not used:
