@@ -18,8 +18,8 @@ from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
 
-#: The board of the stage: 2 x 2 markers of 50 mm, 12 mm apart.
-BOARD = "grid:2x2:50:12"
+#: The board of the stage: 2 x 2 markers of 50 mm, 20 mm apart.
+BOARD = "grid:2x2:50:20"
 #: Marker that can be followed: id and side in metres.
 FOLLOWED = (9, 0.05)
 _DICTIONARY = "DICT_5X5_50"
@@ -125,13 +125,13 @@ def synthetic_stage(
         look: See ``eye``.
     """
     way = motion or Motion()
-    board = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, _DICTIONARY)
+    board = MarkerBoard(grid_body(2, 2, 0.05, 0.020).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
         return lambda t: way.pose(t).compose(pose)
 
     markers = [
-        SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.006)
+        SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.010)
         for id, (side, pose) in board.layout.items()
     ]
     if follow:

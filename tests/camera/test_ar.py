@@ -1,0 +1,190 @@
+"""The robot on a board: back ends against each other, overlay against truth, remedies for delay."""
+
+from collections.abc import Callable
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.camera import registration
+from robot_ik.camera.ar import BoardWatcher, Registrar, optical_motion
+from robot_ik.camera.ar_draw import Artist, Figure, PainterArtist, RayArtist
+from robot_ik.camera.boards import MarkerBoard
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.layer import Layer
+from robot_ik.camera.phantoms import load_phantoms, phantom_boxes
+from robot_ik.camera.registration import BENT
+from robot_ik.camera.sources import Frame
+from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic import look_at
+from robot_ik.errors import ConfigError
+from robot_ik.geometry import Pose
+from robot_ik.robot import load_robot
+
+BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, "DICT_4X4_50")
+EYE = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
+
+
+def standing(scale: float = 0.3, **more: object) -> tuple[Figure, np.ndarray]:
+    robot = load_robot("puma560")
+    return Figure(robot.model, Pose(), scale, **more), robot.qpos(robot.home)  # type: ignore[arg-type]
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
+    box = {"position": [0.02, -0.12, 0.06], "size": [0.10, 0.04, 0.12], "yaw_deg": [15.0]}
+    masks = {}
+    for phantoms in (None, phantom_boxes([box])):
+        figure, qpos = standing(phantoms=phantoms)
+        drawings = [artist.draw(figure, qpos, BENT, EYE) for artist in (PainterArtist(), RayArtist())]
+        painted, cast = (d.robot.mask(640, 480) for d in drawings)
+        assert overlap(painted > 127, cast > 127) > 0.985
+        both = [np.zeros((480, 640, 3), np.uint8) for _ in drawings]
+        for drawing, image in zip(drawings, both, strict=True):
+            drawing.over(image)
+        inside = cv2.erode(((painted == 255) & (cast == 255)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        apart = np.abs(both[0].astype(int) - both[1].astype(int)).max(axis=2)
+        assert np.mean(apart[inside] > 12) < 0.05, "light and colours are alike"
+        masks[phantoms is None] = painted > 127
+    hidden = masks[True] & ~masks[False]
+    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * box["size"]
+    turn = np.deg2rad(15.0)
+    corners[:, :2] = corners[:, :2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    pixels = BENT.project(EYE.inverse().apply(corners + box["position"]))
+    outline = np.zeros((480, 640), np.uint8)
+    cv2.fillConvexPoly(outline, cv2.convexHull(np.rint(pixels).astype(np.int32)), 1)
+    assert hidden.sum() > 1500
+    assert not (hidden & (cv2.dilate(outline, np.ones((3, 3), np.uint8)) == 0)).any()
+    assert not (masks[False] & (cv2.erode(outline, np.ones((5, 5), np.uint8)) > 0)).any()
+
+
+def test_a_robot_of_another_size_is_the_same_picture_from_elsewhere() -> None:
+    figure, qpos = standing(0.25, shadow=False)
+    small = PainterArtist().draw(figure, qpos, BENT, EYE).robot
+    large = PainterArtist().draw(standing(1.0, shadow=False)[0], qpos, BENT, Pose(EYE.position * 4, EYE.wxyz))
+    assert small.box == large.robot.box
+    assert np.abs(small.coverage.astype(int) - large.robot.coverage).max() <= 1
+
+
+def test_depth_by_rays_is_that_of_the_scaled_robot() -> None:
+    figure, qpos = standing(0.25)
+    seen = RayArtist().look(figure, qpos, BENT, EYE)
+    assert seen.depth[seen.geom >= 0].min() > 0.5
+    assert seen.depth[seen.geom >= 0].max() < 1.2
+
+
+@pytest.mark.parametrize("artist", [PainterArtist(), RayArtist()], ids=["painter", "ray"])
+def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
+    misses = registration.projection_identity(artist, BENT)
+    assert misses.count > 100
+    assert misses.rms <= 0.08
+    assert misses.worst <= 0.20
+    assert misses.bias <= 0.02
+
+
+def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
+    misses = registration.overlay_error(0.8, 6)
+    assert misses.count > 400
+    assert misses.rms <= 0.3
+    assert misses.worst <= 1.0
+
+
+def test_each_remedy_makes_a_delay_smaller() -> None:
+    found = registration.remedy_errors(0.066, 1.1)
+    assert found["delayed video"].rms < 0.3
+    assert found["nothing"].rms > 5.0
+    assert found["less delay (half)"].rms < 0.6 * found["nothing"].rms
+    assert found["image shifting"].rms < 0.7 * found["nothing"].rms
+    assert found["prediction"].rms < 0.4 * found["nothing"].rms
+    assert found["prediction and shifting"].rms < found["prediction"].rms
+
+
+@settings(max_examples=50)
+@given(
+    st.floats(-3, 3), st.floats(0.6, 1.6), st.floats(-50, 50), st.floats(-50, 50), st.integers(0, 2**32 - 1)
+)
+def test_optical_motion_finds_shift_turn_and_zoom(
+    angle: float, zoom: float, dx: float, dy: float, seed: int
+) -> None:
+    points = np.random.default_rng(seed).uniform(0, 400, (6, 2))
+    c, s = zoom * np.cos(angle), zoom * np.sin(angle)
+    motion = np.array([[c, -s, dx], [s, c, dy]])
+    moved = points @ motion[:, :2].T + motion[:, 2]
+    before = {(0, k): p for k, p in enumerate(points)}
+    after = {(0, k): p for k, p in enumerate(moved[:5])}
+    np.testing.assert_allclose(optical_motion(before, after), motion, atol=1e-8)
+    assert np.allclose(optical_motion(before, {}), np.eye(2, 3))
+
+
+@given(st.integers(-60, 60), st.integers(-60, 60))
+@settings(max_examples=20)
+def test_a_layer_moved_by_whole_pixels_keeps_its_pixels(dx: int, dy: int) -> None:
+    rng = np.random.default_rng(1)
+    layer = Layer(
+        (30, 20, 70, 50), rng.integers(0, 255, (30, 40, 3), np.uint8), np.full((30, 40), 255, np.uint8)
+    )
+    moved = layer.shifted(np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]]), 100, 80)
+    whole = np.zeros((80 + 200, 100 + 200, 3), np.uint8)
+    whole[120 + dy : 150 + dy, 130 + dx : 170 + dx] = layer.colour
+    image = np.zeros((80, 100, 3), np.uint8)
+    moved.over(image)
+    assert (image == whole[100:180, 100:200]).all()
+
+
+def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
+    model_of: Callable[..., mujoco.MjModel],
+) -> None:
+    pose = Pose((0.0, 0.0, 0.7), (0.0, 1.0, 0.0, 0.0))
+    markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.layout.items()}
+    image = render_markers(STANDARD_CAMERA, markers, np.random.default_rng(0), margin=0.12)
+    colour = np.repeat(image[:, :, None], 3, axis=2)
+    figure = Figure(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
+    registrar = Registrar(BoardWatcher(BOARD, STANDARD_CAMERA), PainterArtist(), figure, STANDARD_CAMERA)
+    empty = np.zeros_like(colour)
+    drawn = {}
+    for time, picture in ((0.0, colour), (0.1, empty), (0.2, empty), (0.4, empty)):
+        frame = Frame(picture, time, 0)
+        shown = registrar.compose(registrar.track(frame), frame, [])
+        drawn[time] = bool((shown.image != picture).any())
+        assert (picture == (colour if time == 0.0 else empty)).all(), "the frame itself must not change"
+    assert drawn == {0.0: True, 0.1: True, 0.2: True, 0.4: False}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no boxes"),
+        ("[[box]]\nposition = [0, 0, 0]", "no box"),
+        ("[[box]]\nposition = [0, 0, 0]\nsize = [1, 1, 0]", "no size"),
+        ("[[box]]\nposition = [0, 0, nan]\nsize = [1, 1, 1]", "no position"),
+        ("[[box]]\nposition = [0, 0]\nsize = [1, 1, 1]", "no position"),
+        ("x = ", "cannot be read"),
+    ],
+)
+def test_a_file_of_phantoms_that_is_none_is_refused(
+    text: str, said: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    file = tmp_path_factory.mktemp("phantoms") / "things.toml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        load_phantoms(file)
+
+
+def test_phantoms_are_boxes_or_a_model(tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("phantoms")
+    (folder / "t.toml").write_text("[[box]]\nposition = [0.1, 0, 0.05]\nsize = [0.1, 0.2, 0.1]\nyaw_deg = 90")
+    model = load_phantoms(folder / "t.toml")
+    np.testing.assert_allclose(model.geom_size[0], [0.05, 0.1, 0.05])
+    np.testing.assert_allclose(np.abs(model.geom_quat[0]), [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
+    (folder / "t.xml").write_text("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")
+    assert load_phantoms(folder / "t.xml").ngeom == 1
+    (folder / "bad.xml").write_text("<mujoco><worldbody><geom/></worldbody></mujoco")
+    for name in ("bad.xml", "none.toml"):
+        with pytest.raises(ConfigError):
+            load_phantoms(folder / name)

@@ -1,0 +1,72 @@
+"""``robot-ik ar`` on the terminal."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.registration import Misses
+from robot_ik.camera.standard_set import STANDARD_CAMERA, render_marker
+from robot_ik.cli import ar_self_test
+from robot_ik.cli.main import main
+from robot_ik.geometry import Pose
+
+
+def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pose = Pose((0.0, 0.05, 0.5), (0.17, 0.985, 0.0, 0.0))
+    image = render_marker(STANDARD_CAMERA, pose, np.random.default_rng(0), marker_id=7)
+    cv2.imwrite(str(tmp_path / "photo.png"), image)
+    STANDARD_CAMERA.save(tmp_path / "camera.yaml")
+    words = ["ar", "--camera", str(tmp_path / "photo.png"), "--intrinsics", str(tmp_path / "camera.yaml")]
+    words += ["--board", "marker:7:50", "--dictionary", "DICT_4X4_50", "--scale", "0.15", "--json"]
+    assert main([*words, "--out", str(tmp_path / "a.png")]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["pictures"] == said["drawn"] == 1
+    assert said["reprojection_px"] < 0.3
+    assert cv2.imread(str(tmp_path / "a.png")).shape == (480, 640, 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--base", "1", "2"], "--base"),
+        (["--base", "nan", "0", "0"], "--base"),
+        (["--size", "640"], "--size"),
+        (["--alpha", "2"], "--alpha"),
+        (["--scale", "-1"], "--scale"),
+        (["--predict"], "--sync latest"),
+        (["--backend", "vulkan"], "vulkan"),
+        (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "nowhere.png"),
+        (["--board", "plate:3"], "plate:3"),
+        (["--phantoms", "none.toml"], "none.toml"),
+        (["--robot", "puma56"], "puma560"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_and_exit_code_2(
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["ar", *words, "--out", "a.png"]) == 2
+    errors = capsys.readouterr().err
+    assert said in errors
+    assert "Traceback" not in errors
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("rms", "code"), [(0.04, 0), (0.06, 1)])
+def test_the_self_test_judges(
+    rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [ar_self_test.Row("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
+    monkeypatch.setattr(ar_self_test, "measure", lambda: (rows, "no OpenGL here"))
+    assert main(["ar", "--self-test"]) == code
+    said = capsys.readouterr()
+    assert f"{rms:.3f}" in said.out and "no OpenGL here" in said.err
+    assert main(["ar", "--self-test", "--json"]) == code
+    assert json.loads(capsys.readouterr().out)["good"] is (code == 0)

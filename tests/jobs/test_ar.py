@@ -1,0 +1,171 @@
+"""``robot-ik ar`` as a job: pictures in, pictures out, whatever ends it."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.ar import Remedies
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
+from robot_ik.geometry import Pose
+from robot_ik.jobs import ar_files
+from robot_ik.jobs.ar import ArRequest, run_ar
+from robot_ik.jobs.ar_scene import SteppedClock, lens
+from robot_ik.motion.trajectory import Trajectory
+from robot_ik.robot import load_robot
+
+COUNT = 5
+
+
+@pytest.fixture(scope="module")
+def request_for(tmp_path_factory: pytest.TempPathFactory) -> ArRequest:
+    """A folder of five pictures of a board that moves to the right, and its calibration."""
+    folder = tmp_path_factory.mktemp("photographs")
+    (folder / "frames").mkdir()
+    rng = np.random.default_rng(2)
+    for k in range(COUNT):
+        pose = Pose((0.02 * k - 0.04, 0.05, 0.75), (0.17, 0.985, 0.0, 0.0))
+        markers = {
+            id: (side, pose.compose(place))
+            for id, (side, place) in grid_body(2, 2, 0.05, 0.012).markers.items()
+        }
+        image = render_markers(STANDARD_CAMERA, markers, rng, margin=0.12)
+        cv2.imwrite(str(folder / "frames" / f"{k}.png"), image)
+    STANDARD_CAMERA.save(folder / "camera.yaml")
+    return ArRequest(
+        camera=str(folder / "frames"),
+        intrinsics=folder / "camera.yaml",
+        board="grid:2x2:50:12",
+        dictionary="DICT_4X4_50",
+        scale=0.2,
+        out=folder / "out",
+    )
+
+
+def film_of(path: Path) -> list[np.ndarray]:
+    capture, pictures = cv2.VideoCapture(str(path)), []
+    while True:
+        good, picture = capture.read()
+        if not good:
+            return pictures
+        pictures.append(picture)
+
+
+def test_a_folder_in_a_folder_out(request_for: ArRequest, tmp_path: Path) -> None:
+    report = run_ar(replace(request_for, out=tmp_path / "drawn"))
+    assert (report.pictures, report.drawn, report.backend) == (COUNT, COUNT, "painter")
+    assert report.reprojection_px < 0.3
+    files = sorted((tmp_path / "drawn").iterdir())
+    assert [f.name for f in files] == [f"{k:06d}.png" for k in range(COUNT)]
+    middles = []
+    for k, file in enumerate(files):
+        before = cv2.imread(str(Path(request_for.camera) / f"{k}.png"))
+        changed = np.abs(cv2.imread(str(file)).astype(int) - before).max(axis=2) > 0
+        assert 2000 < changed.sum() < 150_000
+        middles.append(np.argwhere(changed).mean(axis=0)[1])
+    steps = np.diff(middles)
+    assert (np.abs(steps - 0.02 * 800 / 0.75) < 6).all(), "the robot moves with the board"
+
+
+def test_a_film_is_whole_also_when_the_run_is_interrupted(request_for: ArRequest, tmp_path: Path) -> None:
+    if importlib.util.find_spec("av") is None:
+        pytest.skip("needs the extra video")
+
+    def stop(done: int, total: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    report = run_ar(replace(request_for, out=tmp_path / "a.mp4"), stop)
+    assert report.interrupted and report.pictures == 3
+    assert report.file == tmp_path / "a.mp4"
+    assert [f.name for f in tmp_path.iterdir()] == ["a.mp4"]
+    pictures = film_of(tmp_path / "a.mp4")
+    assert len(pictures) == 3 and pictures[0].shape == (480, 640, 3)
+
+
+def test_a_run_that_fails_leaves_the_older_film(request_for: ArRequest, tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(b"older")
+    with pytest.raises(ConfigError):
+        run_ar(replace(request_for, out=tmp_path / "a.mp4", motion="dance"))
+    assert (tmp_path / "a.mp4").read_bytes() == b"older"
+
+
+def test_without_the_extra_a_film_says_how_to_get_it(
+    request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ar_files.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="'av'"):
+        run_ar(replace(request_for, out=tmp_path / "a.mp4"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        run_ar(replace(request_for, out=tmp_path / "file" / "a.png"))
+
+
+def test_latest_shows_the_next_picture_and_remedies_bring_the_robot_there(
+    request_for: ArRequest, tmp_path: Path
+) -> None:
+    def middle(name: str, remedies: Remedies) -> float:
+        report = run_ar(
+            replace(request_for, out=tmp_path / f"{name}.png", remedies=remedies, motion="home", shadow=False)
+        )
+        assert report.pictures == (COUNT if remedies.sync == "tracked" else COUNT - 1)
+        before = cv2.imread(str(Path(request_for.camera) / f"{COUNT - 1}.png"))
+        changed = np.abs(cv2.imread(str(tmp_path / f"{name}.png")).astype(int) - before).max(axis=2) > 0
+        return float(np.argwhere(changed).mean(axis=0)[1])
+
+    right = middle("tracked", Remedies())
+    late = middle("latest", Remedies("latest"))
+    shifted = middle("shifted", Remedies("latest", shift=True))
+    assert right - late > 12
+    assert abs(right - shifted) < 0.5 * (right - late), "what stands above the board moves a little otherwise"
+
+
+def test_a_board_that_is_nowhere_is_an_error(request_for: ArRequest, tmp_path: Path) -> None:
+    with pytest.raises(MarkerNotFoundError, match="none of 5"):
+        run_ar(replace(request_for, board="marker:40:50", out=tmp_path / "o"))
+
+
+def test_a_real_camera_needs_a_calibration(request_for: ArRequest) -> None:
+    with pytest.raises(CalibrationError, match="no calibration"):
+        run_ar(replace(request_for, intrinsics=None))
+
+
+def test_motions(request_for: ArRequest, tmp_path: Path) -> None:
+    robot = load_robot("puma560")
+    raised = robot.home + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    Trajectory([0.0, 1.0], [raised, raised], robot.joints).save_csv(tmp_path / "t.csv")
+    arm = robot.arm_file
+    assert arm is not None
+    pictures = {}
+    for motion in ("home", "wave", str(tmp_path / "t.csv"), f"{arm}@sim"):
+        run_ar(replace(request_for, out=tmp_path / "p.png", motion=motion))
+        pictures[motion] = cv2.imread(str(tmp_path / "p.png"))
+    assert (pictures["wave"] != pictures["home"]).any()
+    assert (pictures[str(tmp_path / "t.csv")] != pictures["home"]).any()
+    Trajectory([0.0], [[0.0]], ["elbow"]).save_csv(tmp_path / "other.csv")
+    with pytest.raises(ConfigError, match="elbow"):
+        run_ar(replace(request_for, motion=str(tmp_path / "other.csv")))
+    with pytest.raises(ConfigError, match="'link9'"):
+        run_ar(replace(request_for, phantom_geoms=("link9",)))
+
+
+def test_the_synthetic_stage_and_a_marker_that_is_followed(tmp_path: Path) -> None:
+    request = ArRequest(motion="follow", size=(640, 480), seconds=1 / 30, out=tmp_path / "a.png")
+    report = run_ar(request)
+    assert (report.pictures, report.drawn) == (1, 1)
+    assert report.reprojection_px < 0.2
+    with pytest.raises(ConfigError, match="on the board"):
+        run_ar(replace(request, marker=(2, 0.05)))
+
+
+def test_the_stages_clock_stands_until_the_next_picture() -> None:
+    clock = SteppedClock(50.0)
+    assert clock.now() == clock.now() == 0.0
+    clock.ticks += 5
+    assert clock.now() == pytest.approx(0.1)
+    assert lens(640, 480).scaled(1280, 960).fx == pytest.approx(lens(1280, 960).fx)
