@@ -42,7 +42,7 @@ def test_the_whole_product_through_a_real_serial_line(robot_ik_child: Any, tmp_p
     assert run.code == 0, run
     for text in (
         "marker 7",
-        "lm: converged",
+        "analytic: converged",
         "tracking error",
         "cycles",
         "read back",
