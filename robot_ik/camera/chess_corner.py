@@ -23,6 +23,8 @@ Mask = NDArray[np.bool_]
 # Smallest patch that still holds nine unknowns, and the largest that is worth its time, px.
 _RADII = (2.5, 9.0)
 _STEPS = 12
+# Corners that move no farther than this in a step have been found.
+_SETTLED_PX = 2e-4
 # Damping relative to the diagonal: the directions are hardly seen where the patch is small.
 _DAMPING = 1e-3
 # Widths that a step in a sharp and in a hopelessly blurred picture has, px.
@@ -80,6 +82,8 @@ def refine_corners(gray: Image, start: Array, grid: Array, reach: float) -> tupl
         shape += change[:, :5]
         shape[:, 4] = np.clip(shape[:, 4], *_WIDTHS)
         light += change[:, 5:]
+        if np.abs(change[:, :2]).max() < _SETTLED_PX:
+            break
     misfit = np.sqrt((residual**2).sum(axis=1) / np.maximum((weights**2).sum(axis=1), 1e-9))
     contrast = np.abs(light[:, 3])
     good = inside & (contrast > _LEAST_CONTRAST) & (misfit < _LARGEST_MISFIT * contrast)
@@ -119,16 +123,16 @@ def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
     """The crossing (n, p), its derivatives (n, p, 5) by the shape, and the way from the corner (n, p, 2)."""
     offset = pixels - shape[:, None, :2]
     width = shape[:, 4, None]
-    steps, slopes, normals, turned = [], [], [], []
+    across, steps, slopes, normals, turned = [], [], [], [], []
     for k in (2, 3):
         c, s = np.cos(shape[:, k, None]), np.sin(shape[:, k, None])
-        step = np.tanh((c * offset[..., 1] - s * offset[..., 0]) / width)
+        across.append((c * offset[..., 1] - s * offset[..., 0]) / width)
+        step = np.tanh(across[-1])
         steps.append(step)
         slopes.append((1.0 - step * step) / width)
         normals.append((-s, c))
         turned.append(-s * offset[..., 1] - c * offset[..., 0])
     one, two = steps[1] * slopes[0], steps[0] * slopes[1]
-    across = [np.arctanh(np.clip(step, -1 + 1e-12, 1 - 1e-12)) for step in steps]
     derivatives = np.stack(
         [
             -(one * normals[0][0] + two * normals[1][0]),
