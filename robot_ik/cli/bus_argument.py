@@ -23,5 +23,6 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
     if none:
         names.append(NONE)
         told.append(f"{NONE}: no servos")
-    more = {"help_behavior_hint": f"(default: {default})"} if default else {}
-    return arg(metavar="|".join(names), help="Where the servos are. " + "; ".join(told) + ".", **more)
+    hint = f"(default: {default})" if default else None
+    text = "Where the servos are. " + "; ".join(told) + "."
+    return arg(metavar="|".join(names), help=text, help_behavior_hint=hint)
