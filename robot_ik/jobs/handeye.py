@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from robot_ik.jobs.reach_request import ReachRequest
 from robot_ik.jobs.stops import visit_stops
 from robot_ik.jobs.views import plan_views
 
-__all__ = ["HandEyeReport", "HandEyeRequest", "handeye_from_samples", "run_handeye"]
+__all__ = ["HandEyeReport", "HandEyeRequest", "handeye_from_samples", "measure_stops", "run_handeye"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -105,7 +105,9 @@ def run_handeye(
         if dry_run:
             return HandEyeReport(tuple(stops), samples, (), None, scene.truth)
         limbs.energise()
-        unseen = _measure(request, limbs, scene, stops, samples, keep, progress)
+        unseen = measure_stops(
+            limbs, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
+        )
     if len(samples) < LEAST_VIEWS:
         raise MarkerNotFoundError(
             f"the board was seen at {len(samples)} of {len(stops)} stops; {LEAST_VIEWS} are the least",
@@ -138,22 +140,39 @@ def samples_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}.samples.json")
 
 
-def _measure(
-    request: HandEyeRequest,
+def measure_stops(
     limbs: Limbs,
     scene: HandEyeScene,
-    stops: list[Array],
+    stops: Sequence[Array],
     samples: SampleSet,
-    keep: Callable[[SampleSet], None],
-    progress: Progress,
+    *,
+    speed: float = 1.0,
+    keep: Callable[[SampleSet], None] = lambda samples: None,
+    progress: Progress = lambda stage, share: None,
 ) -> tuple[int, ...]:
-    """Goes to all stops and looks; the numbers of those where the board was not found."""
+    """Goes to all stops and looks at the board.
+
+    Args:
+        limbs: Connected and energised.
+        scene: Camera and board.
+        stops: (nq,) each, as ``plan_views`` gives them.
+        samples: Joint angles read and corners seen are added to it.
+        speed: Share of the joints' speed limits.
+        keep: Handed the samples after each stop.
+        progress: Told "view 3 of 15" and the share of all that is done.
+
+    Returns:
+        Numbers, from 0, of the stops where the board was not found or the arm did not come to rest.
+
+    Raises:
+        HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
+    """
     unseen = []
 
     def tell(number: int, share: float) -> None:
         progress(f"view {number + 1} of {len(stops)}", (number + share) / len(stops))
 
-    for stop in visit_stops(limbs, stops, scene.take, speed=request.speed, progress=tell):
+    for stop in visit_stops(limbs, stops, scene.take, speed=speed, progress=tell):
         view = scene.board.see(stop.frame, scene.task.intrinsics) if stop.still else None
         if view is None:
             unseen.append(stop.number)
