@@ -104,6 +104,14 @@ def test_see_and_reach_tells_a_hidden_fault(tmp_path: Path) -> None:
     assert "NOT REACHED" in out
 
 
+def test_follow_a_marker(tmp_path: Path) -> None:
+    out = run("06_follow_a_marker.py", tmp_path)
+    assert number(r"p50 ([\d.]+) ms", out) == 50.0  # ten pictures a second: half a period
+    # At 80 mm/s the marker goes 4 mm in that time, and 8 mm until the servos have followed.
+    assert number(r"goal ([\d.]+) mm", out) < 1.5
+    assert number(r"gripper ([\d.]+) mm", out) < 3.0
+
+
 def test_whole_body(tmp_path: Path) -> None:
     near = table(run("04_whole_body.py", tmp_path))
     assert [row[0] for row in near] == [0, 0, 1, 2, 3, 4]

@@ -1,0 +1,58 @@
+"""Follows a marker that somebody pushes round in a circle, and tells how far the gripper lags behind.
+
+    python examples/06_follow_a_marker.py           goals for the time they are used at
+    python examples/06_follow_a_marker.py late      goals for the time their picture was taken at
+
+Camera and servos are simulated, ten pictures a second, in virtual time.  Prints how old the pictures were
+when they were used, and how far goals and gripper were from where the marker really was by then.
+"""
+
+import sys
+
+import numpy as np
+
+import robot_ik as rik
+from robot_ik.camera.goals import MarkerGoalSource
+from robot_ik.camera.latest import LatestGoals
+from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.track import MarkerTracker
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.stage import stage_for
+
+
+def main(late: bool = False) -> None:
+    robot = rik.load_robot("puma560")
+    arm = open_arm(ArmConfig.load(robot.arm_file), "sim")
+    stage = stage_for(robot)
+
+    def marker(now: float) -> rik.Pose:
+        angle = 2.0 * (now - begin)
+        return stage.pose_world_marker @ rik.Pose((0.04 * np.sin(angle), 0.04 - 0.04 * np.cos(angle), 0.0))
+
+    off = []
+
+    def compare(tick) -> None:
+        here = (marker(arm.clock.now()) @ stage.pose_marker_tool).position
+        tool = robot.forward(tick.measured).position
+        off.append([np.linalg.norm(here - p) for p in (tick.goal.target.position, tool)])
+
+    with arm:
+        arm.enable()
+        begin = arm.clock.now()
+        scene = stage.scene(robot).with_marker(stage.marker_id, pose=marker)
+        camera = SyntheticSource(scene, lambda: arm.read().q, clock=arm.clock, quality="fast")
+        tracker = MarkerTracker(stage.intrinsics, stage.dictionary, {stage.marker_id: stage.marker_size})
+        eye, hover = stage.pose_world_camera, stage.pose_marker_tool
+        options = {"predict": not late, "clock": arm.clock}
+        goals = MarkerGoalSource(camera, tracker, eye, stage.marker_id, hover, robot.tool, **options)
+        with LatestGoals(goals, arm.clock, rate_hz=10.0) as latest:
+            rik.follow(latest, robot, "lm", [arm], source=arm, duration=3.0, on_tick=compare)
+
+    goal, tool = 1e3 * np.median(off[-80:], axis=0)
+    print(f"pictures when they were used: {goals.used.figures()}")
+    print(f"goal {goal:.1f} mm, gripper {tool:.1f} mm from where the marker was by then")
+
+
+if __name__ == "__main__":
+    main("late" in sys.argv[1:])
