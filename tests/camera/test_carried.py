@@ -1,0 +1,33 @@
+"""A synthetic camera on the hand sees from where the joints put it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_ik.camera.carried import CarriedSource
+from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene
+from robot_ik.camera.track import MarkerTracker
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.ports import VirtualClock
+from robot_ik.robot import load_robot
+
+
+def test_each_picture_is_taken_from_where_the_hand_is() -> None:
+    robot, lens = load_robot("puma560"), STANDARD_CAMERA.scaled(320, 240)
+    carried = Pose((0.1, 0.0, -0.05), rotation_exp([0.0, -0.2, 0.3]))
+    here = robot.home
+    board = robot.forward(here, "gripper").compose(carried).compose(Pose((0.02, 0.01, 0.5), (0, 1, 0, 0)))
+    scene = SyntheticScene(robot, lens, Pose(), (SyntheticMarker(7, 0.1, board),))
+    places = iter([here, robot.clip(here + np.array([0.03, -0.02, 0.02, 0.02, 0.02, 0.3]))])
+    tracker, poses = MarkerTracker(lens, "DICT_5X5_50", {7: 0.1}), []
+    with CarriedSource(scene, "gripper", carried, lambda: next(places), clock=VirtualClock(2.0)) as source:
+        for number in range(2):
+            frame = source.read()
+            assert (frame.size, frame.sequence, frame.time) == ((320, 240), number, 2.0)
+            (seen,) = tracker.observe(frame)
+            true = frame.truth["pose_camera_marker"][7]  # type: ignore[index]
+            assert seen.pose.distance(true)[0] < 2e-3
+            poses.append(seen.pose)
+    assert poses[0].distance(Pose((0.02, 0.01, 0.5), (0, 1, 0, 0)))[0] < 2e-3
+    assert poses[0].distance(poses[1])[0] > 0.01
