@@ -25,6 +25,9 @@ Image = NDArray[np.uint8]
 
 # Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
 _FEWEST_CORNERS = 6
+# How far from a corner its picture is its own, in gaps between square and marker: the nearest marker's corner
+# is the root of 2 away, and blur takes some of that.
+_GAP_REACH = 1.2
 # A view needs corners on both sides of the board: two lines of them at least.
 _FEWEST_LINES = 2
 
@@ -198,8 +201,8 @@ class CharucoPattern:
         lines = [len(np.unique(n)) for n in (numbers % self.corners[0], numbers // self.corners[0])]
         if len(numbers) < _FEWEST_CORNERS or min(lines) < _FEWEST_LINES:
             return None
-        # Beyond the gap between a square and its marker there are other edges.
-        return _found(gray, start, numbers, self, reach=0.9 * (self.square - self.marker) / 2 / self.square)
+        gap = (self.square - self.marker) / 2 / self.square
+        return _found(gray, start, numbers, self, reach=_GAP_REACH * gap)
 
     def black(self) -> Array:
         first = 0 if self._starts_black else 1
