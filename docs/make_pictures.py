@@ -21,6 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from robot_ik.camera.ar import BoardWatcher, Registrar
+from robot_ik.camera.ar_draw import Figure, PainterArtist
+from robot_ik.camera.boards import parse_board
 from robot_ik.camera.coverage import cover, coverage_picture
 from robot_ik.camera.pattern_set import pattern_set
 from robot_ik.camera.patterns import CharucoPattern
@@ -28,6 +31,9 @@ from robot_ik.camera.sheet_blocks import SheetWish
 from robot_ik.camera.sheet_page import rasterize
 from robot_ik.camera.sheets import make_sheet_page
 from robot_ik.camera.standard_set import STANDARD_CAMERA, Look
+from robot_ik.geometry import rotation_exp
+from robot_ik.jobs.ar import extent
+from robot_ik.jobs.ar_scene import BOARD, Motion, synthetic_stage
 from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
 
 Image = NDArray[np.uint8]
@@ -130,10 +136,53 @@ def _tile(image: Image, width: int, height: int) -> Image:
     return tile
 
 
+def robot_in_the_picture() -> Image:
+    """Robots that are not there, on a board in photographs of a table; one stands behind real things."""
+    things = mujoco.MjSpec()
+    for kind, place, size, colour in (
+        (mujoco.mjtGeom.mjGEOM_BOX, [0.075, -0.12, 0.055], [0.040, 0.03, 0.055], [0.70, 0.22, 0.16, 1]),
+        (mujoco.mjtGeom.mjGEOM_CYLINDER, [-0.15, -0.02, 0.08], [0.04, 0.08, 0], [0.16, 0.42, 0.46, 1]),
+    ):
+        things.worldbody.add_geom(type=kind, pos=place, size=size, rgba=colour)
+    real = things.compile()
+    tiles = [
+        _table_with("puma560", None, 0.37, 25.0),
+        _table_with("puma560", real, 0.37, 60.0),
+        _table_with("humanoid", None, 0.38, -80.0),
+        _table_with("lion", None, 0.30, -35.0),
+    ]
+    whole = np.concatenate([np.concatenate(tiles[k : k + 2], axis=1) for k in (0, 2)])
+    return np.asarray(cv2.resize(whole, (960, 630), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: float) -> Image:
+    """A photograph of the table with a drawn robot of this height in metres, turned by degrees."""
+    still = Motion((0.0, 0.0), np.radians(20.0) if things is None else 0.0, middle=(0.0, 0.0))
+    source, clock = synthetic_stage(
+        640,
+        420,
+        motion=still,
+        things=things,
+        quality="full",
+        noise=0.3,
+        eye=(0.12, -0.66, 0.46),
+        look=(0.0, 0.05, 0.13),
+    )
+    clock.ticks = 30
+    frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
+    low, high = extent(robot)
+    scale = height / (high - low)
+    base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
+    watcher = BoardWatcher(parse_board(BOARD), optics)
+    registrar = Registrar(watcher, PainterArtist(16), Figure(robot.model, base, scale, things), optics)
+    return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
+
+
 # One row a picture; whoever adds one adds its function above.
 PICTURES: dict[str, Callable[[], Image]] = {
     **{name: partial(draw, scene) for name, scene in SCENES.items()},
     "calibration": calibration,
+    "robot_in_the_picture": robot_in_the_picture,
 }
 
 

@@ -18,11 +18,13 @@ from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
 
-#: The board of the stage: 2 x 2 markers of 50 mm, 20 mm apart.
-BOARD = "grid:2x2:50:20"
+#: The board of the stage: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
+BOARD = "grid:2x2:50:12.5"
 #: Marker that can be followed: id and side in metres.
 FOLLOWED = (9, 0.05)
 _DICTIONARY = "DICT_5X5_50"
+# An id that nobody looks for.
+_SHEET = 49
 _EYE, _LOOK = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
 
 
@@ -63,21 +65,24 @@ class Motion:
         slide: Metres to the side and away.
         turn: Radians about the vertical.
         period: Seconds.
+        middle: About which place on the table, metres.
     """
 
     slide: tuple[float, float] = (0.05, 0.03)
     turn: float = 0.35
     period: float = 5.0
+    middle: tuple[float, float] = (0.0, 0.04)
 
     def pose(self, t: float) -> Pose:
         """``pose_world_board`` at time t, on the table's top."""
         a = 2.0 * np.pi * t / self.period
-        place = (self.slide[0] * np.sin(a), 0.04 + self.slide[1] * np.sin(2.0 * a), 0.0005)
+        x, y = self.middle
+        place = (x + self.slide[0] * np.sin(a), y + self.slide[1] * np.sin(2.0 * a), 0.0005)
         return Pose(place, rotation_exp([0.0, 0.0, self.turn * np.sin(a)]))
 
 
-#: The board lies still.
-AT_REST = Motion((0.0, 0.0), 0.0)
+#: The board lies still in the middle, so that its frame is the table's.
+AT_REST = Motion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
 
 
 def lens(width: int, height: int) -> CameraIntrinsics:
@@ -106,6 +111,7 @@ def synthetic_stage(
     things: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
+    noise: float = 2.0,
     quality: str = "fast",
     eye: tuple[float, float, float] = _EYE,
     look: tuple[float, float, float] = _LOOK,
@@ -119,19 +125,22 @@ def synthetic_stage(
         motion: Of the board; at rest when its amplitudes are 0.
         things: What stands on the table, in the world's frame.
         follow: Also show the marker that can be followed.
-        seed: Of the noise.
+        seed: Of the noise; ``noise`` its standard deviation, grey levels.
+        noise: See ``seed``.
         quality: ``fast`` or ``full``.
         eye: Where the camera is; ``look`` where it looks.
         look: See ``eye``.
     """
     way = motion or Motion()
-    board = MarkerBoard(grid_body(2, 2, 0.05, 0.020).markers, _DICTIONARY)
+    board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
         return lambda t: way.pose(t).compose(pose)
 
-    markers = [
-        SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.010)
+    # one sheet of paper below all of them
+    sheet = SyntheticMarker(_SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank")
+    markers = [sheet] + [
+        SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.006)
         for id, (side, pose) in board.layout.items()
     ]
     if follow:
@@ -145,6 +154,11 @@ def synthetic_stage(
     )
     clock = SteppedClock(rate_hz)
     source = SyntheticSource(
-        scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="full" if quality == "full" else "fast"
+        scene,
+        lambda: np.zeros(0),
+        seed=seed,
+        noise=noise,
+        clock=clock,
+        quality="full" if quality == "full" else "fast",
     )
     return source, clock
