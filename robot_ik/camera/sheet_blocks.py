@@ -96,6 +96,7 @@ class Block:
         words: Labels.
         about: What it is.
         use: The command that uses it.
+        board: What other commands call it behind ``--board``; empty where it has no such name.
     """
 
     width: float
@@ -104,6 +105,7 @@ class Block:
     words: tuple[Words, ...]
     about: str
     use: str
+    board: str = ""
 
 
 def marker_boxes(dictionary: str, marker: int, size: float, turns: int = 0) -> Array:
@@ -161,8 +163,10 @@ def _board(wish: SheetWish, room: Room) -> Block:
         f"board of {columns}x{rows} markers {_names(ids)} of {wish.dictionary}, {wish.size:g} mm, "
         f"gap {wish.gap:g} mm"
     )
+    # That name says nothing of the ids: they count from 0.
+    board = "" if ids[0] else f"grid:{columns}x{rows}:{wish.size:g}:{wish.gap:g}"
     size = [n * pitch - wish.gap + 2 * quiet for n in (columns, rows)]
-    return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE)
+    return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE, board)
 
 
 def _cube(wish: SheetWish, room: Room) -> Block:
@@ -204,11 +208,13 @@ def _pattern(wish: SheetWish, room: Room) -> Block:
     boxes = pattern.black() * 1e3
     boxes[:, :2] -= 1e3 * np.array(pattern.origin)
     options = f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows} --square-mm {wish.size:g}"
+    board = f"{kind}:{pattern.columns}x{pattern.rows}:{wish.size:g}"
     if isinstance(pattern, CharucoPattern):
+        board += f":{1e3 * pattern.marker:g}"
         options += f" --marker-mm {1e3 * pattern.marker:g} --dictionary {pattern.dictionary}"
     width, height = (1e3 * length for length in pattern.size)
     boxes = np.hstack([boxes, np.ones((len(boxes), 1))])
-    return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}")
+    return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}", board)
 
 
 Maker = Callable[[SheetWish, Room], Block]

@@ -94,13 +94,18 @@ def _on_page(block: Block, paper: Room, wish: SheetWish) -> Page:
     boxes = [moved(block.boxes, x, y), _bar(_MARGIN, foot), _bar(paper[0] - _MARGIN, _MARGIN, upright=True)]
     words = [replace(w, x=w.x + x, y=w.y + y) for w in block.words]
     scale = "both bars: 100.0 mm. Print at 100 % (actual size)."
-    words.append(Words(_MARGIN + _BAR + 3.0, foot + 0.8, _TEXT, scale))
+    scale += f"  --board {block.board}" if block.board else ""
+    beside = _MARGIN + _BAR + 3.0
+    words.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
     lines = [block.about, _command(wish), *([block.use] if block.use else [])]
-    # Long lines shrink: they are for looking things up, not for reading across a room.
     for k, text in enumerate(lines):
-        size = min(_TEXT, (paper[0] - 2 * _MARGIN) / (LETTER_WIDTH * len(text)))
-        words.append(Words(_MARGIN, foot + 4.2 + k * _LINE, size, text))
+        words.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
     return Page(paper[0], paper[1], np.concatenate(boxes), tuple(words), f"{block.about} on {wish.page}")
+
+
+def _line(x: float, y: float, room: float, text: str) -> Words:
+    """Words that shrink to fit: they are for looking things up, not for reading across a room."""
+    return Words(x, y, min(_TEXT, room / (LETTER_WIDTH * len(text))), text)
 
 
 def _bar(x: float, y: float, *, upright: bool = False) -> Array:

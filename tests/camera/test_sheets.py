@@ -10,14 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.camera.boards import PatternBoard, parse_board
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.pattern_kinds import PatternWish
+from robot_ik.camera.pattern_kinds import PatternKind, PatternWish
 from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
 from robot_ik.camera.sheet_bodies import body_file, body_of
 from robot_ik.camera.sheet_cube import unfold
-from robot_ik.camera.sheet_page import pdf_bytes, rasterize, write_sheet
+from robot_ik.camera.sheet_page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
 from robot_ik.camera.sheets import make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 from robot_ik.geometry import Pose, rotation_exp
@@ -142,6 +143,28 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
     assert "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18" in text
     labels = [w.text for w in make_sheet_page(SheetWish("marker", ids=(4, 9), size_mm=33.5)).words]
     assert "4  33.5 mm" in labels and "9  33.5 mm" in labels
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [SheetWish("board", 36.0, 3, 2), SheetWish("charuco", 22.0, 7, 6), SheetWish("chessboard", 18.0, 7, 5)],
+)
+def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetWish) -> None:
+    page = make_sheet_page(wish)
+    (text,) = [w.text for w in page.words if "--board" in w.text]
+    board = parse_board(text.split("--board ")[1], wish.dictionary)
+    if isinstance(board, PatternBoard):
+        kind: PatternKind = "charuco" if wish.kind == "charuco" else "chessboard"
+        true = PatternWish(kind, wish.columns, wish.rows, wish.size).pattern()
+        assert type(board.pattern) is type(true) and board.pattern.corners == true.corners
+        assert board.pattern.black() == pytest.approx(true.black())
+    else:
+        markers = body_of(wish).markers
+        assert list(board.layout) == list(markers)
+        for marker, (size, pose) in markers.items():
+            assert board.layout[marker][0] == pytest.approx(size)
+            assert max(board.layout[marker][1].distance(pose)) < 1e-9
+    assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.words)
 
 
 # ------------------------------------------------------------------------------------- the cube
