@@ -104,8 +104,15 @@ def run(options: CameraCalibrateOptions) -> int:
 
 @contextlib.contextmanager
 def _kept_on_interrupt(gatherer: ViewGatherer) -> Iterator[None]:
+    """Neither Ctrl-C nor a camera that goes away loses the views so far."""
+    from robot_ik.errors import FrameTimeoutError
+
     try:
         yield
+    except FrameTimeoutError as error:
+        if not gatherer.views:
+            raise
+        console.say(f"{error.args[0]}; {len(gatherer.views)} views are kept", "yellow")
     except KeyboardInterrupt:
         console.say(f"stopped; {len(gatherer.views)} views are kept", "yellow")
 

@@ -13,8 +13,9 @@ import pytest
 from robot_ik.camera import sources
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.moving_set import BoardSource, MovingOptions, open_moving
+from robot_ik.camera.moving_set import open_moving
 from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.errors import FrameTimeoutError
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +44,8 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
 class LiveBoard(DeviceSource):
     """A board before a camera, until somebody presses Ctrl-C."""
 
-    def __init__(self, ends_with: type[BaseException]) -> None:
-        self._board = open_moving("synthetic:charuco?frames=22&seed=3")
+    def __init__(self, ends_with: BaseException, frames: int = 22) -> None:
+        self._board = open_moving(f"synthetic:charuco?frames={frames}&seed=3")
         self._ends_with = ends_with
         self.size = self._board.size
 
@@ -62,7 +63,7 @@ class LiveBoard(DeviceSource):
 
 
 def test_ctrl_c_keeps_what_there_is(robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(KeyboardInterrupt))
+    monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(KeyboardInterrupt()))
     out = tmp_path / "camera.yaml"
     run = robot_ik("camera", "calibrate", "0", "--out", out)
     assert run.code == 0, run.err
@@ -73,16 +74,31 @@ def test_ctrl_c_keeps_what_there_is(robot_ik: Any, tmp_path: Path, monkeypatch: 
     assert kept == [f"view{k:02d}.png" for k in range(1, 8)]
 
 
-def test_ctrl_c_before_enough_is_no_calibration(
-    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [
+        (KeyboardInterrupt(), "stopped"),
+        (FrameTimeoutError("camera 0 stopped delivering"), "camera 0 stopped"),
+    ],
+)
+def test_an_early_end_is_no_calibration_but_keeps_the_pictures(
+    end: BaseException, said: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = LiveBoard(KeyboardInterrupt)
-    monkeypatch.setattr(sources, "open_source", lambda *_, **__: source)
-    source._board = BoardSource(source._board.pattern, MovingOptions(frames=6))  # type: ignore[attr-defined]
+    monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(end, frames=6))
     run = robot_ik("camera", "calibrate", "0", "--out", tmp_path / "camera.yaml")
     assert run.code == 2 and "2 usable views: too few" in run.err
+    assert said in run.err and "2 views are kept" in run.err
     assert not (tmp_path / "camera.yaml").exists()
     assert len(list((tmp_path / "camera-views").iterdir())) == 2
+
+
+def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    silent = LiveBoard(
+        FrameTimeoutError("no new picture from camera 0 for 2 s", hint="check the cable"), frames=0
+    )
+    monkeypatch.setattr(sources, "open_source", lambda *_, **__: silent)
+    run = robot_ik("camera", "calibrate", "0")
+    assert run.code == 2 and "no new picture from camera 0" in run.err and "check the cable" in run.err
 
 
 @pytest.mark.parametrize(
