@@ -29,8 +29,6 @@ _LOG_SHARPEST, _LOG_SOFTEST = math.log(0.33), math.log(4.0)
 _CAUCHY = 2.4
 # Keeps weights meaningful in pictures without noise: quantisation to whole grey levels.
 _LEAST_NOISE = 0.3
-# A step below these (px, ln px) has arrived: the noise leaves a hundred times more.
-_ARRIVED = 2e-4
 _BELL = -2.0 / math.sqrt(math.pi)
 
 # Rows of the table of pixels.
@@ -144,7 +142,7 @@ def solve(work):
 
 
 @outlined
-def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps, work, result):
+def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps, arrived, work, result):
     """Fits one edge by Gauss-Newton with Cauchy weights.
 
     Args:
@@ -156,6 +154,7 @@ def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps,
         expected_blur: Blur to start from and to believe in where the pixels do not say, px.
         blur_spread: How far ln(blur) is believed to be from that.
         steps: Gauss-Newton steps at most.
+        arrived: A step of the offsets (px) and of ln(blur) smaller than this is the last one.
         work: (WORK_ROWS, 7) work space.
         result: (4,) variance of the offset at the first end, at the second, their covariance (px^2), noise
             (grey levels).
@@ -164,7 +163,7 @@ def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps,
         False when there is nothing to fit.
     """
     count, log_blur = columns[used], math.log(expected_blur)
-    noise, arrived = 0.0, False
+    noise = 0.0
     x[2] = log_blur
     x[3] = x[4] = x[5] = x[6] = 0.0
     # First the levels alone, which are linear: with no contrast the rows of offset and blur are empty.
@@ -182,9 +181,10 @@ def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps,
             work[k, k] += 1e-9 * trace + (1e-9 if step >= 0 else (1.0 if k < 3 else 1e-6))
             for j in range(k + 1):
                 work[KEPT + k, j] = work[k, j]
-        if step == steps or arrived or not solve(work):
+        if step == steps or not solve(work):
             break
-        arrived = step >= 0 and take_step(x, work[RIGHT])
+        if step >= 0 and take_step(x, work[RIGHT]) < arrived:
+            break
         for k in range(3 if step < 0 else PARAMETERS, PARAMETERS):
             x[k] = work[RIGHT, k]
     result[3] = noise
@@ -193,7 +193,7 @@ def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps,
 
 @outlined
 def take_step(x, move):
-    """Moves the parameters; True when they hardly moved."""
+    """Moves the parameters; how far at most (offsets and ln blur)."""
     # Far from the edge the model is flat and a step can be anything: keep it in sight.
     for k in range(2):
         move[k] = min(max(move[k], -1.5), 1.5)
@@ -201,7 +201,7 @@ def take_step(x, move):
     for k in range(PARAMETERS):
         x[k] += move[k]
     x[2] = min(max(x[2], _LOG_SHARPEST), _LOG_SOFTEST)
-    return max(abs(move[0]), abs(move[1]), abs(move[2])) < _ARRIVED
+    return max(abs(move[0]), abs(move[1]), abs(move[2]))
 
 
 @outlined

@@ -47,11 +47,13 @@ _FIND_COLUMNS = 24
 _ROOM = COLUMNS * (2 * math.ceil((_FIND_BAND + 0.5) * 1.5) + 1)
 # One pass to find, one to measure; more only while some corner still moves by _STILL px.
 _LEAST_PASSES, _MOST_PASSES = 2, 6
-_STILL = 0.03
+_STILL = 0.05
 # A fit that after all passes still moves by this much has not found an edge.
 _RESTLESS = 0.3
 # Gauss-Newton steps at most: when searching, when measuring.
 _FIND_STEPS, _FIT_STEPS = 5, 3
+# A step so small (px, ln px) is the last one; the noise leaves more.
+_FOUND, _FITTED = 0.02, 1e-3
 # ln(blur) differs between the sides of a marker by about this (motion blur), and from BLUR_START by that.
 _BLUR_ALIKE, _BLUR_UNKNOWN = 0.3, 0.6
 # Of an edge that can be believed: contrast and blur in grey levels and px, sum of the pixels' weights.
@@ -156,7 +158,8 @@ def fit_side(pixels, columns, table, n, x, blur, find, work, side, fit):
         find_edge(pixels, columns, table, n, x)
     spread = _BLUR_UNKNOWN if find else _BLUR_ALIKE
     steps = _FIND_STEPS if find else _FIT_STEPS
-    if not fit_edge(pixels, columns, table[ALONG], n, x, blur, spread, steps, work, fit):
+    arrived = _FOUND if find else _FITTED
+    if not fit_edge(pixels, columns, table[ALONG], n, x, blur, spread, steps, arrived, work, fit):
         return False
     fit[_FIRST], fit[_LAST], fit[_BLUR] = x[0], x[1], math.exp(x[2])
     weight = 0.0
