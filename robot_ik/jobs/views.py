@@ -6,7 +6,6 @@ Either the arm carries the camera and the board rests, or the camera rests and t
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +22,7 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.jobs.clearance import Clearance
+from robot_ik.jobs.short_way import short_way
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 _MARGIN = 0.06
 # Least cosine between a marker's face and the view, and least side in the picture, px.
 _LEAST_FACING, _LEAST_SIDE = 0.40, 28.0
+# Least part of the markers that face the camera which is in the picture.
+_LEAST_PART = 0.75
 # Wanted tilts and off-centre places, for which joint angles are sought.
 _LARGEST_TILT = np.deg2rad(50.0)
 # Random starts in all, and candidates wanted for each view that is chosen.
@@ -76,23 +78,36 @@ class ViewTask:
         view = BoardView(points, np.zeros((len(points), 2)), Pose(), _PIXEL)
         return HandEyeSample(robot.forward(q, self.frame), view)
 
-    def visible(self, pose_camera_board: Pose) -> tuple[int, ...]:
-        """Ids of the markers that are in the picture, large enough and not seen too flat; nothing hides."""
-        width, height = self.intrinsics.size
-        size = np.array([width, height])
+    def facing(self, pose_camera_board: Pose) -> tuple[int, ...]:
+        """Ids of the markers before the camera that are not seen too flat, in the picture or not."""
         found = []
         for id, (side, pose) in self.layout.items():
             at = pose_camera_board.compose(pose)
-            if at.position[2] <= side or -(at.rotation[:, 2] @ at.position) < _LEAST_FACING * float(
-                np.linalg.norm(at.position)
-            ):
-                continue
-            pixels = self.intrinsics.project(at.apply(marker_points(side)))
+            towards = -float(at.rotation[:, 2] @ at.position) / float(np.linalg.norm(at.position))
+            if at.position[2] > side and towards > _LEAST_FACING:
+                found.append(id)
+        return tuple(found)
+
+    def visible(self, pose_camera_board: Pose) -> tuple[int, ...]:
+        """Those of them that are in the picture, with a margin, and large enough; nothing hides."""
+        size = np.array(self.intrinsics.size)
+        found = []
+        for id in self.facing(pose_camera_board):
+            side, pose = self.layout[id]
+            pixels = self.intrinsics.project(pose_camera_board.compose(pose).apply(marker_points(side)))
             sides = np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1)
             inside = (pixels > _MARGIN * size).all() and (pixels < (1.0 - _MARGIN) * size).all()
             if inside and sides.min() > _LEAST_SIDE:
                 found.append(id)
         return tuple(found)
+
+    def shown(self, pose_camera_board: Pose) -> tuple[int, ...]:
+        """The visible ones, or none where too much of the board is cut off.
+
+        Such views would tell much, were the board where it is thought to be.
+        """
+        ids = self.visible(pose_camera_board)
+        return ids if len(ids) >= _LEAST_PART * len(self.facing(pose_camera_board)) else ()
 
 
 def plan_views(
@@ -121,7 +136,7 @@ def plan_views(
     ordered: list[Array] = []
     for _ in range(_REPAIRS):
         chosen = _most_informative([information for _, information in pool], count)
-        way = _short_way(robot, start, [pool[k][0] for k in chosen], clearance)
+        way = short_way(robot, start, [pool[k][0] for k in chosen], clearance)
         ordered = max(ordered, [pool[chosen[k]][0] for k in way], key=len)
         if len(way) == len(chosen):
             break
@@ -171,25 +186,22 @@ def _candidates(
 def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator) -> Pose | None:
     """A pose of the hand about where it is at ``near`` that shows one of the markers, or None."""
     board = task.pose_camera_board(robot, near)
-    side, pose_board_marker = list(task.layout.values())[rng.integers(len(task.layout))]
+    _, pose_board_marker = list(task.layout.values())[rng.integers(len(task.layout))]
     mount = task.mount
     if mount.mounting == "eye_to_hand":
         seen = _tilted(board.apply(pose_board_marker.position), rng)
         turned = seen.compose(pose_board_marker.inverse()).wxyz
         turned_board = Pose(board.position, turned)
-        if not task.visible(turned_board):
+        if not task.shown(turned_board):
             return None
         world_board = mount.pose_parent_camera.compose(turned_board)
         return world_board.compose(mount.pose_other_board.inverse())
-    marker = board.compose(pose_board_marker)
-    distance = float(np.linalg.norm(marker.position))
-    # The place of the camera stays; its view turns so that the marker comes to a random place in the picture.
-    width, height = task.intrinsics.size
-    place = rng.uniform(0.25, 0.75, 2) * (width, height)
-    ray = task.intrinsics.unproject(place.reshape(1, 2))[0]
-    turn = _turn_onto(marker.position, ray, rng)
+    # The place of the camera stays; its view turns so that the board's middle comes to a random place in it.
+    middle = board.apply(np.mean([pose.position for _, pose in task.layout.values()], axis=0))
+    place = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
+    turn = _turn_onto(middle, task.intrinsics.unproject(place.reshape(1, 2))[0], rng)
     board = Pose(wxyz=turn).compose(board)
-    if distance < side or not task.visible(board):
+    if not task.shown(board):
         return None
     world_camera = mount.pose_other_board.compose(board.inverse())
     return world_camera.compose(mount.pose_parent_camera.inverse())
@@ -218,7 +230,7 @@ def _turn_onto(source: Array, target: Array, rng: np.random.Generator) -> Array:
 def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Array | None:
     """Information (12, 12) on camera and board of the view at ``q``; None when it shows no marker."""
     seen = task.pose_camera_board(robot, q)
-    ids = task.visible(seen)
+    ids = task.shown(seen)
     if not ids or not clearance.free(q):
         return None
     hand = robot.forward(q, task.frame)
@@ -236,7 +248,7 @@ def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Arra
     return np.asarray(rows.T @ np.linalg.solve(data.covariance[0] + arm, rows))
 
 
-# ---------------------------------------------------------------------- choosing and ordering
+# ---------------------------------------------------------------------------------- choosing
 
 
 def _most_informative(informations: Sequence[Array], count: int) -> list[int]:
@@ -254,36 +266,3 @@ def _most_informative(informations: Sequence[Array], count: int) -> list[int]:
         chosen.append(int(np.argmax(gain)))
         total = total + each[chosen[-1]]
     return chosen
-
-
-def _short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Clearance) -> list[int]:
-    """Indices of stops, ordered by short free ways: the nearest each time, then crossings undone (2-opt).
-
-    Stops that no free way leads to are left out.
-    """
-    places = [start, *stops]
-    cost = np.zeros((len(places), len(places)))
-    for i in range(len(places)):
-        for j in range(i):
-            seconds = float(np.max(np.abs(places[i] - places[j]) / robot.velocity))
-            cost[i, j] = cost[j, i] = seconds if clearance.free_way(places[i], places[j]) else np.inf
-    way, left = [0], set(range(1, len(places)))
-    while left:
-        nearest = min(left, key=lambda k: cost[way[-1], k])
-        if not np.isfinite(cost[way[-1], nearest]):
-            break
-        way.append(nearest)
-        left.remove(nearest)
-    improved = True
-    while improved:
-        improved = False
-        for i in range(1, len(way) - 1):
-            for j in range(i + 1, len(way)):
-                trial = [*way[:i], *way[i : j + 1][::-1], *way[j + 1 :]]
-                if _length(trial, cost) < _length(way, cost) - 1e-9:
-                    way, improved = trial, True
-    return [k - 1 for k in way[1:]]
-
-
-def _length(way: Sequence[int], cost: Array) -> float:
-    return float(sum(cost[a, b] for a, b in itertools.pairwise(way)))
