@@ -43,7 +43,7 @@ class CameraPlace:
         covariance: (6, 6) translation (m) over rotation (rad), along the parent's axes, rotation about the
             camera's origin.
         residual_px: RMS distance of the corners from where this pose puts them, px.
-        residual_mm: The same at the board, millimetres.
+        residual_mm: The same at the board, millimetres; from hand-eye: of each view by all the others.
         date: Day, ISO 8601.
         intrinsics_hash: ``CameraIntrinsics.digest`` of the calibration it was found with.
         method: How it was found.
