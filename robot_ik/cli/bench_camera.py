@@ -30,7 +30,8 @@ ALL_ROWS = (*ROWS, *JOB_ROWS)
 class BenchCameraOptions:
     """Measures the camera on synthetic pictures whose truth is known, and prints it beside what is wanted.
 
-    Accuracy is the same on every machine; times are the best of three rounds, and depend on what else runs.
+    Accuracy is the same on every machine.  Times are processor time of one thread, the best of three rounds;
+    delays are by the clock, and depend on what else runs.
     Ctrl-C keeps what is done.
 
     Exit code 0 where all that was measured is as wanted, else 1; with --quick, 0.
