@@ -126,7 +126,7 @@ def solve_handeye(
     before: ArmNoise | None = None
     for _ in range(_ROUNDS):
         data = compress(mount, samples, intrinsics, corners)
-        scale = _pixel_scale(data)
+        scale = pixel_scale(data)
         corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
         before = noise = estimate_noise(data, scale, before)
         fit = fit_shared(data, noise)
@@ -137,7 +137,7 @@ def solve_handeye(
     return _result(mount, samples, intrinsics, data, noise, fit, spread)
 
 
-def _pixel_scale(data: Compressed) -> float:
+def pixel_scale(data: Compressed) -> float:
     """Standard deviation of the pixels in units of the stated one; robust, and not from few numbers alone."""
     left = np.concatenate(data.left)
     # Median of the length of a Gaussian pair; the fit of six numbers a view has swallowed a part of it.
