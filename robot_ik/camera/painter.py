@@ -235,6 +235,7 @@ class Samples:
         self._whose = np.empty(shape, dtype=np.int32)
         self._light = np.zeros((0, 6))
         self._owner = np.zeros(0, dtype=np.int64)
+        self._extent = np.tile(np.array([shape[2], 0]), (shape[1], 1))
 
     def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
         """Adds faces; ``phantoms`` (ngeom,) or all: they hide what is behind them and are not drawn.
@@ -248,7 +249,7 @@ class Samples:
         if len(faces.chosen):
             scanline.fill_faces(
                 faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, self._places,
-                self.box[0], self.box[1], self.depth, self._whose, light,
+                self.box[0], self.box[1], self.depth, self._whose, light, self._extent,
             )  # fmt: skip
         self._light = np.concatenate([self._light, light]) if before else light
 
@@ -262,9 +263,9 @@ class Samples:
     def layer(self, base: Array) -> Layer:
         """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
         shape = self.depth.shape[1:]
-        colour, coverage = np.empty((*shape, 3), dtype=np.uint8), np.empty(shape, dtype=np.uint8)
+        colour, coverage = np.zeros((*shape, 3), dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         scanline.resolve(
-            self.depth, self._whose, self._light, self._owner, base, _GLOSS,
+            self.depth, self._whose, self._light, self._extent, self._owner, base, _GLOSS,
             self.box[0], self.box[1], colour, coverage,
         )  # fmt: skip
         return Layer(self.box, colour, coverage)

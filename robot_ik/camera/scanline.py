@@ -51,7 +51,7 @@ def light_corners(normals: Any, owner: Any, light: Any, half: Any, ambient: floa
 @pure
 def _fill(
     p: Any, inverse: Any, lit: Any, corners: Any, face: int, half: int,
-    offset: int, samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any,
+    offset: int, samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
 ) -> None:  # fmt: skip
     """Half a face into the buffers: its corners 0 1 2 or 0 2 3."""
     a, b, c = corners[0], corners[1 + half], corners[2 + half]
@@ -100,6 +100,7 @@ def _fill(
             stop = min(math.ceil(max(one, two) - shift), width)
             if start >= stop:
                 continue
+            extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
             near, owner = depth[k, row, start:stop], whose[k, row, start:stop]
             w = np.float32(inverse[a] + wx * (start + shift - ax) + wy * (y - ay))
             for column in range(len(near)):  # without branches, so that it runs eight at a time
@@ -112,7 +113,7 @@ def _fill(
 @kernel
 def fill_faces(
     pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int,
-    samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any,
+    samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
@@ -130,28 +131,31 @@ def fill_faces(
             second triangle of a face; f counts from ``offset``.
         whose: See ``depth``.
         planes: (2 f, 6) gets diffuse light and highlight as functions 1, x, y of the picture.
+        extent: (h, 2) first column of each row that is touched, and the one after the last.
     """
     for i in range(len(chosen)):
         f = chosen[i]
-        _fill(pixels, inverse, lit, faces[f], f, 0, offset, samples, left, top, depth, whose, planes)
+        _fill(pixels, inverse, lit, faces[f], f, 0, offset, samples, left, top, depth, whose, planes, extent)
         if faces[f, 3] != faces[f, 2]:
-            _fill(pixels, inverse, lit, faces[f], f, 1, offset, samples, left, top, depth, whose, planes)
+            _fill(
+                pixels, inverse, lit, faces[f], f, 1, offset, samples, left, top, depth, whose, planes, extent
+            )
 
 
 @kernel
 def resolve(
-    depth: Any, whose: Any, planes: Any, owner: Any, base: Any, gloss: float, left: int, top: int,
-    colour: Any, coverage: Any,
+    depth: Any, whose: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
+    left: int, top: int, colour: Any, coverage: Any,
 ) -> None:  # fmt: skip
-    """Samples into pixels: ``colour`` (h, w, 3) uint8 times coverage, and ``coverage`` (h, w) uint8.
+    """Samples into pixels: ``colour`` (h, w, 3) times coverage and ``coverage`` (h, w), uint8, 0 before.
 
     ``owner`` (f,) row of each face in ``base`` (m, 3), colours 0..255; a phantom has a row below 0 and covers
     nothing.
     """
-    count, height, width = depth.shape
+    count, height = depth.shape[:2]
     scale = 1.0 / count
     for row in range(height):
-        for column in range(width):
+        for column in range(extent[row, 0], extent[row, 1]):
             b, g, r, seen = 0.0, 0.0, 0.0, 0
             k = 0
             while k < count:
