@@ -36,8 +36,6 @@ _FLIPPED = np.deg2rad(5.0)
 # Position and orientation of one 50 mm marker, by distance: mm, degrees.
 _MARKER_WANTED = {0.3: (0.15, 0.3), 0.6: (0.5, 0.4), 1.0: (1.5, 0.8)}
 _COVERED_DISTANCE, _BOARD_DISTANCE = 0.6, 1.0
-# Where a robot on the board may be: metres beside it and above it.
-_BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 200
 # Clutter: pictures, squares in each, and their cells.
 _CLUTTERED, _SQUARES = 150, 25
 
@@ -143,24 +141,6 @@ def occlusion(effort: Effort) -> Iterator[Figure]:
     """A board of 3×3 markers at 0.6 m, half of its area hidden."""
     pairs = list(_boards(effort, 3, _COVERED_DISTANCE, 60, hidden=True))
     yield from _board_figures(pairs, (1.0, 0.3, None), "at 0.6 m, half hidden")
-
-
-def overlay(effort: Effort) -> Iterator[Figure]:
-    """Points up to 300 mm above and 150 mm beside the 2×2 board, drawn with the pose seen."""
-    errors = []
-    rng = np.random.default_rng(effort.seed)
-    for distance in (0.7, 1.0):
-        for pose, seen in _boards(effort, 2, distance, 50):
-            if seen is None:
-                continue
-            points = rng.uniform((-_BESIDE, -_BESIDE, 0.0), (_BESIDE, _BESIDE, _ABOVE), (_POINTS, 3))
-            true = STANDARD_CAMERA.project(pose.apply(points))
-            inside = ((true > 0) & (true < np.array(STANDARD_CAMERA.size) - 1)).all(axis=1)
-            drawn = STANDARD_CAMERA.project(seen.pose_camera_body.apply(points))
-            errors.append(np.linalg.norm(drawn - true, axis=1)[inside])
-    every = np.concatenate(errors)
-    yield Figure("overlay on a 2×2 board, 0.7 and 1 m, RMS", rms(every), "px", 0.3)
-    yield Figure("overlay on a 2×2 board, 0.7 and 1 m, worst", float(every.max()), "px", 1.0)
 
 
 class _Clutter(ClosingSource):

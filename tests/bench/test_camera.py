@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
+
 import pytest
 
 from robot_ik.bench import camera_accuracy, camera_optics
 from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
+from robot_ik.camera.registration import STRAIGHT
 
 
 def figures(of: object, **effort: object) -> dict[str, Figure]:
@@ -52,12 +54,16 @@ def test_boards_are_seen_as_well_as_wanted_and_half_hidden_ones_too() -> None:
 def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(camera_optics, "_SPHERES", 30)
     found = figures(camera_optics.projection)
     assert len(found) == 8 and all(one.passed for one in found.values()), found
-    middle = camera_optics._middle
-    monkeypatch.setattr(camera_optics, "_middle", lambda *given: middle(*given) + np.array([0.5, 0.0]))
-    assert not any(one.passed for one in figures(camera_optics.projection).values())
+
+    class Shifted(camera_optics.PainterArtist):
+        """A painter that takes the middle of a pixel for its corner."""
+
+        def draw(self, figure, qpos, intrinsics, pose):  # type: ignore[no-untyped-def]
+            return super().draw(figure, qpos, replace(intrinsics, cx=intrinsics.cx + 0.5), pose)
+
+    assert camera_optics.projection_identity(Shifted(), STRAIGHT).rms > 0.4
 
 
 def test_handeye_comes_near_and_says_how_near() -> None:
