@@ -12,8 +12,9 @@ from robot_ik.camera.detect import Detection
 Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
-# The window for a marker: its box and so much of its size on each side, which holds its white margin too.
-_MARGIN = 0.75
+# The window for a marker: its box and so much of its size on each side, for its white margin (a cell) and
+# for what it moves otherwise than in the last picture.
+_MARGIN = 0.5
 # The whole picture is searched every so many pictures all the same: for markers that come into view.
 _WHOLE_EVERY = 10
 # A window of more than this part of the picture saves nothing.

@@ -105,7 +105,7 @@ def test_markers_that_disagree_a_little_count_less() -> None:
     board = grid_body(3, 3, 0.03, 0.01)
     pose = Pose((0.01, 0.02, 0.6), quat_multiply(FACING, rotation_exp([0.5, 0.1, 0.0])))
     seen = exact(board, pose)
-    seen[0] = unrefined(seen[0].corners + (0.25, 0.1), CAMERA, 0.05)
+    seen[0] = unrefined(seen[0].corners + np.array([0.25, 0.1]), CAMERA, 0.05)
     body = estimate_body(seen, board.markers, CAMERA)
     assert body is not None and body.rejected == ()
     from robot_ik.camera.corner_fit import CornerData, fit_pose
