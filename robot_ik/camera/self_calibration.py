@@ -20,6 +20,7 @@ from robot_ik.camera.handeye import pixel_scale
 from robot_ik.camera.handeye_model import MOUNTINGS, Mounting
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.rotation_average import cauchy_weight
+from robot_ik.camera.self_calibration_errors import PoseError, pose_error
 from robot_ik.camera.self_calibration_model import ArmModel, ArmState, ArmView, KnownPose, Linear
 from robot_ik.camera.self_calibration_noise import (
     JointNoise,
@@ -46,33 +47,6 @@ _ROUNDS, _TRIES = 30, 8
 # Steps smaller than this (rad, metres) end the iteration.
 _DONE = 1e-7
 _FIRST_DAMPING = 1e-6
-# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
-# and by more than this distance: below, print and lens are as good a reason.
-_OUTLIER, _OUTLIER_DISTANCE = 6.4, 5e-4
-
-
-@dataclass(frozen=True, eq=False)
-class PoseError:
-    """How far the board is from where the joints put it, in one view.
-
-    Attributes:
-        place: (3,) where the joints put the board (eye in hand: the camera), world, metres.
-        vector: (3,) from there to where the picture shows it, world, metres.
-        angle: The same of the orientation, rad.
-        sigmas: How far the view contradicts all others, in standard deviations.
-        outlier: It contradicts them, and counts for almost nothing.
-    """
-
-    place: Array
-    vector: Array
-    angle: float
-    sigmas: float
-    outlier: bool
-
-    @property
-    def distance(self) -> float:
-        """Length of ``vector``."""
-        return float(np.linalg.norm(self.vector))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +169,7 @@ class _Fitted:
     scale: float
 
 
-def _fit(model: ArmModel, state: ArmState, free: Array) -> _Fitted:
+def _fit(model: ArmModel, state: ArmState, free: NDArray[np.int64]) -> _Fitted:
     corners: list[Array] | None = None
     noise: JointNoise | None = None
     damping = _FIRST_DAMPING
@@ -210,6 +184,7 @@ def _fit(model: ArmModel, state: ArmState, free: Array) -> _Fitted:
         corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in raw.data.left]
         if np.abs(step).max() < _DONE:
             break
+    assert noise is not None  # there was a round
     return _Fitted(state, linear, noise, normal, scale)
 
 
@@ -263,19 +238,8 @@ def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture]) -> ZeroOf
 def _left_out(model: ArmModel, fitted: _Fitted, view: int) -> PoseError:
     """How one view fits what all others say."""
     step, covariance = fitted.normal.without(view)
-    one, state = model.views[view], fitted.state.moved(step)
     rows = fitted.linear.rows[view]
     wish = fitted.linear.wish[view] + rows @ step
     expected = fitted.noise.covariances[view] + rows @ covariance @ rows.T
     sigmas = float(np.sqrt(max(wish @ np.linalg.solve(expected, wish), 0.0)))
-    vector, angle = model.apart(state, one)
-    outlier = sigmas > _OUTLIER and float(np.linalg.norm(vector)) > _OUTLIER_DISTANCE
-    return PoseError(board_place(model, state, one), vector, angle, sigmas, outlier)
-
-
-def board_place(model: ArmModel, state: ArmState, view: ArmView) -> Array:
-    """(3,) where the joints put what the arm carries, world, metres."""
-    mount = state.mount
-    carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
-    return np.asarray(model.hand(state, view).apply(carried.position))
-
+    return pose_error(model, fitted.state.moved(step), view, expected, sigmas)

@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 
 # Searched: rad at each joint, from nothing to a loose gear.
 _SIZES = np.geomspace(1e-7, 3e-2, 12)
-_ZOOMS = 5
+_NEARBY = np.geomspace(0.5, 2.0, 3)
+_ZOOMS = 4
 # Student's t with so many degrees of freedom: Gaussian views lose little, a wrong one hardly counts.
 _FREEDOM = 5.0
 _TWIST = 6
@@ -53,7 +54,7 @@ class Normal:
     right: Array
     parts: Array
     rights: Array
-    free: Array
+    free: NDArray[np.int64]
     count: int
 
     def step(self, damping: float = 0.0) -> Array:
@@ -80,7 +81,7 @@ class Normal:
         return whole
 
 
-def normal_equations(linear: Linear, noise: JointNoise, free: Array) -> Normal:
+def normal_equations(linear: Linear, noise: JointNoise, free: NDArray[np.int64]) -> Normal:
     """Weighted least squares; ``free``: (m,) places of the unknowns that are sought."""
     rows = linear.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
@@ -98,7 +99,7 @@ def cost(linear: Linear, noise: JointNoise) -> float:
     return float(squares.sum() + linear.off @ linear.prior @ linear.off)
 
 
-def estimate_joint_noise(linear: Linear, free: Array, before: JointNoise | None) -> JointNoise:
+def estimate_joint_noise(linear: Linear, free: NDArray[np.int64], before: JointNoise | None) -> JointNoise:
     """Size of the joints' error, then the weights of the views; one turn of each."""
     n = len(linear.wish)
     if before is None:
@@ -107,7 +108,7 @@ def estimate_joint_noise(linear: Linear, free: Array, before: JointNoise | None)
         weights = np.maximum(1.0, far) ** -2.0
     else:
         weights = before.weights
-    sizes = _SIZES
+    sizes = _SIZES if before is None else before.size * _NEARBY
     for _ in range(_ZOOMS):
         best = sizes[int(np.argmax([_likelihood(linear, free, weights, size) for size in sizes]))]
         factor = np.sqrt(sizes[1] / sizes[0])
@@ -127,7 +128,7 @@ def inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.pinv(matrix / outer, rcond=1e-14, hermitian=True) / outer)
 
 
-def _likelihood(linear: Linear, free: Array, weights: Array, size: float) -> float:
+def _likelihood(linear: Linear, free: NDArray[np.int64], weights: Array, size: float) -> float:
     """Restricted log-likelihood of a size of the joints' error."""
     noise = JointNoise(size, linear.pixels + size**2 * linear.arm, weights)
     normal = normal_equations(linear, noise, free)

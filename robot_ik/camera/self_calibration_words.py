@@ -67,7 +67,8 @@ def find_mixture(
         normal: At the answer.
         names: Of all joints.
         unclear: Largest standard deviation that counts as told apart.
-        parent: What the camera is seen from; ``other``: what the board is seen from.
+        parent: What the camera is seen from.
+        other: What the board is seen from.
     """
     values, directions, along = joint_information(normal, len(names))
     if len(values) == 0 or values[-1] >= unclear**-2:

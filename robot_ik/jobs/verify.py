@@ -1,0 +1,233 @@
+"""An arm checked by a camera: where a board that it carries really is, and by how much zeros are off.
+
+The camera's place must come from elsewhere than the arm: a board on the table (``robot-ik camera locate``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards import MarkerBoard
+from robot_ik.camera.handeye_model import Mount
+from robot_ik.camera.places import CameraPlace, locate_camera
+from robot_ik.camera.self_calibration import LEAST_VIEWS, ZeroOffsets, fit_zero_offsets
+from robot_ik.camera.self_calibration_errors import PoseError, measure_errors
+from robot_ik.camera.self_calibration_model import ArmView, KnownPose
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
+from robot_ik.geometry import Pose
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.handeye import measure_stops
+from robot_ik.jobs.handeye_samples import SampleSet
+from robot_ik.jobs.handeye_scene import HandEyeRequest, HandEyeScene, open_scene
+from robot_ik.jobs.limbs import Limbs, prepare_limbs
+from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
+from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.verify_map import summary
+from robot_ik.jobs.verify_request import VerifyRequest
+from robot_ik.jobs.views import plan_views
+from robot_ik.robot import Robot
+
+__all__ = ["VerifyReport", "VerifyRequest", "run_verify"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+# Pictures of the marker on the table by which the simulated camera is located.
+_LOCATE_PICTURES = 5
+# A place found by moving the arm has the arm's errors in it: so little is it worth here, metres and rad.
+_BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
+# No place is known better than this: keeps its covariance regular.
+_LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class VerifyReport:
+    """What came out.
+
+    Attributes:
+        robot: Inside the limits that were used; ``frame``: what carries the board.
+        stops: (nq,) planned, in order.
+        samples: What was measured.
+        unseen: Numbers of the stops where the board was not found.
+        camera, board: Their poses as they were known, for all that follows.
+        by_arm: Whether the camera's place was found by moving the arm, so that only ``fit`` tells anything.
+        errors: Of each view, with the joints as the servos say; empty for a dry run.
+        fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
+        config: The servos.
+        true_offsets: (nv,) rad; None where nobody knows.
+    """
+
+    robot: Robot
+    frame: str
+    stops: tuple[Array, ...]
+    samples: SampleSet
+    unseen: tuple[int, ...]
+    camera: KnownPose
+    board: KnownPose
+    by_arm: bool
+    errors: tuple[PoseError, ...]
+    fit: ZeroOffsets | None
+    config: ArmConfig | None
+    true_offsets: Array | None
+
+    @property
+    def judged(self) -> tuple[PoseError, ...]:
+        """What the verdict is about: after the fit where there is one, outliers left aside."""
+        errors = self.errors if self.fit is None else self.fit.errors
+        return tuple(one for one in errors if not one.outlier) or errors
+
+    def passed(self, allowed: float) -> bool:
+        """Whether no pose is farther off than ``allowed`` metres."""
+        return summary(self.judged).largest <= allowed
+
+    def offsets(self) -> dict[str, float]:
+        """Joint -> rad, of those that could be determined."""
+        if self.fit is None:
+            return {}
+        return {
+            name: float(value)
+            for name, value in zip(self.fit.joints, self.fit.offsets, strict=True)
+            if name in self.fit.found
+        }
+
+
+def run_verify(
+    request: VerifyRequest,
+    *,
+    dry_run: bool = False,
+    keep: Callable[[SampleSet], None] = lambda samples: None,
+    progress: Progress = lambda stage, share: None,
+) -> VerifyReport:
+    """Locates the camera, plans, moves, looks, compares.
+
+    Args:
+        request: What to do.
+        dry_run: Plan only; nothing moves.
+        keep: Handed the samples after each stop.
+        progress: Told the stage and the share of it that is done.
+
+    Raises:
+        MarkerNotFoundError: The board was seen at fewer than four stops, or the table's marker not at all.
+        RobotIkError: Wrong input or environment.
+    """
+    if request.zero_offset_deg and request.camera != "synthetic":
+        raise ConfigError(
+            "a zero offset can be rehearsed before the synthetic camera only",
+            file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
+        )  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        limbs = prepare_limbs(
+            ReachRequest(
+                robot=request.robot, frame=request.frame, bus=request.bus, arm_file=request.arm_file,
+                speed=request.speed, seed=request.seed,
+                rehearsal=Rehearsal(zero_offset_deg=request.zero_offset_deg),
+            )
+        )  # fmt: skip
+        scene = open_scene(_scene_request(request), limbs, stack)
+        place = _given_place(request, scene)
+        stack.enter_context(limbs.connected())
+        if place is None:
+            progress("locating the camera", 0.0)
+            place = _located(limbs, scene)
+        by_arm = place.method.startswith("handeye")
+        camera, board = _known(request, scene, place, by_arm)
+        task = replace(scene.task, mount=Mount(camera.pose, board.pose, "eye_to_hand"))
+        scene = replace(scene, task=task)
+        samples = SampleSet(request.robot, limbs.robot.joints, task.frame, "eye_to_hand", task.intrinsics)
+        progress("planning", 0.0)
+        stops = plan_views(limbs.robot, task, request.views, start=limbs.q, seed=request.seed)
+        unseen: tuple[int, ...] = ()
+        if not dry_run:
+            limbs.energise()
+            unseen = measure_stops(
+                limbs, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
+            )
+    report = VerifyReport(
+        limbs.robot, task.frame, tuple(stops), samples, unseen, camera, board, by_arm, (), None,
+        limbs.config, _truth(request, limbs, scene),
+    )  # fmt: skip
+    if dry_run:
+        return report
+    progress("comparing", 0.0)
+    return _judged(report, request.fit)
+
+
+def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
+    """With the errors, and with the offsets where they are asked for."""
+    samples, robot = report.samples, report.robot
+    if len(samples) < LEAST_VIEWS:
+        raise MarkerNotFoundError(
+            f"the board was seen at {len(samples)} of {len(report.stops)} stops; {LEAST_VIEWS} are the least",
+            hint="check board, dictionary and light, and where camera and board are said to be",
+        )
+    views = [ArmView(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+    lens, frame = samples.intrinsics, report.frame
+    fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=report.camera, board=report.board)
+    if report.by_arm:
+        # The place as the arm's views have it: what is left are the errors that change from view to view.
+        errors = fitted(hold=robot.joints).errors
+    else:
+        errors = measure_errors(views, robot, frame, lens, camera=report.camera, board=report.board)
+    return replace(report, errors=errors, fit=fitted() if fit else None)
+
+
+def _scene_request(request: VerifyRequest) -> HandEyeRequest:
+    if request.camera != "synthetic" and request.place is None:
+        raise CalibrationError(
+            f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
+            hint="lay a board on the table and find it: robot-ik camera locate; then give --camera-place",
+        )
+    return HandEyeRequest(
+        robot=request.robot, mounting="eye_to_hand", bus=request.bus, arm_file=request.arm_file,
+        frame=request.frame, camera=request.camera, intrinsics=request.intrinsics, board=request.board,
+        pose_other_board=request.pose_frame_board, views=request.views, speed=request.speed,
+        seed=request.seed,
+    )  # fmt: skip
+
+
+def _given_place(request: VerifyRequest, scene: HandEyeScene) -> CameraPlace | None:
+    if request.place is None:
+        return None
+    place = CameraPlace.load(request.place, scene.task.intrinsics)
+    place.require_parent("world")
+    return place
+
+
+def _located(limbs: Limbs, scene: HandEyeScene) -> CameraPlace:
+    """The simulated camera finds its place by the marker on the table, as a person would have it do."""
+    stage = stage_for(limbs.robot, limbs.frame)
+    marker = MarkerBoard({stage.marker_id: (stage.marker_size, Pose())}, stage.dictionary)
+    looks = [marker.see(scene.take(), scene.task.intrinsics) for _ in range(_LOCATE_PICTURES)]
+    seen = [view for view in looks if view is not None]
+    if not seen:
+        raise MarkerNotFoundError(
+            "the marker on the table is hidden, so the simulated camera does not know where it stands",
+            hint="give its place: --camera-place FILE",
+        )
+    return locate_camera(seen, stage.pose_world_marker, scene.task.intrinsics)
+
+
+def _known(
+    request: VerifyRequest, scene: HandEyeScene, place: CameraPlace, by_arm: bool
+) -> tuple[KnownPose, KnownPose]:
+    """Camera and board with what is known of them."""
+    pose = request.pose_frame_board
+    if pose is None:
+        pose = Pose() if scene.truth is None else scene.truth.pose_other_board
+    board = KnownPose.within(pose, *request.board_sigma)
+    if by_arm:
+        return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM), board
+    return KnownPose(place.pose_parent_camera, place.covariance + _LEAST), board
+
+
+def _truth(request: VerifyRequest, limbs: Limbs, scene: HandEyeScene) -> Array | None:
+    """(nv,) rad by which the simulated shafts are ahead."""
+    if scene.truth is None:
+        return None
+    return np.deg2rad([request.zero_offset_deg.get(name, 0.0) for name in limbs.robot.joints])
