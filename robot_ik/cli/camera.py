@@ -14,6 +14,7 @@ from robot_ik.cli.camera_handeye import CameraHandeyeOptions
 from robot_ik.cli.camera_list import CameraListOptions
 from robot_ik.cli.camera_locate import CameraLocateOptions
 from robot_ik.cli.camera_print import CameraPrintOptions
+from robot_ik.cli.camera_verify import CameraVerifyOptions
 
 # Each module has its options and a function run(options) -> exit code.
 Subcommand = (
@@ -23,12 +24,13 @@ Subcommand = (
     | Annotated[CameraDetectOptions, subcommand("detect")]
     | Annotated[CameraLocateOptions, subcommand("locate")]
     | Annotated[CameraHandeyeOptions, subcommand("handeye")]
+    | Annotated[CameraVerifyOptions, subcommand("verify")]
 )
 
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """The camera by hand: find it, print markers, calibrate, detect, tell where it stands.
+    """The camera by hand: find it, print markers, calibrate, detect, tell where it stands, check the arm.
 
     Each subcommand explains itself: robot-ik camera calibrate --help
     """

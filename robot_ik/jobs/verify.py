@@ -42,6 +42,8 @@ Progress = Callable[[str, float], None]
 _LOCATE_PICTURES = 5
 # A place found by moving the arm has the arm's errors in it: so little is it worth here, metres and rad.
 _BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
+# A view that is so many times less sure than the middle one does not count.
+_UNSURE = 5.0
 # No place is known better than this: keeps its covariance regular.
 _LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
 
@@ -77,14 +79,21 @@ class VerifyReport:
     true_offsets: Array | None
 
     @property
-    def judged(self) -> tuple[PoseError, ...]:
-        """What the verdict is about: after the fit where there is one, outliers left aside."""
-        errors = self.errors if self.fit is None else self.fit.errors
-        return tuple(one for one in errors if not one.outlier) or errors
+    def unsure(self) -> tuple[int, ...]:
+        """Numbers of the views that tell far less than the others, or contradict them: they do not count."""
+        limit = _UNSURE * float(np.median([one.sigma for one in self.errors]))
+        wrong = () if self.fit is None else self.fit.outliers
+        return tuple(k for k, one in enumerate(self.errors) if one.sigma > limit or k in wrong)
 
-    def passed(self, allowed: float) -> bool:
+    def judged(self, *, corrected: bool) -> tuple[PoseError, ...]:
+        """What a verdict is about: the arm as it is or, if fitted, corrected; without the unsure views."""
+        errors = self.fit.errors if corrected and self.fit is not None else self.errors
+        unsure = self.unsure
+        return tuple(one for k, one in enumerate(errors) if k not in unsure)
+
+    def passed(self, allowed: float, *, corrected: bool = False) -> bool:
         """Whether no pose is farther off than ``allowed`` metres."""
-        return summary(self.judged).largest <= allowed
+        return summary(self.judged(corrected=corrected)).largest <= allowed
 
     def offsets(self) -> dict[str, float]:
         """Joint -> rad, of those that could be determined."""

@@ -1,0 +1,218 @@
+"""``robot-ik camera verify``: a camera checks where the arm really is, and finds joint zeros that are off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.poses import pose_option
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import ConfigError
+
+if TYPE_CHECKING:
+    from robot_ik.jobs.verify import VerifyReport, VerifyRequest
+
+_NEEDED = "(needed for a real camera)"
+
+
+@dataclass(frozen=True)
+class CameraVerifyOptions:
+    """Moves a board carried by the tool through poses, and tells how far it is from where the joints say.
+
+    The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
+    the arm. With no options everything is simulated. With --fit, joint zeros that are off are estimated; they
+    are written to the arm file of --arm after asking, the old file is kept; servos are never changed.
+
+    Exit code 0: no pose of the arm, as it now is on file, is farther off than --allowed-mm; else 1.
+    """
+
+    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    bus: Annotated[str, bus_argument()] = "sim"
+    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
+    """Servo ids, signs, zeros and limits; what --fit writes to."""
+    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
+    """Robot frame that carries the board."""
+    camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
+    """Where the pictures come from."""
+    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=_NEEDED)] = ""
+    """Its calibration."""
+    camera_place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=_NEEDED)] = ""
+    """Where it stands, from camera locate."""
+    board: Annotated[str, arg(metavar="BOARD", help_behavior_hint=_NEEDED)] = ""
+    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
+    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
+    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
+    """Of the board's markers."""
+    board_pose: Annotated[
+        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: in the frame)")
+    ] = ()
+    """Where the board is, seen from the frame that carries it."""
+    board_sigma: Annotated[tuple[float, float], arg(metavar="MM DEG")] = (0.2, 0.1)
+    """How well that is known, each axis: --fit cannot know the last joint better."""
+    views: Annotated[int, arg(metavar="N")] = 30
+    """How many pictures to take: 4 to 100."""
+    allowed_mm: Annotated[float, arg(metavar="MM")] = 5.0
+    """Largest error of a pose with which the arm passes."""
+    fit: bool = False
+    """Estimate by how much each joint's zero is off."""
+    yes: bool = False
+    """Write the zeros without asking."""
+    picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
+    """Draw the errors, from above and from the side (needs the extra plots)."""
+    speed: float = 1.0
+    """Share of the joints' speed limits, above 0 and up to 1."""
+    dry_run: bool = False
+    """Plan the poses and print them; nothing moves."""
+    seed: int = 0
+    """Of the planning and of the synthetic camera's noise."""
+    rehearse_zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    """Simulated servos whose shaft is some degrees ahead of what their registers say."""
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+
+def run(options: CameraVerifyOptions) -> int:
+    """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
+    import_mujoco()
+    from robot_ik.cli.camera_verify_tables import as_json, print_plan, print_report
+    from robot_ik.jobs.verify import run_verify
+    from robot_ik.jobs.verify_picture import error_picture, require_plots
+
+    request = make_request(options)
+    if options.picture:
+        require_plots()
+    with console.progress() as bar:
+        task = bar.add_task("opening", total=1.0, note="")
+
+        def progress(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share)
+
+        report = run_verify(request, dry_run=options.dry_run, progress=progress)
+    if options.dry_run:
+        console.print_json(as_json(report, None)) if options.json else print_plan(report)
+        return console.DONE
+    if not options.json:
+        print_report(report, options.allowed_mm)
+    if options.picture:
+        from robot_ik.files import write_atomically
+
+        write_atomically(Path(options.picture), error_picture(report))
+        console.say(f"wrote {options.picture}", "green")
+    written = _keep_zeros(options, report)
+    passed = report.passed(1e-3 * options.allowed_mm, corrected=written)
+    if options.json:
+        verdict = {"allowed_mm": options.allowed_mm, "passed": passed, "written": written}
+        console.print_json(as_json(report, verdict))
+    return console.DONE if passed else console.NOT_ACHIEVED
+
+
+def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
+    """Asks, and writes the zeros to the arm file; whether that was done."""
+    offsets = report.offsets()
+    if not offsets or report.config is None:
+        return False
+    from robot_ik.jobs.verify_arm_file import changes, write_zeros, zeros_moved
+
+    changed = changes(report.config, zeros_moved(report.config, offsets))
+    if not changed:
+        console.say("no zero is off by as much as a tick: the arm file is right")
+        return False
+    if not options.arm:
+        console.say("nothing is written: to keep these zeros, give your arm file with --arm", "yellow")
+        return False
+    words = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
+    console.say(f"zero_ticks: {words}")
+    if not options.yes and not _agreed(f"write them to {options.arm}? [y/N] "):
+        console.say(f"{options.arm} stays as it is", "yellow")
+        return False
+    kept = write_zeros(Path(options.arm), report.config, offsets)
+    console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
+    return True
+
+
+def _agreed(question: str) -> bool:
+    """Asks on stderr; the end of the input is a no."""
+    console.talk().print(question, end="", markup=False)
+    try:
+        return input().strip().lower() in ("y", "yes")
+    except EOFError:
+        console.say("")
+        return False
+
+
+def make_request(options: CameraVerifyOptions) -> VerifyRequest:
+    """The job's request; everything that can be wrong without looking is found here.
+
+    Raises:
+        ConfigError, CameraError, InvalidGoalError: A malformed option.
+    """
+    from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
+    from robot_ik.jobs.verify_request import VerifyRequest
+
+    _check(options)
+    robot = options.robot or (SHOWN_ROBOT if options.bus in ("pty", "sim") else SERVO_ROBOT)
+    if options.arm and not options.robot:
+        from robot_ik.hardware.config import ArmConfig
+
+        robot = ArmConfig.load(options.arm).robot
+    board = None
+    if options.board:
+        from robot_ik.camera.boards import parse_board
+
+        board = parse_board(options.board, options.dictionary)
+    return VerifyRequest(
+        robot=robot,
+        bus=options.bus,
+        arm_file=Path(options.arm) if options.arm else None,
+        frame=options.frame or None,
+        camera=options.camera,
+        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        place=Path(options.camera_place) if options.camera_place else None,
+        board=board,
+        pose_frame_board=pose_option(options.board_pose, "--board-pose"),
+        board_sigma=(1e-3 * options.board_sigma[0], math.radians(options.board_sigma[1])),
+        views=options.views,
+        fit=options.fit,
+        speed=options.speed,
+        seed=options.seed,
+        zero_offset_deg=_offsets(options.rehearse_zero_offset),
+    )
+
+
+def _check(options: CameraVerifyOptions) -> None:
+    if not 4 <= options.views <= 100:
+        raise _wrong("--views", f"{options.views} views", "4 to 100")
+    if not (math.isfinite(options.speed) and 0.0 < options.speed <= 1.0):
+        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+    if not (math.isfinite(options.allowed_mm) and options.allowed_mm > 0.0):
+        raise _wrong("--allowed-mm", f"{options.allowed_mm:g} mm", "above 0")
+    if not all(math.isfinite(one) and one > 0.0 for one in options.board_sigma):
+        raise _wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
+    if options.bus == "none":
+        raise _wrong("--bus", "an arm without servos has no zeros", "sim, pty or a serial port")
+    if options.yes and not (options.fit and options.arm):
+        raise _wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
+
+
+def _offsets(items: tuple[str, ...]) -> dict[str, float]:
+    found = {}
+    for item in items:
+        joint, _, degrees = item.partition("=")
+        try:
+            found[joint] = float(degrees)
+        except ValueError:
+            found[joint] = math.nan
+        if not math.isfinite(found[joint]):
+            raise _wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
+    return found
+
+
+def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
+    return ConfigError(problem, file="command line", key=key, allowed=allowed)
