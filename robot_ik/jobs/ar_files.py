@@ -6,8 +6,12 @@ what it has, playable.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
+import signal
+import threading
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -44,6 +48,22 @@ class PictureSink(Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
+@contextlib.contextmanager
+def _unbroken() -> Iterator[None]:
+    """Ctrl-C waits for the end of the block: half a picture would spoil those after it in a film."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
+
+
 class _Closing:
     def close(self) -> Path | None:
         raise NotImplementedError
@@ -71,6 +91,10 @@ class Film(_Closing):
 
     def write(self, image: Image, time: float) -> None:
         """See ``PictureSink``."""
+        with _unbroken():
+            self._write(image, time)
+
+    def _write(self, image: Image, time: float) -> None:
         import av
 
         if self._container is None:
