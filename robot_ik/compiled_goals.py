@@ -145,6 +145,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
             arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ turn_z_to(asked.axis)).ravel()
     arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
     arrays["moments"] = np.zeros_like(arrays["masses"])
+    arrays |= _pattern(arrays, rows)
     nodes = np.array(sorted(used | leaders), dtype=np.int64)
     return CompiledGoals(arrays, rows, nodes)
 
@@ -166,6 +167,26 @@ def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal)
 
 def _table(rows: list[list[bool]], width: int) -> Ints:
     return np.array(rows, dtype=np.int64).reshape(len(rows), width)
+
+
+def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
+    """Where the Jacobian may not be zero: the columns of every goal, and the rows of every column."""
+    moves = arrays["moves"].astype(bool)
+    for c, (_, leader, _) in enumerate(arrays["tied"]):
+        moves[:, leader] |= arrays["tied_moves"][:, c].astype(bool)
+    ends = np.append(arrays["row"][1:], rows)
+    hit = np.repeat(moves, ends - arrays["row"], axis=0).T
+    return {
+        "movers": _listed(moves),
+        "mover_count": moves.sum(axis=1),
+        "hits": _listed(hit),
+        "hit_count": hit.sum(axis=1),
+    }
+
+
+def _listed(marks: NDArray[np.bool_]) -> Ints:
+    """In each row, where the marks stand, first."""
+    return np.ascontiguousarray(np.argsort(~marks, axis=1, kind="stable"), dtype=np.int64)
 
 
 def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:

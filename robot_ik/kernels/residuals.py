@@ -40,6 +40,10 @@ GOALS = Layout(
     tolerance="table",  # (g, 2) metres, radians
     dofs="ints",  # (nu,) degrees of freedom that move any goal
     moves="int_table",  # (g, nu) does this one move that goal
+    movers="int_table",  # (g, nu) the columns in which its rows may not be zero, first …
+    mover_count="ints",  # (g,) … and how many
+    hits="int_table",  # (nu, m) the rows in which a column may not be zero, first …
+    hit_count="ints",  # (nu,) … and how many
     ease="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
     tied="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is tied
     tied_moves="int_table",  # (g, c) does the tied one move that goal
@@ -120,7 +124,10 @@ def column(tree, goal, work, points, u, v, moved, at):
 
 @outlined
 def whole_columns(tree, goal, work, points, g):
-    """All columns of a whole position, orientation or pose: what ``column`` does, without asking again."""
+    """All columns of a whole position, orientation or pose: what ``column`` does, without asking again.
+
+    The columns of joints that cannot move the goal are zero from the beginning, and stay it.
+    """
     kind, vadr, dof_node, dofs, moved = tree.kind, tree.vadr, tree.dof_node, goal.dofs, goal.moves
     world, residual, jacobian = work.world, work.residual, work.jacobian
     row, what = goal.row[g], goal.kind[g]
@@ -132,7 +139,8 @@ def whole_columns(tree, goal, work, points, g):
         s = 1.0 / radian if radian != 0.0 else 0.0
         rx, ry, rz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
         bend = curvature(rx, ry, rz)
-    for u in range(dofs.shape[0]):
+    for at in range(goal.mover_count[g]):
+        u = goal.movers[g, at]
         v = dofs[u]
         k = dof_node[v]
         ax, ay, az, turn = dof_axis(kind, world, k, v - vadr[k])

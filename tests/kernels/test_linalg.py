@@ -99,7 +99,7 @@ def test_no_freedom_at_all_is_no_step():
 
 @njit
 def solve_many(matrix, rhs):
-    return solve_definite(matrix, rhs)
+    return solve_definite(matrix, rhs, len(rhs))
 
 
 @njit
