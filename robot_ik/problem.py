@@ -115,6 +115,7 @@ class Problem:
         self.weights = arrays["weight"]  # (g, 2) on metres (over the length scale) and on radians
         self.handle = residuals.GOALS.pack(arrays)
         self._whole = [goal.rows.whole for goal in self.goals]
+        self._placed = [goal.rows.whole and goal.has_position for goal in self.goals]
         self._reach: list[tuple[int, float, float, float, float]] = []
         for g, goal in enumerate(self.goals):
             asks = goal.rows.place != NO_PLACE and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
@@ -194,9 +195,15 @@ class Problem:
         Raises:
             InvalidGoalError: Not finite, or another kind of goal.
         """
-        if self._whole[index] and type(target) is np.ndarray and target.shape == (4, 4):
-            mover = self._mover
-            if target.dtype is mover.dtype:
+        if type(target) is np.ndarray:
+            mover, shape = self._mover, target.shape
+            if target.dtype is not mover.dtype:
+                pass
+            elif shape == (3,) and self._placed[index]:
+                mover.place[...] = target
+                if mover.take(mover.move, ~index):
+                    return
+            elif shape == (4, 4) and self._whole[index]:
                 mover.matrix[...] = target
                 if mover.take(mover.move, index):
                     return

@@ -22,36 +22,44 @@ open_move = MOVE.open
 
 @kernel
 def take_matrix(move, index):
-    """target[index] = matrix; False, and nothing is done, when a number is not finite."""
+    """target[index] = matrix; False, and nothing is done, when a number is not finite.
+
+    With ~index in place of index the position alone is taken, and asked about.
+    """
     move = open_move(move)
     matrix, target = move.matrix, move.target
+    first = 0 if index >= 0 else 3
+    row = index if index >= 0 else ~index
     size = 0.0
-    for i in range(4):
-        for j in range(4):
+    for i in range(4 if index >= 0 else 3):
+        for j in range(first, 4):
             x = matrix[i, j]
             size = max(size, abs(x)) if x == x else math.inf
     if not size < math.inf:
         return False
     for i in range(3):
-        target[index, i] = matrix[i, 3]
-        for j in range(3):
-            target[index, 3 + 3 * i + j] = matrix[i, j]
+        target[row, i] = matrix[i, 3]
+        for j in range(first, 3):
+            target[row, 3 + 3 * i + j] = matrix[i, j]
     return True
 
 
 class Mover:
     """Takes matrices as targets: fill ``matrix``, then ``take(move, index)``; False when it is not finite.
 
+    Positions as well: fill ``place``, then ``take(move, ~index)``.
+
     Attributes:
-        matrix: (4, 4) where to put one.
+        matrix, place: (4, 4) where to put one, and the position in it, (3,).
         dtype: What a matrix must be of to need no conversion that may fail.
         take, move: The compiled code, and what it takes before the goal's index.
     """
 
-    __slots__ = ("_table", "dtype", "matrix", "move", "take")
+    __slots__ = ("_table", "dtype", "matrix", "move", "place", "take")
 
     def __init__(self, target: NDArray[np.float64]) -> None:
         self.matrix = np.zeros((4, 4))
+        self.place = self.matrix[:3, 3]
         self.dtype = self.matrix.dtype
         self._table = MOVE.pack({"matrix": self.matrix, "target": target})
         self.move: int = self._table.ctypes.data
