@@ -19,7 +19,7 @@ from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.kinematics import frame_forward, frame_jacobian
+from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
 from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot
@@ -48,7 +48,8 @@ def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]
-        frame_forward(tree, nodes, node, local, q, world, scratch, out)
+        forward(tree, nodes, q, world, scratch)
+        frame_pose(world, node, local, 0, out)
 
 
 @kernel

@@ -247,17 +247,11 @@ def tree_forward(tree, nodes, q, world, scratch):
 
 
 @pure
-def frame_forward(tree, nodes, node, local, q, world, scratch, out):
-    """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
-    forward(tree, nodes, q, world, scratch)
-    frame_pose(world, node, local, types.int64(0), out)
-
-
-@pure
 def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
     kind, vadr = tree.kind, tree.vadr
-    frame_forward(tree, nodes, node, local, q, world, scratch, out)
+    forward(tree, nodes, q, world, scratch)
+    frame_pose(world, node, local, types.int64(0), out)
     if nodes.shape[0] < kind.shape[0]:  # else every column is written
         for row in range(6):
             for v in range(jacobian.shape[1]):
@@ -277,8 +271,9 @@ def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
 
 @kernel
 def tree_frame(tree, nodes, node, local, q, world, scratch, out):
-    """``frame_forward`` for the table of a tree."""
-    frame_forward(open_tree(tree), nodes, node, local, q, world, scratch, out)
+    """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
+    forward(open_tree(tree), nodes, q, world, scratch)
+    frame_pose(world, node, local, types.int64(0), out)
 
 
 @kernel

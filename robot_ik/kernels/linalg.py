@@ -39,7 +39,7 @@ def eliminate(matrix, x, n):
     return True
 
 
-@pure
+@outlined
 def solve_definite(matrix, x, n):
     """``eliminate`` for any size; for six the compiler writes the loops out: half the time."""
     if n == 6:

@@ -13,9 +13,6 @@ tree most joints move few of the goals.
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.linalg import guess_sides, keep_to_box, solve_definite
 
-# So few rows are multiplied without a look at which entries are zero.
-_FEW = 6
-
 
 @outlined
 def row_products(jacobian, residual, hits, counts, gram, gradient):
@@ -23,21 +20,15 @@ def row_products(jacobian, residual, hits, counts, gram, gradient):
     m, n = jacobian.shape
     for i in range(m):
         for j in range(i + 1):
-            s = 0.0
-            if m <= _FEW:
-                for u in range(n):
-                    s += jacobian[i, u] * jacobian[j, u]
-            gram[i, j] = s
+            gram[i, j] = 0.0
     for u in range(n):
         s = 0.0
         for a in range(counts[u]):
             i = hits[u, a]
             x = jacobian[i, u]
             s += x * residual[i]
-            if m > _FEW:
-                for b in range(a + 1):
-                    j = hits[u, b]
-                    gram[i, j] += x * jacobian[j, u]
+            for b in range(a + 1):
+                gram[i, hits[u, b]] += x * jacobian[hits[u, b], u]
         gradient[u] = s
 
 
@@ -49,8 +40,7 @@ def take_out(jacobian, hits, counts, u, bound, factor, push):
         x = jacobian[i, u]
         push[i] -= x * bound
         for b in range(a + 1):
-            j = hits[u, b]
-            factor[i, j] -= x * jacobian[j, u]
+            factor[i, hits[u, b]] -= x * jacobian[hits[u, b], u]
 
 
 @outlined

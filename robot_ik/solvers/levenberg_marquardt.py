@@ -141,57 +141,44 @@ def go_round(tree, goal, work):
                 work.step[u] += 2.0 * math.pi / ease
 
 
-@pure
-def multiply(goal, work):
-    """What a step needs of the Jacobian: its products among the rows or among the columns, what is fewer."""
-    m, n = work.jacobian.shape
-    if m < n:
-        copy(work.residual, work.wanted)  # a step that is taken back leaves another residual behind
-        row_products(work.jacobian, work.residual, goal.hits, goal.hit_count, work.normal, work.gradient)
-    else:
-        normal_equations(work.jacobian, work.residual, work.normal, work.gradient)
-
-
-@pure
-def damped_step(goal, work, damping):
-    """Fills work.step inside work.low and work.high; returns the joints pressed, -1 where it cannot."""
-    m, n = work.jacobian.shape
-    if m < n:
-        return row_step(
-            work.jacobian, work.wanted, work.normal, work.gradient, damping, work.low, work.high,
-            goal.hits, goal.hit_count, work.step, work.free, work.side, work.factor, work.rhs,
-        )  # fmt: skip
-    normal, damped = work.normal, work.damped
-    for i in range(n):
-        for j in range(i):
-            damped[i, j] = normal[i, j]
-        damped[i, i] = normal[i, i] + damping
-    return box_step(
-        damped, work.gradient, work.low, work.high, work.step, work.free, work.side, work.factor
-    )
-
-
 @outlined
 def lm_step(tree, goal, work, options):
     """One damped Gauss-Newton step inside the limits; a step that made things worse is taken back first."""
-    state, value = work.state, work.value
+    state, value, normal, damped = work.state, work.value, work.normal, work.damped
+    jacobian, gradient, low, high, step = work.jacobian, work.gradient, work.low, work.high, work.step
     floor, first, increase, decrease, least = options[0], options[1], options[2], options[3], options[4]
+    m, n = jacobian.shape
     if value[COST] < value[ACCEPTED]:
         value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
         copy(work.q, work.accepted)
         goal_jacobian(tree, goal, work, work.frames)
-        multiply(goal, work)
+        if m < n:
+            copy(work.residual, work.wanted)  # a step that is taken back leaves another residual behind
+            row_products(jacobian, work.residual, goal.hits, goal.hit_count, normal, gradient)
+        else:
+            normal_equations(jacobian, work.residual, normal, gradient)
     else:
         value[DAMPING] *= increase
         value[COST] = value[ACCEPTED]
         copy(work.accepted, work.q)
+    damping = value[DAMPING] * value[COST] + floor
     spare_room(tree, goal, work, options[5])
-    pressed = damped_step(goal, work, value[DAMPING] * value[COST] + floor)
+    if m < n:
+        pressed = row_step(
+            jacobian, work.wanted, normal, gradient, damping, low, high,
+            goal.hits, goal.hit_count, step, work.free, work.side, work.factor, work.rhs,
+        )  # fmt: skip
+    else:
+        for i in range(n):
+            for j in range(i):
+                damped[i, j] = normal[i, j]
+            damped[i, i] = normal[i, i] + damping
+        pressed = box_step(damped, gradient, low, high, step, work.free, work.side, work.factor)
     if pressed < 0:  # not positive definite to working precision: more damping
         value[DAMPING] = value[DAMPING] * increase + 1e-9
-        for i in range(work.step.shape[0]):
-            work.step[i] = 0.0
+        for i in range(n):
+            step[i] = 0.0
     else:
         state[PRESSED] = pressed
         if roams(tree, work):
