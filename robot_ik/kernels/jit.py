@@ -138,7 +138,7 @@ def pure(function: F) -> F:
 
 
 def literal(function: F) -> F:
-    """Like ``pure``, but its sums are formed as they are written: for formulas whose rounding errors cancel."""
+    """Like ``pure``, but sums are formed as they are written: where rounding errors shall cancel."""
     return _compile(function, _nrt=False, forceinline=True, no_cpython_wrapper=True, fastmath={"contract"})
 
 

@@ -23,12 +23,18 @@ def row_products(jacobian, residual, hits, counts, gram, gradient):
             gram[i, j] = 0.0
     for u in range(n):
         s = 0.0
-        for a in range(counts[u]):
-            i = hits[u, a]
-            x = jacobian[i, u]
-            s += x * residual[i]
-            for b in range(a + 1):
-                gram[i, hits[u, b]] += x * jacobian[hits[u, b], u]
+        if m == 6:  # one pose: the compiler writes the loops out
+            for i in range(6):
+                s += jacobian[i, u] * residual[i]
+                for j in range(i + 1):
+                    gram[i, j] += jacobian[i, u] * jacobian[j, u]
+        else:
+            for a in range(counts[u]):
+                i = hits[u, a]
+                x = jacobian[i, u]
+                s += x * residual[i]
+                for b in range(a + 1):
+                    gram[i, hits[u, b]] += x * jacobian[hits[u, b], u]
         gradient[u] = s
 
 
@@ -52,14 +58,18 @@ def row_step(
     Args:
         jacobian: (m, n), m <= n.
         residual: (m,) r.
-        gram, gradient: From ``row_products``.
+        gram: (m, m) or larger, from ``row_products``.
+        gradient: (n,) from there.
         damping: λ > 0.
         low: (n,) lower bounds of the step, low <= 0.
         high: (n,) upper bounds, high >= 0.
-        hits, counts: See above.
+        hits: (n, m) rows of each column, see above.
+        counts: (n,) how many.
         step: (n,) result.
-        free, side: (n,) work space, int.
-        factor, push: (m, m) and (m,) or larger, work space.
+        free: (n,) work space, int.
+        side: (n,) work space, int: -1 at the lower bound, 1 at the upper, 0 free.
+        factor: (m, m) or larger, work space.
+        push: (m,) or longer, work space: y.
 
     Returns:
         Joints pressed against a bound at which they already stood, or -1 when JJᵀ + λ is not positive
