@@ -45,22 +45,24 @@ def take_matrix(move, index):
 
 
 class Mover:
-    """Takes matrices as targets: fill ``matrix``, then ``take(move, index)``; False when it is not finite.
+    """Takes matrices and positions as targets: fill the array of their shape, then take them.
 
-    Positions as well: fill ``place``, then ``take(move, ~index)``.
+        array, flip = mover.places[shape]
+        array[...] = target
+        mover.take(mover.move, index ^ flip)      # False when it is not finite; nothing is done then
 
     Attributes:
-        matrix, place: (4, 4) where to put one, and the position in it, (3,).
-        dtype: What a matrix must be of to need no conversion that may fail.
+        places: For (4, 4) and (3,): where to put one, and what turns the index into that of ``take_matrix``.
+        dtype: What a target must be of to need no conversion that may fail.
         take, move: The compiled code, and what it takes before the goal's index.
     """
 
-    __slots__ = ("_table", "dtype", "matrix", "move", "place", "take")
+    __slots__ = ("_table", "dtype", "move", "places", "take")
 
     def __init__(self, target: NDArray[np.float64]) -> None:
-        self.matrix = np.zeros((4, 4))
-        self.place = self.matrix[:3, 3]
-        self.dtype = self.matrix.dtype
-        self._table = MOVE.pack({"matrix": self.matrix, "target": target})
+        matrix = np.zeros((4, 4))
+        self.places: dict[Any, tuple[Any, int]] = {(4, 4): (matrix, 0), (3,): (matrix[:3, 3], -1)}
+        self.dtype = matrix.dtype
+        self._table = MOVE.pack({"matrix": matrix, "target": target})
         self.move: int = self._table.ctypes.data
         self.take: Any = entry(take_matrix, self.move, 0)
