@@ -154,9 +154,9 @@ class Problem:
             "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
             "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
             "trace": (trace_rows, len(work.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
-            "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,), "level_best": (levels,),
-            "basis": (min(dense, nu), nu), "own": (dense, nu), "gram": (dense, dense),
-            "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,),
+            "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
+            "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
+            "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)

@@ -125,7 +125,7 @@ def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
 
 
 def test_steps_among_rows_and_among_columns_are_the_same():
-    """A pose asked for twice, at half the weight, has more rows than joints: another way to the same steps."""
+    """A pose asked for twice, each at half weight, has more rows than joints: another way to the same."""
     robot, rng, half = load_robot("panda"), np.random.default_rng(1), 0.5**0.5
     taken_back = 0
     for _ in range(20):
