@@ -156,7 +156,8 @@ class Problem:
             "trace": (trace_rows, len(work.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
             "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
             "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
-            "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,),
+            "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
+            "outward": (nu,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
