@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from robot_ik.errors import InvalidGoalError, ModelError
+from robot_ik.errors import InvalidGoalError, ModelError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import load_robot
@@ -49,6 +49,32 @@ def test_no_joint_moves_more_than_the_stride(near_problems, one_step, stride):
     for problem, q in near_problems("puma560", "pose", distance=0.6):
         lengths.append(np.abs(one_step(make_solver("lm", stride=stride), problem, q)).max())
     assert max(lengths) == pytest.approx(stride, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["position", "pose"])
+@pytest.mark.parametrize("alternative", [False, True])
+def test_the_options_of_every_jacobian_method(near_problems, linear_model, one_step, kind, alternative):
+    clamped_one = False
+    for problem, q in near_problems("puma560", kind, distance=0.3):
+        jacobian, e = linear_model(problem, q, alternative=alternative)
+        size = np.linalg.norm(e)
+        wanted = e * min(1.0, 0.2 / size)
+        clamped_one = clamped_one or size > 0.2
+        damped = jacobian.T @ jacobian + 0.5 * (0.5 * size**2) * np.eye(jacobian.shape[1])
+        solver = make_solver(
+            "lm", clamp=0.2, gain=0.5, alternative=alternative, damping=0.5, floor=0.0, stride=100
+        )
+        step = one_step(solver, problem, q)
+        np.testing.assert_allclose(step, 0.5 * np.linalg.solve(damped, jacobian.T @ wanted), atol=1e-9)
+    assert clamped_one
+
+
+def test_these_options_and_priorities_exclude_each_other_by_name(robots):
+    robot = robots("puma560")
+    goals = [PositionGoal(None, (0.4, 0.1, 0.3)), PositionGoal("flange", (0.4, 0.1, 0.3), priority=1)]
+    assert make_solver("lm").applies(Problem(robot, goals))
+    with pytest.raises(UnsupportedGoalError, match="together with clamp"):
+        make_solver("lm", gain=0.5).solve(Problem(robot, goals))
 
 
 def test_better_random_starts_need_fewer_restarts(robots, reachable):
