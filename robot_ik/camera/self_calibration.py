@@ -278,3 +278,4 @@ def board_place(model: ArmModel, state: ArmState, view: ArmView) -> Array:
     mount = state.mount
     carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
     return np.asarray(model.hand(state, view).apply(carried.position))
+
