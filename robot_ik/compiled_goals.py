@@ -100,7 +100,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         for c, (node, leader) in enumerate(tree.tied)
         if leader in leaders and node in used
     ]
-    tied_nodes = [int(tree.tied[c, 0]) for c, _, _ in tied]
+    movers = np.append(dofs, [v for _, _, v in tied]).astype(np.int64)
     stiffness = robot.stiffness[dofs]
     arrays: dict[str, Any] = {
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
@@ -116,10 +116,11 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "weight": np.array([goal.weights for goal in goals], dtype=float),
         "tolerance": np.array([_tolerance_row(goal, tolerance) for goal in goals]),
         "dofs": dofs,
-        "moves": _table([[int(tree.dof_node[v]) in nodes for v in dofs] for nodes in moved], len(dofs)),
+        "column": np.append(np.arange(len(dofs)), [u for _, u, _ in tied]).astype(np.int64),
+        "moved": movers,
+        "moves": _table([[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved], len(movers)),
         "ease": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
         "tied": np.array(tied, dtype=np.int64).reshape(-1, 3),
-        "tied_moves": _table([[k in nodes for k in tied_nodes] for nodes in moved], len(tied)),
         "posture": np.zeros((count, robot.nq)),
         "joint_weight": np.zeros((count, robot.nv)),
     }  # fmt: skip
@@ -145,6 +146,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
             arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ turn_z_to(asked.axis)).ravel()
     arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
     arrays["moments"] = np.zeros_like(arrays["masses"])
+    arrays |= _pattern(arrays, rows)
     nodes = np.array(sorted(used | leaders), dtype=np.int64)
     return CompiledGoals(arrays, rows, nodes)
 
@@ -166,6 +168,28 @@ def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal)
 
 def _table(rows: list[list[bool]], width: int) -> Ints:
     return np.array(rows, dtype=np.int64).reshape(len(rows), width)
+
+
+def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
+    """Where the Jacobian may not be zero: the columns of every goal, and the rows of every column."""
+    count = len(arrays["dofs"])
+    moves = arrays["moves"][:, :count].astype(bool)
+    for c, (_, leader, _) in enumerate(arrays["tied"]):
+        moves[:, leader] |= arrays["moves"][:, count + c].astype(bool)
+    tied = np.tile(np.arange(count, len(arrays["column"])), (len(moves), 1))
+    ends = np.append(arrays["row"][1:], rows)
+    hit = np.repeat(moves, ends - arrays["row"], axis=0).T
+    return {
+        "movers": np.ascontiguousarray(np.hstack([_listed(moves), tied]), dtype=np.int64),
+        "mover_count": moves.sum(axis=1),
+        "hits": _listed(hit),
+        "hit_count": hit.sum(axis=1),
+    }
+
+
+def _listed(marks: NDArray[np.bool_]) -> Ints:
+    """In each row, where the marks stand, first."""
+    return np.ascontiguousarray(np.argsort(~marks, axis=1, kind="stable"), dtype=np.int64)
 
 
 def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:

@@ -148,17 +148,16 @@ class Problem:
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "nearby": (nq,), "rival": (nq,),
-            "accepted": (nq,), "candidate": (nq,), "reach": (count, 4),
-            "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
-            "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,),
-            "normal": (nu, nu), "damped": (nu, nu),
-            "factor": (k, k), "gradient": (nu,), "step": (nu,), "low": (nu,), "high": (nu,), "rhs": (k,),
-            "free": (k,), "side": (k,), "dq": (robot.nv,), "trace": (trace_rows, len(work.TRACE_COLUMNS)),
-            "wanted": (m,), "left": (p, m), "sigma": (p,), "right": (p, nu), "aim": (nu,),
-            "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,), "level_best": (levels,),
-            "basis": (min(dense, nu), nu), "own": (dense, nu), "gram": (dense, dense),
-            "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,), "outward": (nu,),
+            "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
+            "reach": (count, 4), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
+            "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
+            "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
+            "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
+            "trace": (trace_rows, len(work.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
+            "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
+            "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
+            "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
+            "outward": (nu,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
             name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
@@ -194,11 +193,12 @@ class Problem:
         Raises:
             InvalidGoalError: Not finite, or another kind of goal.
         """
-        if self._whole[index] and type(target) is np.ndarray and target.shape == (4, 4):
-            mover = self._mover
-            if target.dtype is mover.dtype:
-                mover.matrix[...] = target
-                if mover.take(mover.move, index):
+        mover = self._mover
+        if self._whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
+            place, flip = mover.places.get(target.shape, (None, 0))
+            if place is not None and (flip == 0 or self.goals[index].has_position):
+                place[...] = target
+                if mover.take(mover.move, index ^ flip):
                     return
         if not self._whole[index]:
             self._retarget_partial(target, index)

@@ -19,7 +19,8 @@ from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.kinematics import tree_frame, tree_jacobian
+from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
+from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot
 from robot_ik.solvers.base import Solver
@@ -43,19 +44,22 @@ _CHAIN_LENGTH, _CHAIN_LIMIT = 2.0, 2.6  # metres in all; rad either way
 @kernel
 def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
     """Forward kinematics of one frame for each row of ``qs`` (n, nq)."""
+    tree = open_tree(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]
-        tree_frame(tree, nodes, node, local, q, world, scratch, out)
+        forward(tree, nodes, q, world, scratch)
+        frame_pose(world, node, local, 0, out)
 
 
 @kernel
 def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian):
     """Forward kinematics and Jacobian of one frame for each row of ``qs`` (n, nq)."""
+    tree = open_tree(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]
-        tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian)
+        frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian)
 
 
 def floor(robot: Robot, seed: int = 0) -> Floor:

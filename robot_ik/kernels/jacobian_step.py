@@ -21,10 +21,12 @@ import math
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.residuals import goal_jacobian
 from robot_ik.kernels.room import room
-from robot_ik.kernels.work import DAMPING, PRESSED
+from robot_ik.kernels.work import COST, DAMPING, POLISHING, PRESSED, SHARE
 
 # A joint with less room than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
+# Damping per length of the residual that a first failure brings in the last descent (``mistrust``).
+_MISTRUST = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
 # motion out of its plane, a joint that is pinned.
 NEGLIGIBLE = 1e-9
@@ -37,9 +39,13 @@ def goal_end(goal, g, rows):
 
 
 @outlined
-def clamp_residual(goal, residual, wanted, clamp):
-    """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most."""
+def clamp_residual(goal, residual, wanted, clamp, alike):
+    """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most.
+
+    ``alike``: all by the factor of the longest, so that the way down stays the same.
+    """
     m = residual.shape[0]
+    least = 1.0
     for g in range(goal.row.shape[0]):
         first, end = goal.row[g], goal_end(goal, g, m)
         square = 0.0
@@ -47,8 +53,12 @@ def clamp_residual(goal, residual, wanted, clamp):
             square += residual[r] * residual[r]
         norm = math.sqrt(square)
         share = clamp / norm if norm > clamp else 1.0
+        least = min(least, share)
         for r in range(first, end):
             wanted[r] = share * residual[r]
+    if alike:
+        for r in range(m):
+            wanted[r] = least * residual[r]
 
 
 @outlined
@@ -57,12 +67,14 @@ def prepare(tree, goal, work, clamp, alternative):
 
     With ``alternative`` a position's rows are those of a point that now stands at the target and moves
     with the frame's body: t in place of s in v × (s − p) (Buss 2004, section 2; Šimunić 2012, eq. 3.9).
+    The last descent does without it and clamps all goals alike: it is to end where the cost itself is least.
     """
-    if alternative > 0.0:
+    last = work.state[POLISHING] > 0
+    if alternative > 0.0 and not last:
         goal_jacobian(tree, goal, work, goal.target)
     else:
         goal_jacobian(tree, goal, work, work.frames)
-    clamp_residual(goal, work.residual, work.wanted, clamp)
+    clamp_residual(goal, work.residual, work.wanted, clamp, last)
     room(tree, goal, work)
 
 
@@ -153,6 +165,26 @@ def keep_inside(work):
     for u in range(n):
         step[u] = min(max(share * step[u], low[u]), high[u])
     return share
+
+
+@pure
+def shorten(work):
+    """In the last descent, takes a share of work.step: less after each failure, more after each success."""
+    if work.state[POLISHING] > 0:
+        for u in range(work.step.shape[0]):
+            work.step[u] *= work.value[SHARE]
+
+
+@pure
+def mistrust(work):
+    """λ² that a method can take in place of ``shorten``: it shortens the step and turns it downhill as well.
+
+    Near a stretched-out arm the undamped step all but leads along a level line of the cost: any share of it
+    creeps.
+    """
+    if work.state[POLISHING] == 0:
+        return 0.0
+    return _MISTRUST * math.sqrt(2.0 * work.value[COST]) * (1.0 / work.value[SHARE] - 1.0)
 
 
 @outlined

@@ -114,7 +114,7 @@ def _compile(function: F, **options: Any) -> F:
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(function.__module__))
     try:
-        compiled = numba.njit(**_OPTIONS, **options)(function)
+        compiled = numba.njit(**(_OPTIONS | options))(function)
     finally:
         numba_config.CACHE_DIR = previous
     return compiled
@@ -135,6 +135,11 @@ def pure(function: F) -> F:
     step then costs 4 µs instead of 0.5.  Such a function may be called from compiled code only.
     """
     return _compile(function, _nrt=False, forceinline=True, no_cpython_wrapper=True)
+
+
+def literal(function: F) -> F:
+    """Like ``pure``, but sums are formed as they are written: where rounding errors shall cancel."""
+    return _compile(function, _nrt=False, forceinline=True, no_cpython_wrapper=True, fastmath={"contract"})
 
 
 def outlined(function: F) -> F:

@@ -11,6 +11,7 @@ from numba import types
 
 from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.sines import sine_cosine
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
 # A quaternion shorter than this is taken for the identity, as in MuJoCo (mjMINVAL).
@@ -55,6 +56,32 @@ def compose(a, i, b, j, out, o):
         out[o, 5 + 3 * k] = r0 * b5 + r1 * b8 + r2 * b11
 
 
+@pure
+def hinge_pose(world, parent, constant, k, s, c):
+    """world[k] = world[parent] · constant[k] · (turn about z with that sine and cosine)."""
+    x0, x1, x2 = constant[k, 0], constant[k, 1], constant[k, 2]
+    a0, a1, a2 = constant[k, 3], constant[k, 6], constant[k, 9]
+    b0, b1, b2 = constant[k, 4], constant[k, 7], constant[k, 10]
+    z0, z1, z2 = constant[k, 5], constant[k, 8], constant[k, 11]
+    # The turn first: it does not wait for the parent's pose.
+    a0, a1, a2, b0, b1, b2 = (
+        c * a0 + s * b0, c * a1 + s * b1, c * a2 + s * b2,
+        c * b0 - s * a0, c * b1 - s * a1, c * b2 - s * a2,
+    )  # fmt: skip
+    if parent < 0:
+        world[k, 0], world[k, 1], world[k, 2] = x0, x1, x2
+        world[k, 3], world[k, 4], world[k, 5] = a0, b0, z0
+        world[k, 6], world[k, 7], world[k, 8] = a1, b1, z1
+        world[k, 9], world[k, 10], world[k, 11] = a2, b2, z2
+        return
+    for i in range(3):
+        r0, r1, r2 = world[parent, 3 + 3 * i], world[parent, 4 + 3 * i], world[parent, 5 + 3 * i]
+        world[k, i] = world[parent, i] + r0 * x0 + r1 * x1 + r2 * x2
+        world[k, 3 + 3 * i] = r0 * a0 + r1 * a1 + r2 * a2
+        world[k, 4 + 3 * i] = r0 * b0 + r1 * b1 + r2 * b2
+        world[k, 5 + 3 * i] = r0 * z0 + r1 * z1 + r2 * z2
+
+
 @outlined
 def forward(tree, nodes, q, world, scratch):
     """Poses in the world of the listed ``nodes`` (parents before children) into ``world`` (n, 12)."""
@@ -64,27 +91,25 @@ def forward(tree, nodes, q, world, scratch):
     for index in range(nodes.shape[0]):
         k = nodes[index]
         a = qadr[k]
+        p = parent[k]
         joint = kind[k]
+        if joint == HINGE:
+            s, c = sine_cosine(q[a])
+            hinge_pose(world, p, constant, k, s, c)
+            continue
         if joint == FREE:
             world[k, 0], world[k, 1], world[k, 2] = q[a], q[a + 1], q[a + 2]
             quat_rotation(q, a + 3, world, k)
             continue
-        p = parent[k]
         if p >= 0:
             compose(world, p, constant, k, world, k)
         else:
             for i in range(12):
                 world[k, i] = constant[k, i]
-        if joint == HINGE:
-            c, s = math.cos(q[a]), math.sin(q[a])
-            for i in range(3, 12, 3):
-                x, y = world[k, i], world[k, i + 1]
-                world[k, i] = c * x + s * y
-                world[k, i + 1] = c * y - s * x
-        elif joint == SLIDE:
+        if joint == SLIDE:
             for i in range(3):
                 world[k, i] += world[k, 5 + 3 * i] * q[a]
-        elif joint == BALL:
+        else:
             for i in range(12):
                 scratch[before, i] = world[k, i]
             scratch[turn, 0] = scratch[turn, 1] = scratch[turn, 2] = 0.0
@@ -100,6 +125,12 @@ def frame_pose(world, node, local, index, out):
     else:
         for i in range(12):
             out[index, i] = local[index, i]
+
+
+@pure
+def width_of(joint):
+    """Degrees of freedom of a kind of joint."""
+    return 1 if joint < BALL else 3 if joint == BALL else 6
 
 
 @pure
@@ -215,6 +246,29 @@ def tree_forward(tree, nodes, q, world, scratch):
     forward(open_tree(tree), nodes, q, world, scratch)
 
 
+@pure
+def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
+    """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
+    kind, vadr = tree.kind, tree.vadr
+    forward(tree, nodes, q, world, scratch)
+    frame_pose(world, node, local, types.int64(0), out)
+    if nodes.shape[0] < kind.shape[0]:  # else every column is written
+        for row in range(6):
+            for v in range(jacobian.shape[1]):
+                jacobian[row, v] = 0.0
+    px, py, pz = out[0, 0], out[0, 1], out[0, 2]
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        first = vadr[k]
+        for i in range(width_of(kind[k])):
+            x, y, z, turn = dof_axis(kind, world, k, i)
+            v, turned = first + i, 1.0 if turn else 0.0
+            jacobian[0, v], jacobian[1, v], jacobian[2, v] = point_velocity(
+                world, k, x, y, z, turn, px, py, pz
+            )
+            jacobian[3, v], jacobian[4, v], jacobian[5, v] = turned * x, turned * y, turned * z
+
+
 @kernel
 def tree_frame(tree, nodes, node, local, q, world, scratch, out):
     """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
@@ -224,19 +278,5 @@ def tree_frame(tree, nodes, node, local, q, world, scratch, out):
 
 @kernel
 def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
-    """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
-    tree = open_tree(tree)
-    kind, vadr, dof_node = tree.kind, tree.vadr, tree.dof_node
-    forward(tree, nodes, q, world, scratch)
-    frame_pose(world, node, local, types.int64(0), out)
-    jacobian[:, :] = 0.0
-    for index in range(nodes.shape[0]):
-        k = nodes[index]
-        v = vadr[k]
-        while v < dof_node.shape[0] and dof_node[v] == k:
-            x, y, z, turn = dof_axis(kind, world, k, v - vadr[k])
-            vx, vy, vz = point_velocity(world, k, x, y, z, turn, out[0, 0], out[0, 1], out[0, 2])
-            jacobian[0, v], jacobian[1, v], jacobian[2, v] = vx, vy, vz
-            if turn:
-                jacobian[3, v], jacobian[4, v], jacobian[5, v] = x, y, z
-            v += 1
+    """``frame_jacobian`` for the table of a tree."""
+    frame_jacobian(open_tree(tree), nodes, node, local, q, world, scratch, out, jacobian)

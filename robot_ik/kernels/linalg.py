@@ -39,14 +39,11 @@ def eliminate(matrix, x, n):
     return True
 
 
-@pure
-def solve_definite(matrix, x):
-    """``eliminate`` for any size; for six and seven the compiler writes the loops out: half the time."""
-    n = x.shape[0]
+@outlined
+def solve_definite(matrix, x, n):
+    """``eliminate`` for any size; for six the compiler writes the loops out: half the time."""
     if n == 6:
         return eliminate(matrix, x, types.int64(6))
-    if n == 7:
-        return eliminate(matrix, x, types.int64(7))
     return eliminate(matrix, x, n)
 
 
@@ -103,6 +100,31 @@ def pin(matrix, gradient, low, high, side, factor, step):
             step[p] = low[p] if side[p] < 0 else high[p]
 
 
+@pure
+def guess_sides(gradient, low, high, side):
+    """Guesses that a joint stops where it stands when it is pushed out there; returns the steepest slope."""
+    steepest = 0.0
+    for i in range(gradient.shape[0]):
+        steepest = max(steepest, abs(gradient[i]))
+        side[i] = 0
+        if low[i] > -_AT_BOUND and gradient[i] < 0.0:
+            side[i] = -1
+        elif high[i] < _AT_BOUND and gradient[i] > 0.0:
+            side[i] = 1
+    return steepest
+
+
+@pure
+def keep_to_box(low, high, side, step):
+    """Cuts what rounding leads over a bound; returns how many joints are pressed where they already stood."""
+    pressed = 0
+    for i in range(step.shape[0]):
+        step[i] = min(max(step[i], low[i]), high[i])
+        if (side[i] < 0 and low[i] > -_AT_BOUND) or (side[i] > 0 and high[i] < _AT_BOUND):
+            pressed += 1
+    return pressed
+
+
 @outlined
 def box_step(matrix, gradient, low, high, step, free, side, factor):
     """The step d that minimises ½ dᵀ M d − gᵀ d inside low <= d <= high, exactly.
@@ -125,18 +147,11 @@ def box_step(matrix, gradient, low, high, step, free, side, factor):
         Joints pressed against a bound at which they already stood, or -1 when M is not positive definite.
     """
     n = gradient.shape[0]
-    steepest = 0.0
-    for i in range(n):
-        steepest = max(steepest, abs(gradient[i]))
-        side[i] = 0
-        if low[i] > -_AT_BOUND and gradient[i] < 0.0:
-            side[i] = -1
-        elif high[i] < _AT_BOUND and gradient[i] > 0.0:
-            side[i] = 1
+    steepest = guess_sides(gradient, low, high, side)
     fewest, patience = n + 1, 3
     for _ in range(10 + 4 * n):
         pin(matrix, gradient, low, high, side, factor, step)
-        if not solve_definite(factor, step):
+        if not solve_definite(factor, step, n):
             return -1
         wrong, last = 0, -1
         for i in range(n):
@@ -161,12 +176,7 @@ def box_step(matrix, gradient, low, high, step, free, side, factor):
         for i in range(n):
             if patience >= 0 or i == last:
                 side[i] = free[i]
-    pressed = 0
-    for i in range(n):
-        step[i] = min(max(step[i], low[i]), high[i])
-        if (side[i] < 0 and low[i] > -_AT_BOUND) or (side[i] > 0 and high[i] < _AT_BOUND):
-            pressed += 1
-    return pressed
+    return keep_to_box(low, high, side, step)
 
 
 @outlined

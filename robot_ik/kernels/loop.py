@@ -69,10 +69,12 @@ from robot_ik.kernels.work import (
 _CLEARLY_BETTER = 1e-3
 # The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
 # it, and the share of the cost that counts as progress.  Far finer than in a try: an answer that still
-# creeps would move at every tick.
+# creeps would move at every tick; and patient, because a step that did not help only says that the next must
+# be shorter.
 _POLISH_STEPS = 2000
 _KEPT = 200
 _POLISH_PROGRESS = 1e-9
+_POLISH_PATIENCE = 10
 
 
 @outlined
@@ -266,13 +268,14 @@ def proceed(tree, goal, work):
                 rival_wins(work)
             state[STATUS] = ITERATION_LIMIT
             return False
+        patience = state[PATIENCE]
         if state[POLISHING] > 0:
-            limit = _POLISH_STEPS
+            limit, patience = _POLISH_STEPS, max(patience, _POLISH_PATIENCE)
         elif state[RESTARTS] == 0:
             limit = state[FIRST_STEPS]
         else:
             limit = state[TRY_LIMIT]
-        if state[TRY_STEPS] < limit and state[STALLS] < state[PATIENCE]:
+        if state[TRY_STEPS] < limit and state[STALLS] < patience:
             return True
         if not next_try(tree, work):
             return False
@@ -282,10 +285,8 @@ def proceed(tree, goal, work):
 @outlined
 def advance(tree, goal, work):
     """Takes work.step, inside the limits; ``proceed`` then measures where that has led."""
-    norm, share = 0.0, work.value[SHARE]
+    norm = 0.0
     for u in range(work.step.shape[0]):
-        if work.state[POLISHING] > 0 and share > 0.0:
-            work.step[u] *= share
         norm += work.step[u] * work.step[u]
     work.value[STEP_NORM] = math.sqrt(norm)
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)

@@ -13,12 +13,14 @@ Whitney, J. Dynamic Systems, Measurement and Control 94(4), 1972).
 
 import math
 
+from numba import types
+
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.couplings import slope_of
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity
 from robot_ik.kernels.partial_rows import partial_column, partial_rows
-from robot_ik.kernels.rotation_rows import bent, curvature, inverse_right_jacobian, rotation_error
+from robot_ik.kernels.rotation_rows import bent, curvature, rotation_error
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import open_work
 
@@ -39,10 +41,16 @@ GOALS = Layout(
     weight="table",  # (g, 2) on metres (already over the length scale) and on radians
     tolerance="table",  # (g, 2) metres, radians
     dofs="ints",  # (nu,) degrees of freedom that move any goal
-    moves="int_table",  # (g, nu) does this one move that goal
+    # Movers: the degrees of freedom that have a column, then the tied ones.
+    column="ints",  # (nu + c,) column of a mover: its own, or its leader's
+    moved="ints",  # (nu + c,) its degree of freedom
+    moves="int_table",  # (g, nu + c) does this one move that goal
+    movers="int_table",  # (g, nu + c) those whose columns may not be zero in its rows, first, …
+    mover_count="ints",  # (g,) … so many; the last c are the tied ones
+    hits="int_table",  # (nu, m) the rows in which a column may not be zero, first …
+    hit_count="ints",  # (nu,) … and how many
     ease="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
     tied="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is tied
-    tied_moves="int_table",  # (g, c) does the tied one move that goal
     masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
     moments="table",  # … and their work space
     posture="table",  # (g, nq) where a posture wants the joints
@@ -90,38 +98,12 @@ def evaluate(tree, goal, work):
 
 
 @outlined
-def column(tree, goal, work, points, u, v, moved, at):
-    """Column ``u`` of the weighted Jacobian for degree of freedom ``v``; moved[g, at] says what it moves."""
-    kinds, rows, weight, world = goal.kind, goal.row, goal.weight, work.world
-    residual, jacobian = work.residual, work.jacobian
-    k = tree.dof_node[v]
-    ax, ay, az, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
-    for g in range(kinds.shape[0]):
-        row = rows[g]
-        what = kinds[g]
-        moves = float(moved[g, at])
-        if what == PARTIAL:
-            partial_column(tree, goal, work, g, u, v, moves)
-            continue
-        if what != ORIENTATION:
-            w = weight[g, 0] * moves
-            x, y, z = point_velocity(world, k, ax, ay, az, turn, points[g, 0], points[g, 1], points[g, 2])
-            jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
-            row += 3
-        if what != POSITION:
-            w = weight[g, 1]
-            s = 1.0 / w if w != 0.0 else 0.0
-            x, y, z = inverse_right_jacobian(
-                s * residual[row], s * residual[row + 1], s * residual[row + 2], ax, ay, az
-            )
-            w *= moves if turn else 0.0
-            jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
+def whole_columns(tree, goal, work, points, g, first, end):
+    """The columns listed in goal.movers[g, first:end], of a whole position, orientation or pose.
 
-
-@outlined
-def whole_columns(tree, goal, work, points, g):
-    """All columns of a whole position, orientation or pose: what ``column`` does, without asking again."""
-    kind, vadr, dof_node, dofs, moved = tree.kind, tree.vadr, tree.dof_node, goal.dofs, goal.moves
+    Those of joints that cannot move the goal are zero from the beginning, and stay it.
+    """
+    kind, vadr, dof_node, moved = tree.kind, tree.vadr, tree.dof_node, goal.moves
     world, residual, jacobian = work.world, work.residual, work.jacobian
     row, what = goal.row[g], goal.kind[g]
     turned = row if what == ORIENTATION else row + 3
@@ -132,11 +114,12 @@ def whole_columns(tree, goal, work, points, g):
         s = 1.0 / radian if radian != 0.0 else 0.0
         rx, ry, rz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
         bend = curvature(rx, ry, rz)
-    for u in range(dofs.shape[0]):
-        v = dofs[u]
+    for at in range(first, end):
+        mover = goal.movers[g, at]
+        u, v = goal.column[mover], goal.moved[mover]
         k = dof_node[v]
         ax, ay, az, turn = dof_axis(kind, world, k, v - vadr[k])
-        moves = float(moved[g, u])
+        moves = float(moved[g, mover])
         if what != ORIENTATION:
             w = metre * moves
             x, y, z = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
@@ -153,10 +136,15 @@ def add_tied(tree, goal, work, points):
     jacobian, kept = work.jacobian, work.column
     for c in range(goal.tied.shape[0]):
         coupling, u, v = goal.tied[c, 0], goal.tied[c, 1], goal.tied[c, 2]
+        mover = goal.dofs.shape[0] + c
         slope = slope_of(tree, coupling, work.q)
         for r in range(jacobian.shape[0]):
             kept[r] = jacobian[r, u]
-        column(tree, goal, work, points, u, v, goal.tied_moves, c)
+        for g in range(goal.kind.shape[0]):
+            if goal.kind[g] != PARTIAL:
+                whole_columns(tree, goal, work, points, g, mover, mover + 1)
+            else:
+                partial_column(tree, goal, work, g, u, v, float(goal.moves[g, mover]))
         for r in range(jacobian.shape[0]):
             jacobian[r, u] = kept[r] + slope * jacobian[r, u]
 
@@ -171,7 +159,7 @@ def goal_jacobian(tree, goal, work, points):
     dofs, ease, jacobian = goal.dofs, goal.ease, work.jacobian
     for g in range(goal.kind.shape[0]):
         if goal.kind[g] != PARTIAL:
-            whole_columns(tree, goal, work, points, g)
+            whole_columns(tree, goal, work, points, g, types.int64(0), goal.mover_count[g])
             continue
         for u in range(dofs.shape[0]):
             partial_column(tree, goal, work, g, u, dofs[u], float(goal.moves[g, u]))

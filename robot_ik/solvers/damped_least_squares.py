@@ -10,6 +10,7 @@ clamping is Buss & Kim's (Selectively damped least squares for inverse kinematic
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -19,6 +20,7 @@ from robot_ik.kernels.jacobian_step import (
     cap,
     filtered_step,
     keep_inside,
+    mistrust,
     pin_downhill,
     pin_outward,
     prepare,
@@ -58,10 +60,10 @@ class DampedLeastSquares(JacobianSolver):
 @outlined
 def box_damped(work, damping):
     """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly."""
-    normal, step = work.normal, work.step
+    normal, step, extra = work.normal, work.step, mistrust(work)
     normal_equations(work.jacobian, work.wanted, normal, work.gradient)
     for i in range(step.shape[0]):
-        normal[i, i] += damping * damping
+        normal[i, i] += damping * damping + extra
     pressed = box_step(normal, work.gradient, work.low, work.high, step, work.free, work.side, work.factor)
     if pressed < 0:  # λ² is lost in the rounding of a singular JᵀJ: stand still rather than anywhere
         for i in range(step.shape[0]):
@@ -79,7 +81,7 @@ def svd_damped(work, damping, adaptive, threshold):
         strength = damping
         if adaptive:
             strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
-        filtered_step(work, NEGLIGIBLE, strength)
+        filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + mistrust(work)))
         if not pin_outward(work):
             break
     keep_inside(work)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import cap, keep_inside, pin_downhill, prepare
+from robot_ik.kernels.jacobian_step import cap, keep_inside, pin_downhill, prepare, shorten
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
@@ -64,6 +64,7 @@ def transpose_step(tree, goal, work, options):
         step[u] = alpha * gradient[u]
     keep_inside(work)
     cap(work, gain, max_step)
+    shorten(work)
 
 
 @kernel

@@ -19,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
+from robot_ik.kernels.jacobian_step import clamp_residual
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.level_loop import lm_levels
 from robot_ik.kernels.linalg import box_step, normal_equations
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.room import room
+from robot_ik.kernels.row_space import row_products, row_step
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.work import (
     ACCEPTED,
@@ -47,6 +49,8 @@ from robot_ik.solvers.base import Answers, IterativeSolver, option
 
 Array = NDArray[np.float64]
 
+_NO_CLAMP = 1e6
+
 
 @dataclass(frozen=True)
 class LevenbergMarquardt(IterativeSolver):
@@ -65,6 +69,11 @@ class LevenbergMarquardt(IterativeSolver):
     least: float = option(0.02, "smallest damping per unit of cost", low=0.0, high=1e3)
     stride: float = option(1.2, "largest change of a joint in one step", low=1e-3, high=100.0, unit="rad, m")
     floor: float = option(1e-12, "damping that always remains", low=0.0, high=1.0)
+    clamp: float = option(
+        _NO_CLAMP, "longest residual of a goal taken in one step", low=1e-3, high=_NO_CLAMP, unit="rad"
+    )
+    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0)
+    alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
 
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
@@ -72,14 +81,25 @@ class LevenbergMarquardt(IterativeSolver):
     honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
+    @property
+    def guided(self) -> bool:
+        """Whether an option asks for other steps than the plain ones; these have a loop of their own."""
+        return self.clamp < _NO_CLAMP or self.gain != 1.0 or self.alternative
+
     def kernel(self) -> Callable[..., None]:
-        return lm
+        return lm_guided if self.guided else lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
-        return lm_levels if "priorities" in problem.features else lm
+        return lm_levels if "priorities" in problem.features else self.kernel()
+
+    def beyond(self, problem: Problem) -> str:
+        if self.guided and "priorities" in problem.features:
+            return "goals of different priorities together with clamp, gain or alternative"
+        return super().beyond(problem)
 
     def parameters(self) -> tuple[float, ...]:
-        return (self.floor, self.damping, self.increase, self.decrease, self.least, self.stride)
+        plain = (self.floor, self.damping, self.increase, self.decrease, self.least, self.stride)
+        return (*plain, self.clamp, float(self.alternative), self.gain)
 
     def arguments(self, problem: Problem) -> tuple[int]:
         """The address of the table of a run, which ``problem.prepared`` keeps alive."""
@@ -90,7 +110,7 @@ class LevenbergMarquardt(IterativeSolver):
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         self.require_support(problem)
-        if problem.budget.seconds is not None or problem.walls:
+        if problem.budget.seconds is not None or problem.walls or self.guided:
             super().solve_many(problem, targets, starts, answers)  # a clock can be read in Python only
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")
@@ -141,38 +161,74 @@ def go_round(tree, goal, work):
 
 
 @outlined
-def lm_step(tree, goal, work, options):
-    """One damped Gauss-Newton step inside the limits; a step that made things worse is taken back first."""
+def lm_step(tree, goal, work, points, wanted, options):
+    """One damped Gauss-Newton step inside the limits; a step that made things worse is taken back first.
+
+    Towards ``wanted`` (m,), the residual or a part of it, by the Jacobian of the goals at ``points``.
+    """
     state, value, normal, damped = work.state, work.value, work.normal, work.damped
+    jacobian, gradient, low, high, step = work.jacobian, work.gradient, work.low, work.high, work.step
     floor, first, increase, decrease, least = options[0], options[1], options[2], options[3], options[4]
-    n = work.gradient.shape[0]
+    m, n = jacobian.shape
     if value[COST] < value[ACCEPTED]:
         value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
         copy(work.q, work.accepted)
-        goal_jacobian(tree, goal, work, work.frames)
-        normal_equations(work.jacobian, work.residual, normal, work.gradient)
+        goal_jacobian(tree, goal, work, points)
+        if m < n:
+            copy(wanted, work.wanted)  # a step that is taken back leaves another residual behind
+            row_products(jacobian, wanted, goal.hits, goal.hit_count, normal, gradient)
+        else:
+            normal_equations(jacobian, wanted, normal, gradient)
     else:
         value[DAMPING] *= increase
         value[COST] = value[ACCEPTED]
         copy(work.accepted, work.q)
     damping = value[DAMPING] * value[COST] + floor
-    for i in range(n):
-        for j in range(i):
-            damped[i, j] = normal[i, j]
-        damped[i, i] = normal[i, i] + damping
     spare_room(tree, goal, work, options[5])
-    pressed = box_step(
-        damped, work.gradient, work.low, work.high, work.step, work.free, work.side, work.factor
-    )
+    if m < n:
+        pressed = row_step(
+            jacobian, work.wanted, normal, gradient, damping, low, high,
+            goal.hits, goal.hit_count, step, work.free, work.side, work.factor, work.rhs,
+        )  # fmt: skip
+    else:
+        for i in range(n):
+            for j in range(i):
+                damped[i, j] = normal[i, j]
+            damped[i, i] = normal[i, i] + damping
+        pressed = box_step(damped, gradient, low, high, step, work.free, work.side, work.factor)
     if pressed < 0:  # not positive definite to working precision: more damping
         value[DAMPING] = value[DAMPING] * increase + 1e-9
         for i in range(n):
-            work.step[i] = 0.0
+            step[i] = 0.0
     else:
         state[PRESSED] = pressed
         if roams(tree, work):
             go_round(tree, goal, work)
+
+
+@outlined
+def guided_step(tree, goal, work, options):
+    """``lm_step`` to a clamped residual, by the alternative Jacobian if asked, and a share of it."""
+    clamp, alternative, gain = options[6], options[7] > 0.0, options[8]
+    last = work.state[POLISHING] > 0  # as in ``prepare`` of the other Jacobian methods
+    if work.value[COST] < work.value[ACCEPTED]:
+        clamp_residual(goal, work.residual, work.wanted, clamp, last)
+    points = goal.target if alternative and not last else work.frames
+    lm_step(tree, goal, work, points, work.wanted, options)
+    for u in range(work.step.shape[0]):
+        work.step[u] *= gain
+
+
+@kernel
+def lm_guided(run):
+    """``lm`` with clamp, alternative, gain: the options after those of ``lm``."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    begin(tree, goal, work)
+    while proceed(tree, goal, work):
+        guided_step(tree, goal, work, run.options)
+        advance(tree, goal, work)
 
 
 @kernel
@@ -182,7 +238,7 @@ def lm(run):
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        lm_step(tree, goal, work, run.options)
+        lm_step(tree, goal, work, work.frames, work.residual, run.options)
         advance(tree, goal, work)
 
 
@@ -203,7 +259,7 @@ def lm_many(run, fresh, targets, starts, q, status, miss):
         copy(fresh, state)
         begin(tree, goal, work)
         while proceed(tree, goal, work):
-            lm_step(tree, goal, work, run.options)
+            lm_step(tree, goal, work, work.frames, work.residual, run.options)
             advance(tree, goal, work)
         if state[STATUS] != CONVERGED:  # else it has just been measured
             copy(best, work.q)

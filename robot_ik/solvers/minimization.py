@@ -21,7 +21,7 @@ from robot_ik.kernels.metric import constrain, direction, displacement, learn, r
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.room import apply_step
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import COST, PATIENCE, STALLS, TRY_STEPS, UPDATES, open_work
+from robot_ik.kernels.work import COST, NO_LIMIT, STALLS, TRY_STEPS, UPDATES, open_work
 from robot_ik.solvers.base import IterativeSolver, option
 
 # Points tried along one direction before it is given up.
@@ -139,7 +139,7 @@ def bfgs_step(tree, goal, work, options):
         reset(work)  # what was learned does not hold here: down the plain slope
     for u in range(work.step.shape[0]):
         work.step[u] = 0.0
-    state[STALLS] = state[PATIENCE]
+    state[STALLS] = NO_LIMIT
 
 
 @kernel

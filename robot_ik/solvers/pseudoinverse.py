@@ -9,6 +9,7 @@ the way tried.
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
@@ -17,6 +18,7 @@ from robot_ik.kernels.jacobian_step import (
     cap,
     filtered_step,
     keep_inside,
+    mistrust,
     pin_downhill,
     pin_outward,
     prepare,
@@ -28,7 +30,7 @@ from robot_ik.kernels.null_space import AIMS, add_null_motion, keep_aim_inside, 
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.room import apply_step
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.work import POLISHING, open_work
 from robot_ik.solvers.base import JacobianSolver, option
 
 
@@ -65,11 +67,14 @@ def pseudo_step(tree, goal, work, options):
     clamp, alternative, gain, max_step, cutoff = options[0], options[1], options[2], options[3], options[4]
     set_aim(tree, goal, work, int(options[5]), options[6])
     prepare(tree, goal, work, clamp, alternative)
+    extra = math.sqrt(mistrust(work))
+    if work.state[POLISHING] > 0:
+        cutoff = 0.0  # to end where nothing is left to win, in the directions that were cut off as well
     pin_downhill(work)
     keep_aim_inside(work)
     for _ in range(work.step.shape[0] + 1):
         svd(work.jacobian, work.left, work.sigma, work.right)
-        filtered_step(work, cutoff, 0.0)
+        filtered_step(work, cutoff, extra)
         add_null_motion(work, cutoff)
         if not pin_outward(work):
             break

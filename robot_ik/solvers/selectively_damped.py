@@ -18,7 +18,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import cap, goal_end, keep_inside, pin_downhill, pin_outward, prepare
+from robot_ik.kernels.jacobian_step import (
+    cap,
+    goal_end,
+    keep_inside,
+    pin_downhill,
+    pin_outward,
+    prepare,
+    shorten,
+)
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import svd
 from robot_ik.kernels.loop import advance, begin, proceed
@@ -105,6 +113,7 @@ def sdls_step(tree, goal, work, options):
             break
     keep_inside(work)
     cap(work, gain, max_step)
+    shorten(work)
 
 
 @kernel

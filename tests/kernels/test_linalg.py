@@ -8,6 +8,7 @@ from numba import njit
 from scipy.optimize import lsq_linear
 
 from robot_ik.kernels.linalg import box_step, normal_equations, solve_definite
+from robot_ik.kernels.row_space import row_products, row_step
 
 
 def solve(matrix, gradient, low, high):
@@ -99,7 +100,7 @@ def test_no_freedom_at_all_is_no_step():
 
 @njit
 def solve_many(matrix, rhs):
-    return solve_definite(matrix, rhs)
+    return solve_definite(matrix, rhs, len(rhs))
 
 
 @njit
@@ -131,3 +132,37 @@ def test_normal_equations_are_those_of_numpy(rows, n):
     normal_of(jacobian, residual, normal, gradient)
     np.testing.assert_allclose(np.tril(normal), np.tril(jacobian.T @ jacobian), atol=1e-13)
     np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-13)
+
+
+@njit
+def among_rows(jacobian, residual, damping, low, high, hits, counts, step, side, square, rows, gradient):
+    row_products(jacobian, residual, hits, counts, square, gradient)
+    return row_step(
+        jacobian, residual, square, gradient, damping, low, high, hits, counts, step, side.copy(), side,
+        rows, rows[-1].copy(),
+    )  # fmt: skip
+
+
+@settings(max_examples=200)
+@given(
+    m=st.integers(1, 8), more=st.integers(0, 5), seed=st.integers(0, 2**32),
+    size=st.floats(-6, 1), damping=st.floats(-6, 0), room=st.sampled_from([0.01, 0.3, 3.0]),
+)  # fmt: skip
+def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, room):
+    rng, n = np.random.default_rng(seed), m + more
+    jacobian, residual = rng.normal(size=(m, n)), rng.normal(size=m) * 10.0**size
+    jacobian[rng.uniform(size=(m, n)) < 0.3] = 0.0
+    low, high = -room * rng.uniform(size=n), room * rng.uniform(size=n)
+    low[rng.uniform(size=n) < 0.2] = 0.0
+    high[rng.uniform(size=n) < 0.2] = 0.0
+    matrix = jacobian.T @ jacobian + 10.0**damping * np.eye(n)
+    pressed, expected = solve(matrix, jacobian.T @ residual, low, high)
+    hits = np.ascontiguousarray(np.argsort(jacobian == 0.0, axis=0, kind="stable").T)
+    counts, step, gradient = (jacobian != 0.0).sum(axis=0), np.zeros(n), np.zeros(n)
+    found = among_rows(
+        jacobian, residual, 10.0**damping, low, high, hits, counts, step, np.zeros(n, dtype=np.int64),
+        np.full((n, n), 7.0), np.full((m + 1, m + 1), 7.0), gradient,
+    )  # fmt: skip
+    assert found == pressed
+    np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-14 + 1e-13 * 10.0**size)
+    np.testing.assert_allclose(step, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max(initial=1e-300))

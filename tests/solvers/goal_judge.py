@@ -147,8 +147,10 @@ def joints_off(robot, qpos, goal):
 
 
 def cost(problem, q):
-    """What is minimised, from MuJoCo's measurement (one goal that is no posture): weighted, in rad²."""
-    goal = problem.goals[0]
-    metres, radians = measured(problem.robot, q, goal)
-    a, b = goal.weights
-    return 0.5 * ((a * metres / problem.length(goal)) ** 2 + (b * radians) ** 2)
+    """What is minimised, from MuJoCo's measurement (of goals that are no postures): weighted, in rad²."""
+    total = 0.0
+    for goal in problem.goals:
+        metres, radians = measured(problem.robot, q, goal)
+        a, b = goal.weights
+        total += 0.5 * ((a * metres / problem.length(goal)) ** 2 + (b * radians) ** 2)
+    return total

@@ -110,6 +110,21 @@ def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
             assert slope(problem, solution.q) < 1e-3
 
 
+@pytest.mark.parametrize("name", ["lm", "dls", "sdls", "pseudoinverse", "transpose", "bfgs"])
+def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(name):
+    """There the Jacobian loses a row, and a step along it all but leads along a level line of the cost."""
+    robot, rng = load_robot("puma560"), np.random.default_rng(1)
+    for _ in range(4):
+        pose = robot.forward(robot.sample(rng))
+        far = pose.position / np.linalg.norm(pose.position) * rng.uniform(1.5, 4.0)
+        two = [PositionGoal(None, far), PositionGoal("flange", -far)]  # the way down is between them
+        for goal in (PositionGoal(None, far), PoseGoal(None, far, pose.wxyz), two):
+            problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0))
+            solution = make_solver(name).solve(problem, robot.home)
+            assert not solution.converged
+            assert slope(problem, solution.q) < 1e-3
+
+
 @unreachable
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):

@@ -1,10 +1,13 @@
 """What is Levenberg-Marquardt's own: stride, going round, the best of several draws; and the hot loop."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from robot_ik.errors import InvalidGoalError, ModelError
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.errors import InvalidGoalError, ModelError, UnsupportedGoalError
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
@@ -46,6 +49,32 @@ def test_no_joint_moves_more_than_the_stride(near_problems, one_step, stride):
     for problem, q in near_problems("puma560", "pose", distance=0.6):
         lengths.append(np.abs(one_step(make_solver("lm", stride=stride), problem, q)).max())
     assert max(lengths) == pytest.approx(stride, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["position", "pose"])
+@pytest.mark.parametrize("alternative", [False, True])
+def test_the_options_of_every_jacobian_method(near_problems, linear_model, one_step, kind, alternative):
+    clamped_one = False
+    for problem, q in near_problems("puma560", kind, distance=0.3):
+        jacobian, e = linear_model(problem, q, alternative=alternative)
+        size = np.linalg.norm(e)
+        wanted = e * min(1.0, 0.2 / size)
+        clamped_one = clamped_one or size > 0.2
+        damped = jacobian.T @ jacobian + 0.5 * (0.5 * size**2) * np.eye(jacobian.shape[1])
+        solver = make_solver(
+            "lm", clamp=0.2, gain=0.5, alternative=alternative, damping=0.5, floor=0.0, stride=100
+        )
+        step = one_step(solver, problem, q)
+        np.testing.assert_allclose(step, 0.5 * np.linalg.solve(damped, jacobian.T @ wanted), atol=1e-9)
+    assert clamped_one
+
+
+def test_these_options_and_priorities_exclude_each_other_by_name(robots):
+    robot = robots("puma560")
+    goals = [PositionGoal(None, (0.4, 0.1, 0.3)), PositionGoal("flange", (0.4, 0.1, 0.3), priority=1)]
+    assert make_solver("lm").applies(Problem(robot, goals))
+    with pytest.raises(UnsupportedGoalError, match="together with clamp"):
+        make_solver("lm", gain=0.5).solve(Problem(robot, goals))
 
 
 def test_better_random_starts_need_fewer_restarts(robots, reachable):
@@ -119,3 +148,42 @@ def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
         for matrix, status in ((far, Status.UNREACHABLE), (there, Status.CONVERGED)) * 2:
             problem.retarget(matrix)
             assert solver.solve(problem).status is status
+
+
+def test_steps_among_rows_and_among_columns_are_the_same():
+    """A pose asked for twice, each at half weight, has more rows than joints: another way to the same."""
+    robot, rng, half = load_robot("panda"), np.random.default_rng(1), 0.5**0.5
+    taken_back = 0
+    for _ in range(20):
+        pose = robot.forward(robot.sample(rng))
+        share = replace(PoseGoal.at(None, pose), position_weight=half, angle_weight=half)
+        costs = [
+            [step.cost for step in make_solver("lm").solve(problem).trace]
+            for problem in (
+                Problem(robot, goals, trace=True, budget=Budget(restarts=0, iterations=8))
+                for goals in (PoseGoal.at(None, pose), [share, share])
+            )
+        ]
+        np.testing.assert_allclose(*costs, rtol=1e-6, atol=1e-18)
+        taken_back += sum(later > earlier for earlier, later in pairwise(costs[0][:-1]))
+    assert taken_back > 5  # the step after one of these starts from where the last good one led
+
+
+def test_positions_of_all_sorts_move_a_target_alike():
+    robot = load_robot("puma560")
+    position = robot.forward(robot.home).position
+    for goal in (PositionGoal(None, (0.0, 0.0, 0.0)), PoseGoal(None, (0.0, 0.0, 0.0))):
+        problem = Problem(robot, [goal, goal])
+        turned = problem.target[:, 3:].copy()
+        for same in (position, position.tolist(), np.repeat(position, 2)[::2], position.astype(np.float32)):
+            problem.target[:, :3] = 0.0
+            problem.retarget(same, 1)
+            np.testing.assert_allclose(problem.target[1, :3], position, rtol=1e-6)
+            assert not problem.target[0, :3].any()
+        for wrong in ((np.nan, 0, 0), (0, np.inf, 0)):
+            with pytest.raises(InvalidGoalError, match="finite"):
+                problem.retarget(np.array(wrong, dtype=float), 1)
+        np.testing.assert_allclose(problem.target[1, :3], position, rtol=1e-6)
+        np.testing.assert_array_equal(problem.target[:, 3:], turned)
+    with pytest.raises(InvalidGoalError, match="no position"):
+        Problem(robot, OrientationGoal(None, (1, 0, 0, 0))).retarget(position)
