@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, ServoMismatchError, ServoRefusedError
-from robot_ik.files import write_atomically
+from robot_ik.files import read_text, write_atomically
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number
@@ -111,9 +111,9 @@ def load_backup(path: Path) -> list[SavedServo]:
         ConfigError: Unreadable, not such a file, or a value that its register cannot have.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ConfigError(f"the backup cannot be read: {error}", file=path) from error
+        content = json.loads(read_text(path, "the backup"))
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"not valid JSON: {error}", file=path) from None
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise ConfigError("this is no backup of control tables", file=path, key="schema", allowed=str(SCHEMA))
     rows = content.get("servos")

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import write_atomically
+from robot_ik.files import read_text, write_atomically
+from robot_ik.hardware.config_file import first_slip
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS
 
 SCHEMA = 1
@@ -94,15 +95,13 @@ class Calibration:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
         try:
-            raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigError(f"the calibration cannot be read: {error}", file=path) from error
+            raw = tomllib.loads(read_text(path, "the calibration"))
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"not valid TOML: {error}", file=path) from None
         try:
             found = _File.model_validate(raw)
         except ValidationError as error:
-            # An unknown key before a missing one: the first often explains the second.
-            details = error.errors(include_url=False)
-            detail = min(details, key=lambda d: d["type"] != "extra_forbidden")
+            detail = first_slip(error)
             key = ".".join(map(str, detail["loc"]))
             raise ConfigError(detail["msg"].lower(), file=path, key=key) from None
         joints, twins = (

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError
-from robot_ik.files import write_atomically
+from robot_ik.files import read_text, write_atomically
 from robot_ik.hardware.config_check import check_arm
 from robot_ik.hardware.config_file import ArmFile, JointFile, SlideFile, arm_file_text, parse_arm_file
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
@@ -65,11 +65,7 @@ class ArmConfig:
             ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
         """
         path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"the arm file cannot be read: {error}", file=path) from error
-        return cls.parse(text, path)
+        return cls.parse(read_text(path, "the arm file"), path)
 
     @classmethod
     def parse(cls, text: str, file: Path | str = "<text>") -> ArmConfig:

@@ -134,10 +134,13 @@ def parse_arm_file(text: str, file: Path | str) -> ArmFile:
     return arm
 
 
+def first_slip(error: ValidationError) -> ErrorDetails:
+    """The one to tell: an unknown key before a missing one, for the first often explains the second."""
+    return min(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
+
+
 def _explain(error: ValidationError, file: Path | str) -> ConfigError:
-    """One error of all: an unknown key before a missing one, for the first often explains the second."""
-    details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
-    first, more = details[0], len(details) - 1
+    first, more = first_slip(error), error.error_count() - 1
     hint = f"and {more} more to correct after this" if more else ""
     key = _key(first["loc"])
     if first["type"] == "extra_forbidden":

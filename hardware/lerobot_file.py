@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import write_atomically
+from robot_ik.files import read_text, write_atomically
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN
@@ -89,9 +89,9 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
 
 def _rows(path: Path) -> dict[str, dict[str, int]]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ConfigError(f"LeRobot's calibration cannot be read: {error}", file=path) from error
+        content = json.loads(read_text(path, "LeRobot's calibration"))
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"not valid JSON: {error}", file=path) from None
     if not isinstance(content, dict) or not content:
         raise ConfigError(
             "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'

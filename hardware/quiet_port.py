@@ -6,20 +6,19 @@ The SDK opens its port without a timeout and polls it: a whole core is burned wh
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import select
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import serial
 from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
+from robot_ik.environment import users_of
 from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.control_table import BAUD_RATES
@@ -225,12 +224,7 @@ def describe_failure(
 
 def holders(port: str) -> list[str]:
     """Programs that have a port open, as "name (process 123)"; what this user may see, on Linux only."""
-    target = os.path.realpath(port)
-    found = []
-    for process in sorted(Path("/proc").glob("[0-9]*")):
-        with contextlib.suppress(OSError):  # not ours, or gone
-            if any(os.path.realpath(file) == target for file in (process / "fd").iterdir()):
-                name = (process / "comm").read_text(encoding="utf-8").strip()
-                here = "this program" if int(process.name) == os.getpid() else name
-                found.append(f"{here} (process {process.name})")
-    return found
+    return [
+        f"{'this program' if number == os.getpid() else name} (process {number})"
+        for number, name in users_of(port).items()
+    ]

@@ -16,6 +16,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 
 from robot_ik.errors import RobotIkError
@@ -161,3 +162,28 @@ def import_mujoco() -> ModuleType:
             hint="repair: pip uninstall -y mujoco mujoco-core mujoco-studio && pip install mujoco",
         )
     return mujoco
+
+
+def users_of(device: str) -> dict[int, str]:
+    """Programs that have a device file open, by process number; what this user may see, on Linux only.
+
+    Whoever serves a pseudo terminal may keep both of its ends open, and is no user of it by that.
+    """
+    target, found = os.path.realpath(device), {}
+    for process in sorted(Path("/proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
+        try:
+            files = list((process / "fd").iterdir())
+            opened = sum(os.path.realpath(file) == target for file in files)
+            if opened > sum(_serves(file, target) for file in files):
+                found[int(process.name)] = (process / "comm").read_text(encoding="utf-8").strip()
+        except OSError:
+            continue  # the process ended, or belongs to somebody else
+    return found
+
+
+def _serves(file: Path, terminal: str) -> bool:
+    """Whether an open file (of /proc) is the other end of a pseudo terminal /dev/pts/N."""
+    if not terminal.startswith("/dev/pts/") or os.path.basename(os.path.realpath(file)) != "ptmx":
+        return False
+    about = (file.parent.parent / "fdinfo" / file.name).read_text(encoding="utf-8")
+    return f"tty-index:\t{os.path.basename(terminal)}\n" in about

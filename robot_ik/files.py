@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and values in the form that JSON can hold."""
+"""Files that are read whole, and appear whole or not at all; values in the form that JSON can hold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,27 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from robot_ik.errors import OutputError
+from robot_ik.errors import ConfigError, OutputError
+
+
+def read_text(path: Path, what: str, hint: str = "") -> str:
+    """The text of a file that somebody named.
+
+    Args:
+        path: The file.
+        what: What it should be, for the message: "the arm file".
+        hint: What to try if there is none.
+
+    Raises:
+        ConfigError: It is not there, may not be read, or is no text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        reason = "it is no text (UTF-8)"
+    except OSError as error:
+        reason = error.strerror or str(error)
+    raise ConfigError(f"{what} cannot be read: {reason}", file=path, hint=hint)
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

@@ -26,7 +26,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError, UnknownJointError, close_matches
+from robot_ik.files import read_text
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config_file import first_slip
 from robot_ik.hardware.virtual.fault_kinds import KINDS, Fault
 
 if TYPE_CHECKING:
@@ -78,11 +80,7 @@ def load_faults(path: Path | str, config: ArmConfig) -> FaultScript:
         ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"the file of faults cannot be read: {error}", file=path) from error
-    return parse_faults(text, config, path)
+    return parse_faults(read_text(path, "the file of faults"), config, path)
 
 
 def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultScript:
@@ -94,7 +92,7 @@ def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> F
     try:
         parsed = _File.model_validate(raw)
     except ValidationError as error:
-        raise _explain(error.errors(include_url=False)[0], file) from None
+        raise _explain(first_slip(error), file) from None
     faults = tuple(_fault(entry, f"faults[{k}]", config, file) for k, entry in enumerate(parsed.faults))
     return FaultScript(parsed.seed, faults)
 

@@ -7,7 +7,6 @@ picture in a child process with a time limit.
 from __future__ import annotations
 
 import getpass
-import glob
 import os
 import sys
 from pathlib import Path
@@ -48,17 +47,7 @@ def permission_hint(path: str) -> str:
 
 def users_of(path: str) -> list[str]:
     """Programs that have ``path`` open, as ``name (pid)``; only what this user may see, Linux only."""
-    real = os.path.realpath(path)
-    found = []
-    for folder in glob.glob("/proc/[0-9]*"):
-        try:
-            descriptors = os.listdir(f"{folder}/fd")
-            if any(os.path.realpath(f"{folder}/fd/{number}") == real for number in descriptors):
-                name = Path(folder, "comm").read_text().strip()
-                found.append(f"{name} ({os.path.basename(folder)})")
-        except OSError:
-            continue  # the process ended, or belongs to somebody else
-    return found
+    return [f"{name} ({number})" for number, name in environment.users_of(path).items()]
 
 
 def latency_ms(path: str, sys_root: str = "/sys") -> int | None:

@@ -54,7 +54,7 @@ def run(options: DoctorOptions) -> int:
     """Prints the report; 0 when nothing required is broken, else 2."""
     config = None
     if options.bus:
-        from robot_ik.cli.sim_bus import load_arm
+        from robot_ik.cli.servo_link import load_arm
 
         config = load_arm(options.arm)  # a wrong name is told at once
     rows = checks.run_checks(CHECKS)

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.servo_backup import new_file
-from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, model_limits, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, load_arm, model_limits, tried, wrong
 from robot_ik.cli.servo_move import parse_angles
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ArmStateError, HardwareError
@@ -58,7 +58,6 @@ class CalibrateOptions(BusOptions):
 
 def run_calibrate(options: CalibrateOptions) -> int:
     """Measures, checks, writes; 1 when a step was not done as asked."""
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware.calibration_file import calibration_beside
 
     if options.seconds is not None and not 0.0 < options.seconds <= 3600.0:
@@ -181,7 +180,6 @@ def _write(options: CalibrateOptions, arm: Arm, found: Calibration, limits: Limi
 
 
 def _check(options: CalibrateOptions) -> int:
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware.calibration import check_calibration
     from robot_ik.hardware.calibration_file import Calibration, calibration_beside
     from robot_ik.hardware.lerobot_file import save_lerobot

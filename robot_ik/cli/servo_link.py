@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
@@ -14,7 +15,14 @@ from tyro.conf import arg
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
 from robot_ik.cli.bus_argument import bus_argument
-from robot_ik.errors import BusNotOpenError, ConfigError, HardwareError, RobotIkError, UnsafeCommandError
+from robot_ik.errors import (
+    BusNotOpenError,
+    ConfigError,
+    HardwareError,
+    RobotIkError,
+    UnknownRobotError,
+    UnsafeCommandError,
+)
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -73,7 +81,6 @@ def served_or_real(bus: str, arm: str) -> Iterator[str]:
     if name not in ("pty", "sim"):
         yield name
         return
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware import no_pty
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.ports import RealClock
@@ -85,6 +92,29 @@ def served_or_real(bus: str, arm: str) -> Iterator[str]:
 
     with PtyPort(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
         yield port.path
+
+
+def load_arm(name: str) -> ArmConfig:
+    """The arm file of that path, or the one beside a robot of the catalogue.
+
+    Raises:
+        UnknownRobotError: Neither a file nor a robot of the catalogue.
+        ConfigError: The robot has no arm file, or the file is wrong.
+    """
+    from robot_ik.catalogue import catalogue
+    from robot_ik.hardware.config import ArmConfig
+
+    known = catalogue()
+    path = Path(name).expanduser()
+    if name in known:
+        path = known[name] / "arm.toml"
+        if not path.is_file():
+            raise ConfigError(
+                "this robot comes without an arm file", file=path, hint="name one with --arm FILE"
+            )
+    elif not path.suffix and not path.exists() and path.name == name:
+        raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
+    return ArmConfig.load(path)
 
 
 def wrong(key: str, problem: str, allowed: str, hint: str = "") -> ConfigError:
@@ -123,7 +153,6 @@ def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Lin
     Raises:
         BusNotOpenError, ConfigError, UnknownRobotError.
     """
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware import bus_row, open_bus
     from robot_ik.hardware.virtual.bus import VirtualBus
 
@@ -157,7 +186,10 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
         ConfigError: No such way to leave an arm.
     """
     from robot_ik.hardware import open_arm
+    from robot_ik.hardware.shutdown import ON_EXIT
 
+    if on_exit and on_exit not in ON_EXIT:
+        raise wrong("--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
 

@@ -83,7 +83,7 @@ def _watch(link: Link, options: MonitorOptions, show: Callable[[Sequence[ServoSt
 
 def states_table(states: Sequence[ServoState]) -> Table:
     """One sample as a table."""
-    names = ("joint", "id", "position", "velocity", "current", "supply", "temperature", "torque", "errors")
+    names = ("joint", "id", "position", "velocity", "current", "supply", "temp", "torque", "errors")
     shown = console.table(*names)
     for s in states:
         current = _number(s.current_ma, " mA", 0)

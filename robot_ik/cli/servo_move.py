@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, arm_on, left, require_model, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, left, load_arm, require_model, tried, wrong
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -41,8 +41,6 @@ class MoveOptions(BusOptions):
 
 def run_move(options: MoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
-    from robot_ik.cli.sim_bus import load_arm
-
     config = slowed(load_arm(options.arm), options.speed)
     require_model(config)
     angles = parse_angles(options.to, config)

@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, served_or_real, wrong
+from robot_ik.cli.servo_link import BusOptions, load_arm, served_or_real, wrong
 from robot_ik.cli.servo_scan import checked_rates, print_found, scanned
 
 
@@ -36,7 +36,6 @@ class SetupOptions(BusOptions):
 
 def run_setup(options: SetupOptions) -> int:
     """Finds the servo, writes, reads back."""
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware.scan import LIKELY, nobody_hint
     from robot_ik.hardware.servo_setup import set_up, the_only_one
 

@@ -15,11 +15,11 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
-from robot_ik.cli.servo_link import BusOptions, arm_on, left, require_model, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, left, load_arm, require_model, tried, wrong
 from robot_ik.cli.servo_move import slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError
-from robot_ik.files import write_atomically
+from robot_ik.files import read_text, write_atomically
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ class TeachOptions(BusOptions):
 
 def run_teach(options: TeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware.startup import shared_register
 
     require_suffix(options.file)
@@ -147,12 +146,13 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
     if path.suffix == ".csv":
         motion = Trajectory.load_csv(path)
     else:
+        text = read_text(path, "the recording")
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(text)
             motion = Trajectory(content["time_s"], content["q_rad"], content["joints"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else error
-            raise ConfigError(f"the recording cannot be read: {reason}", file=path) from error
+            raise ConfigError(f"this is no recording: {reason}", file=path) from error
     if set(motion.joints) != set(joints):
         raise ConfigError(
             f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}"
@@ -190,8 +190,6 @@ class PlayOptions(BusOptions):
 
 def run_play(options: PlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
-    from robot_ik.cli.sim_bus import load_arm
-
     config = load_arm(options.arm).whole
     require_model(config)
     slowed(config, options.speed)  # its check

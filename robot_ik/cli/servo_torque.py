@@ -15,6 +15,7 @@ from robot_ik.cli.servo_link import (
     arm_on,
     joints_of,
     left,
+    load_arm,
     opened,
     require_model,
     tried,
@@ -49,8 +50,6 @@ class TorqueOptions(BusOptions):
 
 def run_torque(options: TorqueOptions) -> int:
     """1 when a servo did not confirm it."""
-    from robot_ik.cli.sim_bus import load_arm
-
     if options.ids and (options.joints or options.to == "on"):
         raise wrong("--ids", "only for torque off, and not together with joints", "torque off --ids N …")
     config = load_arm(options.arm)
@@ -71,7 +70,7 @@ def run_torque(options: TorqueOptions) -> int:
     if options.ids:
         if bad := [id for id in options.ids if not 0 <= id <= 252]:
             raise wrong("--ids", f"{bad[0]} is no servo id", "0..252")
-        servos = {id: f"id {id}" for id in options.ids}
+        servos = {id: f"servo {id}" for id in options.ids}
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
     with opened(options, config) as link:
@@ -98,7 +97,7 @@ def _switch_off(link: Link, register: Register, servos: Mapping[int, str], *, ev
             except HardwareError as error:
                 reason = error
         else:
-            console.say(f"error: {name} (id {id}): {reason.args[0]}; its torque may be ON", "bold red")
+            console.say(f"error: {name}: {reason.args[0]}; its torque may be ON", "bold red")
     if limp:
         console.out().print(f"torque off, read back: {', '.join(limp)}", markup=False)
     return console.DONE if len(limp) == len(servos) else console.NOT_ACHIEVED
@@ -121,7 +120,6 @@ class ResetFaultOptions(BusOptions):
 
 def run_reset_fault(options: ResetFaultOptions) -> int:
     """1 when something is still wrong."""
-    from robot_ik.cli.sim_bus import load_arm
     from robot_ik.hardware.recovery import reset_servos
 
     config = joints_of(load_arm(options.arm), options.joints)

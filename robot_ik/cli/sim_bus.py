@@ -15,7 +15,8 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
-from robot_ik.errors import ConfigError, RobotIkError, UnknownRobotError
+from robot_ik.cli.servo_link import load_arm, wrong
+from robot_ik.errors import RobotIkError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.faults import Faults
     from robot_ik.hardware.virtual.pty import PtyPort
     from robot_ik.ports import Array
+
+
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Signals after which the link is taken away; Windows has no SIGHUP."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class SimBusOptions:
 
 
 def run(options: SimBusOptions) -> int:
-    """Serves until SIGINT or SIGTERM, which are the normal end."""
+    """Serves until SIGINT, SIGTERM or SIGHUP, which are the normal end."""
     try:
         from robot_ik.hardware.virtual.pty import PtyPort
     except ImportError as reason:  # no termios: Windows
@@ -97,29 +102,6 @@ def run(options: SimBusOptions) -> int:
         ended.wait()
     console.say("closed", "dim")
     return console.DONE
-
-
-def load_arm(name: str) -> ArmConfig:
-    """The arm file of that path, or the one beside a robot of the catalogue.
-
-    Raises:
-        UnknownRobotError: Neither a file nor a robot of the catalogue.
-        ConfigError: The robot has no arm file, or the file is wrong.
-    """
-    from robot_ik.catalogue import catalogue
-    from robot_ik.hardware.config import ArmConfig
-
-    known = catalogue()
-    path = Path(name).expanduser()
-    if name in known:
-        path = known[name] / "arm.toml"
-        if not path.is_file():
-            raise ConfigError(
-                "this robot comes without an arm file", file=path, hint="name one with --arm FILE"
-            )
-    elif not path.suffix and not path.exists() and path.name == name:
-        raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
-    return ArmConfig.load(path)
 
 
 def _home(config: ArmConfig) -> Array | None:
@@ -156,7 +138,7 @@ def _faults(options: SimBusOptions, config: ArmConfig, seed: int) -> Faults:
         except ValueError:
             offsets[joint] = float("nan")
         if not -360.0 <= offsets[joint] <= 360.0:
-            raise _wrong("--zero-offset", item, "JOINT=DEGREES, such as joint2=2.0")
+            raise wrong("--zero-offset", f"not {item}", "JOINT=DEGREES, such as joint2=2.0")
     return Faults.for_joints(
         config,
         zero_offset_deg=offsets,
@@ -176,16 +158,12 @@ def _check_numbers(options: SimBusOptions) -> None:
         ("--wire-baud", options.wire_baud, 10_500_000),
     ):
         if not 0.0 <= value <= highest:
-            raise _wrong(flag, value, f"0 .. {highest:g}")
-
-
-def _wrong(flag: str, value: object, allowed: str) -> ConfigError:
-    return ConfigError(f"not {value}", file="command line", key=flag, allowed=allowed)
+            raise wrong(flag, f"not {value:g}", f"0 .. {highest:g}")
 
 
 @contextmanager
 def _ended_by_signal() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set, instead of what they do otherwise."""
+    """An event that SIGINT, SIGTERM and a closed terminal set, instead of what they do otherwise."""
     ended = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -194,7 +172,7 @@ def _ended_by_signal() -> Iterator[threading.Event]:
     if threading.current_thread() is not threading.main_thread():
         yield ended
         return
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, end) for number in ENDING}
     try:
         yield ended
     finally:

@@ -150,16 +150,18 @@ def test_gl_switched_off_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_free_port_then_used_port() -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
+    client = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         used = device_checks.serial_row(path, "a pty")
         assert used.status == checks.NOTE and f"({os.getpid()})" in used.found
     finally:
-        os.close(slave)
-    try:
+        os.close(client)
+    try:  # who serves the terminal has both of its ends open and is no user of it
         assert device_checks.users_of(path) == []
         assert device_checks.serial_row(path, "a pty").status == checks.OK
     finally:
         os.close(master)
+        os.close(slave)
 
 
 @linux

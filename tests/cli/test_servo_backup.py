@@ -93,7 +93,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ("not json", "backup"),
+        ("not json", "not valid JSON"),
         ("[]", "schema"),
         ('{"schema": 2}', "schema"),
         ('{"schema": 1, "servos": []}', "servos"),

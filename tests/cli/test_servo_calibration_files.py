@@ -67,7 +67,7 @@ def test_a_lost_turn_is_refused(robot_ik: Any, mine: Path, desk: Any) -> None:
         ("schema = 1", "schema = 2", "schema"),
         ("range_min", "range_mni", "range_mni"),
         ("direction = -1", "direction = 0", "direction"),
-        ("[[joints]]", "[[joints", "read"),
+        ("[[joints]]", "[[joints", "not valid TOML"),
         ("range_max = 900", "range_max = 10", "empty"),
         ("-9.0", "nan", "urdf_lower"),
     ],
@@ -147,7 +147,7 @@ def test_lerobot_cannot_have_more_than_a_turn(robot_ik: Any, mine: Path, desk: A
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        ("{", "read"),
+        ("{", "not valid JSON"),
         ("{}", "LeRobot"),
         ('{"joint1": {"id": 1}}', "joint1.drive_mode"),
         ('{"m": {"id": 9, "drive_mode": 0, "homing_offset": 0, "range_min": 1, "range_max": 2}}', "joint1"),

@@ -113,7 +113,7 @@ def test_a_joint_that_is_held_fast_is_told(robot_ik: Any, desk: Any, monkeypatch
         ((1, 2, 3, 4), "3 numbers"),
         (("joint1=3", 4), "3 numbers"),
         (("joint1=3", "--speed", 0), "--speed"),
-        (("joint1=3", "--on-exit", "fly"), "park"),
+        (("joint1=3", "--on-exit", "fly"), "command line: --on-exit"),
     ],
 )
 def test_move_wrong_input(words: tuple[Any, ...], named: str, robot_ik: Any, desk: Any) -> None:

@@ -48,8 +48,14 @@ def test_ports_without_any(robot_ik: Any, ports: Any) -> None:
 def test_ports_name_the_adapter_and_who_uses_it(robot_ik: Any, ports: Any, desk: Any) -> None:
     ports(desk.port)
     (row,) = json.loads(robot_ik("servo", "ports", "--json").out)["ports"]
+    assert row["used_by"] == []  # this process serves it, which is no use of it
+    client = os.open(desk.port, os.O_RDWR | os.O_NOCTTY)
+    try:
+        (row,) = json.loads(robot_ik("servo", "ports", "--json").out)["ports"]
+    finally:
+        os.close(client)
     assert (row["port"], row["usb"], row["adapter"], row["serial"]) == (desk.port, "0403:6014", "U2D2", "FT1")
-    assert any(f"({os.getpid()})" in user for user in row["used_by"])  # this process serves it
+    assert any(f"({os.getpid()})" in user for user in row["used_by"])
     run = robot_ik("servo", "ports")
     assert run.code == 0 and "0403:6014" in run.out
 

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from robot_ik.catalogue import catalogue
+from robot_ik.cli import sim_bus
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 sdk = pytest.importorskip("dynamixel_sdk")
@@ -157,3 +158,13 @@ def test_a_file_in_the_place_of_the_link_is_kept(robot_ik: Any, tmp_path: Path) 
     run = robot_ik("sim-bus", "--link", precious)
     run.assert_one_screen_error()
     assert precious.read_text() == "years of work" and list(tmp_path.iterdir()) == [precious]
+
+
+def test_all_signals_that_end_it_are_caught_and_given_back() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        before = signal.getsignal(number)
+        with sim_bus._ended_by_signal() as ended:
+            assert signal.getsignal(number) is not before and not ended.is_set()
+            signal.raise_signal(number)
+            assert ended.is_set()
+        assert signal.getsignal(number) is before

@@ -15,6 +15,9 @@ from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
 
 LOWER, UPPER = -2.0, 2.5
 DT = 0.01
+SETTLED = 60
+"""Ticks in a row after which a law that holds is taken to hold on."""
+
 caps = st.tuples(st.floats(0.1, 6.0), st.floats(0.2, 40.0))
 inside = st.floats(LOWER, UPPER)
 anywhere = st.one_of(st.floats(-10.0, 10.0), st.floats(allow_nan=False, allow_infinity=False))
@@ -118,6 +121,8 @@ def test_a_trapezoid_passes_on_a_clock_that_jitters(cap, start, end, seed):
     rng = np.random.default_rng(seed)
     dts = rng.uniform(0.008, 0.012, 3000)
     q = trapezoid(start, end, cap[0], cap[1], np.cumsum(dts))
+    arrived = int(np.argmax(q == q[-1])) + 10
+    dts, q = dts[:arrived], q[:arrived]
     limiter = one_joint(*cap)
     state = LimiterState.at_rest([start])
     worst = 0.0
@@ -141,7 +146,9 @@ def test_a_late_start_catches_up_with_a_moving_command(cap, start, lag, amplitud
     for command in wanted:
         state, q, _ = limiter.step(state, [command], DT)
         error.append(abs(q[0] - command))
-    assert max(error[-50:]) <= 1e-9
+        if len(error) > SETTLED and max(error[-SETTLED:]) <= 1e-9:
+            return
+    pytest.fail(f"still {error[-1]} behind after {ticks} ticks")
 
 
 @given(caps, st.floats(1e-3, 3.0), st.booleans(), anywhere)
@@ -149,8 +156,13 @@ def test_a_start_outside_is_walked_back_never_jumped(cap, beyond, above, command
     start = UPPER + beyond if above else LOWER - beyond
     velocity, acceleration = cap
     seconds = beyond / velocity + 2 * velocity / acceleration + 2 * math.sqrt(beyond / acceleration)
-    ticks = int(seconds / DT) + 20
-    q = run(one_joint(*cap), start, [command] * ticks)
+    limiter, state, out = one_joint(*cap), LimiterState.at_rest([start]), [start, start]
+    for _ in range(int(seconds / DT) + 20):
+        state, moved, _ = limiter.step(state, [command], DT)
+        out.append(float(moved[0]))
+        if len(out) > SETTLED and all(LOWER <= x <= UPPER for x in out[-SETTLED:]):
+            break
+    q = np.array(out)
     assert_caps(q, *cap)
     assert LOWER <= q[-1] <= UPPER
     outside = q[(q > UPPER) | (q < LOWER)]
@@ -162,8 +174,9 @@ def test_a_start_outside_is_walked_back_never_jumped(cap, beyond, above, command
 @given(caps, st.floats(0.2, 1.0))
 def test_running_into_a_limit_at_speed_stops_short_of_it(cap, share):
     speed = share * cap[0]
-    commands = list(np.arange(0.0, 3.0, speed * DT)[:5000])
-    q = run(one_joint(*cap), 0.0, [*commands, *([9.0] * 5)])
+    start = max(LOWER, UPPER - speed**2 / cap[1] - 20 * speed * DT)  # room to get up to speed
+    commands = np.arange(start, UPPER + 20 * speed * DT, speed * DT)
+    q = run(one_joint(*cap), start, [*commands.tolist(), *([9.0] * 5)])
     assert q.max() <= UPPER
     assert_caps(q, *cap)
 

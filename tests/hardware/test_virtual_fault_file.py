@@ -62,6 +62,7 @@ def _entry(text: str) -> str:
         ('schema = 1\nfault = "x"', "fault", "faults"),
         (_entry('kind = "silnt"'), "faults[0].kind", "silent"),
         (_entry('kind = "silent"\njiont = "joint3"'), "faults[0].jiont", "joint"),
+        (_entry('knid = "silent"'), "faults[0].knid", "did you mean kind"),
         (_entry('kind = "silent"\njoint = "joitn3"'), "faults[0].joint", "joint3"),
         (_entry('kind = "silent"\nid = 77'), "faults[0].id", "1, 2, 3"),
         (_entry('kind = "silent"\nvalue = 1.0'), "faults[0].value", "takes no value"),

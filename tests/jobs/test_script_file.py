@@ -43,7 +43,7 @@ def error_of(text: str) -> ConfigError:
         (with_step("do = 'wait'"), "steps[0].seconds", "missing"),
         (with_step("do = 'wait'", "seconds = -1"), "steps[0].seconds", "greater than or equal to 0"),
         (with_step("do = 'wait'", "seconds = inf"), "steps[0].seconds", "finite"),
-        (with_step("do = 'wait'", "second = 1"), "steps[0].seconds", "missing"),
+        (with_step("do = 'wait'", "second = 1"), "steps[0].second", "did you mean seconds"),
         (with_step("do = 'hold'", "time_limt_s = 1"), "steps[0].time_limt_s", "did you mean time_limit_s"),
         (
             with_step("do = 'hold'", "raises = 'MotorFault'"),
@@ -190,7 +190,7 @@ def test_whatever_is_written_is_taken_or_told_in_one_sentence(do: str, rest: dic
         ("", ("do = 'grip'", "held = true"), "steps[0].opening", "opening or width_mm"),
         ("", ("do = 'expect'", "thing = 'cup'", "position = [0, 0, 0]"), "steps[0].thing", "'cup'"),
         ("[[things]]\nname='a'\nposition=[0,0,0]\nsize_mm=[1,1,1]", ("do = 'hold'",), "physics", "true"),
-        ("[[things]]\nname='a'\nsize=[1,1,1]", ("do = 'hold'",), "things[0].position", "missing"),
+        ("[[things]]\nname='a'\nsize=[1,1,1]", ("do = 'hold'",), "things[0].size", "did you mean size_mm"),
     ],
 )
 def test_grippers_and_things_that_are_not_there(

@@ -13,6 +13,8 @@ from pydantic import ValidationError
 
 from robot_ik import errors
 from robot_ik.errors import ConfigError, RobotIkError, close_matches
+from robot_ik.files import read_text
+from robot_ik.hardware.config_file import first_slip
 from robot_ik.jobs.script.steps import (
     STEPS,
     Action,
@@ -92,12 +94,8 @@ def load_script(path: Path | str) -> Script:
         ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        hint = f"scripts that come along: {', '.join(shipped())}"
-        raise ConfigError(f"the script cannot be read: {error}", file=path, hint=hint) from error
-    return parse_script(text, path)
+    hint = f"scripts that come along: {', '.join(shipped())}"
+    return parse_script(read_text(path, "the script", hint), path)
 
 
 def parse_script(text: str, file: Path | str = "<text>") -> Script:
@@ -109,7 +107,7 @@ def parse_script(text: str, file: Path | str = "<text>") -> Script:
     try:
         content = ScriptFile.model_validate(raw)
     except ValidationError as error:
-        raise _explain(error.errors(include_url=False)[0], file) from None
+        raise _explain(first_slip(error), file) from None
     script = Script(content, str(file), file.parent if isinstance(file, Path) else None)
     _check_things(script)
     for k, step in enumerate(content.steps):
