@@ -99,13 +99,13 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
                 file=file, key="joints", hint="measure again",
             )  # fmt: skip
     new = zeros_moved(old, offsets)
-    text = file.read_text(encoding="utf-8")
+    text = file.read_bytes().decode("utf-8")  # line ends as they are
     edited = _edited(text, new, file)
     calibration = calibration_beside(file)
     kept = [_backup(file, text)]
     if calibration.exists():
         found = Calibration.load(calibration)
-        kept.append(_backup(calibration, calibration.read_text(encoding="utf-8")))
+        kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
         _with_zeros(found, new).save(calibration)
     write_atomically(file, edited)
     return tuple(kept)

@@ -47,15 +47,15 @@ def error_picture(report: VerifyReport) -> bytes:
     grid = figure.subplots(len(rows), len(_VIEWS), squeeze=False)
     for line, (title, errors) in zip(grid, rows, strict=True):
         for axes, (view, across, up) in zip(line, _VIEWS, strict=True):
-            arrows = _draw(axes, errors, across, up)
-            axes.set_title(f"{title}, {view}")
+            arrows, scale = _draw(axes, errors, across, up)
+            axes.set_title(f"{title}, {view}, arrows ×{scale:.0f}")
         figure.colorbar(arrows, ax=list(line), label="off by, mm")
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
 
 
-def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> Any:
+def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple[Any, float]:
     places = 1e3 * np.array([one.place for one in errors])
     vectors = 1e3 * np.array([one.vector for one in errors])
     length = np.linalg.norm(vectors, axis=1)
@@ -70,7 +70,4 @@ def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> Any:
     axes.set_xlabel(f"{'xyz'[across]}, mm")
     axes.set_ylabel(f"{'xyz'[up]}, mm")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.annotate(
-        f"arrows {scale:.0f} times as long as the errors", (0.02, 0.02), xycoords="axes fraction", fontsize=8
-    )
-    return arrows
+    return arrows, scale
