@@ -22,45 +22,28 @@ import subprocess
 import sys
 import tomllib
 import types
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from robot_ik.cli import main as cli
 
-ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs").glob("*/*.md"))]
-#: Pages of other rooms whose links and names are checked, too.
-OTHERS = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "models").glob("*/README.md"))]
-FENCE = re.compile(r"^```(\w*) *([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SHOWN = {"python", "sh", "xml", "toml", "json", "text"}
-
-
-@dataclass(frozen=True)
-class Block:
-    language: str
-    note: str
-    text: str
-    line: int
-
-    @property
-    def file(self) -> str:
-        found = re.search(r"file=(\S+)", self.note)
-        return found[1] if found else ""
-
-
-def blocks(page: Path) -> list[Block]:
-    text = page.read_text(encoding="utf-8")
-    return [Block(m[1], m[2], m[3], text.count("\n", 0, m.start()) + 2) for m in FENCE.finditer(text)]
-
-
-def prose(page: Path) -> str:
-    return FENCE.sub("", page.read_text(encoding="utf-8"))
-
-
-def named(page: Path) -> str:
-    return str(page.relative_to(ROOT))
+# The helpers lie beside this file; they are nobody's package.
+_spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))
+assert _spec is not None and _spec.loader is not None
+pages: Any = importlib.util.module_from_spec(_spec)
+sys.modules[_spec.name] = pages  # dataclasses look it up
+_spec.loader.exec_module(pages)
+ROOT, PAGES, OTHERS, SHOWN, blocks, prose, named = (
+    pages.ROOT,
+    pages.PAGES,
+    pages.OTHERS,
+    pages.SHOWN,
+    pages.blocks,
+    pages.prose,
+    pages.named,
+)
 
 
 # ------------------------------------------------------------------------------- blocks are run
@@ -234,94 +217,3 @@ def test_pages_belong_to_no_machine(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not re.search(r"/(home|root|work|Users)/|127\.0\.0\.1", text)
     assert not re.search(r"pypi|simple/|--index-url|--extra-index", text, re.IGNORECASE)
-
-
-# ------------------------------------------------------------------------- tables from the program
-
-
-def script(name: str) -> types.ModuleType:
-    """A program of docs/."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look it up
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_tables_are_what_the_program_says() -> None:
-    tables = script("make_tables")
-    used = set()
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        used |= {m[2] for m in tables.PLACE.finditer(text)}
-        assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make_tables.py"
-    assert used == set(tables.TABLES)
-
-
-# -------------------------------------------------------------------------------- the first screen
-
-
-def test_the_first_screen_has_one_picture_and_two_commands() -> None:
-    page = ROOT / "README.md"
-    head = "\n".join(page.read_text(encoding="utf-8").splitlines()[:30])
-    assert re.findall(r"^make [\w-]+", head, re.MULTILINE) == ["make reach", "make test"]
-    (picture,) = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", head)
-    assert 20_000 < (ROOT / picture).stat().st_size < 400 * 1024
-
-
-@pytest.mark.timeout(300)
-def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (shown,) = [block for block in blocks(ROOT / "README.md") if block.text.startswith("reach ")]
-    assert cli.main(["reach", "--out", str(tmp_path / "run")]) == 0
-    printed = capsys.readouterr().out
-
-    def labels(text: str) -> list[str]:
-        return [m[0].strip() for m in re.finditer(r"^[a-z][\w ]*?(?=  )", text, re.MULTILINE)]
-
-    wanted = labels(shown.text)
-    assert wanted == labels(printed[printed.index("reach ") :])
-    assert {"goal", "solver", "read back", "camera", "result"} <= set(wanted)
-    # Both of the picture's captions and the files are told by name.
-    assert {p.name for p in (tmp_path / "run").iterdir()} == {"reach.png", "trajectory.csv", "summary.json"}
-
-
-def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
-    assert cli.main(["reach", "--bus", "sim", "--out", str(tmp_path)]) == 0
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    page = prose(ROOT / "docs" / "reach.md")
-    rows = re.findall(r"^\| `([\w.]+)`", page[page.index("## summary.json") :], re.MULTILINE)
-    told = {row.split(".")[0] for row in rows}
-    assert told == set(summary)
-    for row in rows:
-        if "." in row:
-            first, second = row.split(".")
-            assert second in summary[first], row
-
-
-# ------------------------------------------------------------------------------- the architecture
-
-
-def test_the_layers_drawn_are_the_layers_checked() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    (contract,) = [c for c in project["tool"]["importlinter"]["contracts"] if c["id"] == "layers"]
-    (drawn,) = [b for b in blocks(ROOT / "docs" / "architecture.md") if b.text.startswith("cli")]
-    lines = [line.split("   ")[0] for line in drawn.text.splitlines()]
-    drawn_names = [re.findall(r"\w+", line) for line in lines]
-    rooms = {p.stem for p in (ROOT / "robot_ik").iterdir()} | {"hardware", "models"}
-    checked = [[name for name in re.findall(r"\w+", line) if name in rooms] for line in contract["layers"]]
-    assert drawn_names == [names for names in checked if names and names != ["__main__"]]
-
-
-def test_every_package_and_page_is_on_the_map() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (tree,) = [b.text for b in blocks(ROOT / "README.md") if b.text.startswith("robot_ik/")]
-    told = set(re.findall(r"[\w.]+/|\w+\.py", tree))
-    rooms = {p.parent.name + "/" for p in (ROOT / "robot_ik").glob("*/__init__.py")}
-    folders = {"robot_ik/", "hardware/", "models/", "tests/", "examples/", "docs/"}
-    assert rooms | folders <= told, sorted((rooms | folders) - told)
-    here = {p.name for p in (ROOT / "robot_ik").iterdir()} | {p.name for p in ROOT.iterdir()}
-    here |= {p.name for p in (ROOT / "hardware").iterdir()}
-    assert {name.rstrip("/") for name in told} <= here, sorted(told)
-    for page in (page for page in PAGES[1:] if page.parent == ROOT / "docs"):
-        assert f"docs/{page.name}" in readme, f"README does not lead to {page.name}"

@@ -1,0 +1,71 @@
+"""Which methods, robots and goals the ten laws are about, and who judges them: shared by the laws' files."""
+
+import itertools
+import tomllib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.geometry import Pose
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.problem import Tolerance
+from robot_ik.solvers import SOLVERS
+from robot_ik.solvers.base import IterativeSolver
+
+FLOORS = tomllib.loads((Path(__file__).parent / "floors.toml").read_text())
+NAMES = list(SOLVERS)
+ROBOTS = ["puma560", "planar", "tree"]
+KINDS = ["position", "orientation", "pose"]
+TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
+
+
+def serves(name, robot_name, kind):
+    """Whether the contract covers this: floors.toml has a row for all that a method can do at all."""
+    row = FLOORS[name].get(robot_name, {})
+    if kind == "orientation":
+        return "position" in row and "pose" in row and OrientationGoal in SOLVERS[name].goals
+    return kind in row
+
+
+def cases(*kinds):
+    """Every (name, robot_name, kind) of the contract."""
+    found = itertools.product(NAMES, ROBOTS, kinds or KINDS)
+    return pytest.mark.parametrize(("name", "robot_name", "kind"), [c for c in found if serves(*c)])
+
+
+# Methods that serve every robot and every kind of goal.
+GENERAL = [n for n in NAMES if all(serves(n, r, k) for r in ROBOTS for k in KINDS)]
+# Of those, the ones that take steps until a budget ends them.
+STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
+general = pytest.mark.parametrize("name", GENERAL)
+stepping = pytest.mark.parametrize("name", STEPPING)
+all_robots = pytest.mark.parametrize("robot_name", ROBOTS)
+
+
+def goal_of(robot, q, kind="pose", frame=None):
+    pose = robot.forward(q, frame)
+    if kind == "position":
+        return PositionGoal(frame, pose.position)
+    return OrientationGoal(frame, pose.wxyz) if kind == "orientation" else PoseGoal.at(frame, pose)
+
+
+def measured(robot, q, goal):
+    """Metres and radians off, by MuJoCo alone, from the full qpos."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_forward(robot.model, data)
+    site = robot.model.site(goal.frame or robot.tool).id
+    wxyz = np.zeros(4)
+    mujoco.mju_mat2Quat(wxyz, data.site_xmat[site])
+    metres, radians = Pose(data.site_xpos[site], wxyz).distance(goal.target)
+    return metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0
+
+
+def inside(robot, q):
+    return np.abs(robot.clip(q) - q).max() < 1e-12
+
+
+def outcome(solution):
+    return solution.status, solution.iterations, solution.restarts, solution.q.tobytes()

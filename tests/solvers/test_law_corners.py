@@ -1,0 +1,76 @@
+"""Corners that every general method turns alike: starts outside, dead frames, several goals, traces."""
+
+import importlib.util
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.solvers import make_solver
+
+# The cases lie beside this file; they are nobody's package.
+_spec = importlib.util.spec_from_file_location("law_cases", Path(__file__).with_name("law_cases.py"))
+law = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(law)
+general, goal_of, measured, inside, outcome = (
+    law.general,
+    law.goal_of,
+    law.measured,
+    law.inside,
+    law.outcome,
+)
+
+
+@general
+def test_a_start_outside_the_limits_is_brought_inside(name, robots):
+    robot = robots("planar")
+    outside = np.array([3.1, -2.9, 2.5])
+    kept = outside.copy()
+    solution = make_solver(name).solve(Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position")), outside)
+    assert solution.converged and inside(robot, solution.q) and np.array_equal(outside, kept)
+    none = make_solver(name).solve(
+        Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0)), outside
+    )
+    assert none.q.tolist() == [2.8, -2.6, 2.0]
+
+
+@general
+def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
+    robot = robots("planar")
+    there = make_solver(name).solve(Problem(robot, PositionGoal("nail", (0.3, 0.3, 0))))
+    assert there.converged and there.iterations == 0
+    never = make_solver(name).solve(Problem(robot, PoseGoal("nail", (0.5, 0.3, 0))))
+    assert not never.converged and np.array_equal(never.q, robot.home)
+    assert never.miss.position == pytest.approx(0.2)
+
+
+@general
+def test_several_goals_at_once(name, robots, reachable):
+    robot = robots("tree")
+    for q in reachable(robot, 4):
+        goals = [goal_of(robot, q, "position"), goal_of(robot, q, "position", "lamp")]
+        solution = make_solver(name).solve(Problem(robot, goals, tolerance=Tolerance(1e-4, 1e-3)))
+        worst = max(measured(robot, solution.q, goal)[0] for goal in goals)
+        assert solution.miss.position == pytest.approx(worst, abs=1e-12) and len(solution.misses) == 2
+        assert solution.converged == (worst <= 1e-4)
+        assert solution.converged or name == "ccd"
+
+
+@general
+def test_the_trace_tells_the_same_story(name, robots, reachable):
+    robot = robots("puma560")
+    goal = goal_of(robot, reachable(robot, 1)[0])
+    quiet = make_solver(name).solve(Problem(robot, goal, seed=2))
+    solution = make_solver(name).solve(Problem(robot, goal, seed=2, trace=True))
+    assert outcome(quiet) == outcome(solution) and quiet.trace == ()
+    trace = solution.trace
+    assert [row.iteration for row in trace] == list(range(1, solution.iterations + 1))
+    assert all(a.restart <= b.restart for a, b in itertools.pairwise(trace))
+    assert trace[-1].restart <= solution.restarts
+    assert all(row.cost >= 0 and row.step >= 0 for row in trace)
+    if solution.converged and trace:
+        assert trace[-1].position == pytest.approx(solution.miss.position, abs=1e-12)
+        assert trace[-1].angle == pytest.approx(solution.miss.angle, abs=1e-7)
