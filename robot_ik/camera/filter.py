@@ -77,6 +77,8 @@ class FilterOptions:
 
 # A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
 _SURE = 4.0
+# Of the newest observation in what is known of how well prediction does.
+_NEW_SHARE = 0.3
 
 
 class MotionFilter:
@@ -102,6 +104,8 @@ class MotionFilter:
         self._covariance = np.zeros((12, 12))
         # What the state of a thing at rest is shaken by the noise of its observations alone.
         self._shaking = np.zeros((12, 12))
+        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
+        self._misses = np.zeros((2, 2))
         self._rejected = 0
         self._rejected_at = -np.inf
 
@@ -149,6 +153,7 @@ class MotionFilter:
         change = gain @ innovation
         keep = np.eye(12)
         keep[:, _POSE] -= gain
+        self._compare(innovation, difference(pose, self._pose))
         fresh, passed = gain @ noise @ gain.T, keep @ step
         self._covariance = _symmetric(keep @ spread @ keep.T + fresh)  # Joseph's form
         self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
@@ -188,7 +193,10 @@ class MotionFilter:
             low = max(self.options.rest[k], _SURE * float(np.sqrt(np.linalg.eigvalsh(block)[-1])))
             share = min(max(speed / low - 1.0, 0.0), 1.0)
             shares[k] = share * share * (3.0 - 2.0 * share)
-        return shares
+        missed, held = np.sqrt(self._misses)
+        # Whole where prediction misses by less than half of what holding does, nothing where by as much.
+        earned = np.clip(2.0 - 2.0 * missed / np.maximum(held, 1e-12), 0.0, 1.0)
+        return shares * earned
 
     # ------------------------------------------------------------------------------------ inside
 
@@ -202,6 +210,11 @@ class MotionFilter:
             )
         return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least), 3))
 
+    def _compare(self, innovation: Array, change: Array) -> None:
+        """Notes how an observation was met by prediction and by holding."""
+        squares = [np.sum(part.reshape(2, 3) ** 2, axis=1) for part in (innovation, change)]
+        self._misses += _NEW_SHARE * (np.array(squares) - self._misses)
+
     def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
         self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
         self._rejected, self._rejected_at = 0, -np.inf
@@ -210,6 +223,7 @@ class MotionFilter:
         self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.fastest), 3))
         self._shaking = np.zeros((12, 12))
         self._shaking[_POSE, _POSE] = noise
+        self._misses = np.zeros((2, 2))
         return how
 
     def _reject(self, time: float, pose: Pose, noise: Array) -> Update:

@@ -124,6 +124,17 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
     assert np.abs(difference(tracked.predict(15 * PERIOD).pose, away)).max() < 1e-9
 
 
+def test_what_is_too_quick_to_be_predicted_is_not() -> None:
+    """Back and forth from picture to picture: prediction would miss by more than holding does."""
+    tracked, worst = MotionFilter(), 0.0
+    for k in range(40):
+        x = 0.006 * (k % 2)
+        tracked.update(k * PERIOD, Pose((x, 0.0, 0.5)), NOISE)
+        if k > 5:
+            worst = max(worst, abs(tracked.predict((k + 1) * PERIOD).pose.position[0] - x))
+    assert worst < 0.007
+
+
 def test_after_a_long_gap_it_starts_again_and_after_a_short_one_it_goes_on() -> None:
     for gap, what in ((0.4, Update.TAKEN), (1.5, Update.RESTARTED)):
         tracked = MotionFilter()
