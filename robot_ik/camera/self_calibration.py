@@ -44,9 +44,9 @@ LEAST_VIEWS = 4
 #: Offsets known worse than this count as not told apart, rad.
 UNCLEAR = float(np.deg2rad(0.25))
 _ROUNDS, _TRIES = 30, 8
-# Steps smaller than this (rad, metres) end the iteration.
-_DONE = 1e-7
-_FIRST_DAMPING = 1e-6
+# Steps smaller than this (rad, metres) end the iteration; so small that nothing is bent: not tried first.
+_DONE, _SMALL = 1e-6, 1e-3
+_FIRST_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ def _downhill(
     now = cost(linear, noise)
     for _ in range(_TRIES):
         step = normal.step(damping)
-        if np.abs(step).max() < _DONE:
+        if np.abs(step).max() < _SMALL:
             return step, damping
         there = model.linear(state.moved(step), corners)
         if cost(there, noise) < now:

@@ -1,0 +1,139 @@
+"""``robot-ik camera verify`` as a user meets it; the job itself is tested in tests/jobs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_ik.camera.board_view import BoardView
+from robot_ik.camera.pose import marker_points
+from robot_ik.camera.self_calibration import KnownPose
+from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.geometry import Pose
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs import verify
+from robot_ik.jobs.handeye_samples import SampleSet
+from robot_ik.jobs.verify import VerifyReport, VerifyRequest
+from robot_ik.robot import load_robot
+
+CAMERA = Pose((0.75, -0.5, 0.45), (0.50099, -0.74367, -0.36714, 0.24733))
+POINTS = marker_points(0.08)
+HIDDEN = np.deg2rad([2.0, -1.5, 1.0, -2.0, 2.5, -3.0])
+
+
+@pytest.fixture
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An arm file of one's own, whose arm has wrong zeros; a job that needs no pictures."""
+    monkeypatch.chdir(tmp_path)
+    robot = load_robot("tabletop_puma")
+    assert robot.arm_file is not None
+    path = tmp_path / "mine.toml"
+    path.write_bytes(robot.arm_file.read_bytes())
+    config, rng = ArmConfig.load(path), np.random.default_rng(0)
+    robot = load_robot("tabletop_puma", joints=config.names)
+    samples = SampleSet("tabletop_puma", robot.joints, "flange", "eye_to_hand", STANDARD_CAMERA)
+    for _ in range(8):
+        q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
+        seen = CAMERA.inverse().compose(robot.forward(q + HIDDEN, "flange"))
+        samples.add(q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.02))
+
+    def run(request: VerifyRequest, *, dry_run: bool, progress: Any) -> VerifyReport:
+        known = KnownPose.within(CAMERA, 1e-4, 1e-4), KnownPose.within(Pose(), *request.board_sigma)
+        stops = tuple(samples.q)
+        empty = VerifyReport(
+            robot, "flange", stops, samples, (3,), *known, False, (), None, config, HIDDEN
+        )  # fmt: skip
+        return empty if dry_run else verify._judged(empty, request.fit)
+
+    monkeypatch.setattr(verify, "run_verify", run)
+    return path
+
+
+def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> None:
+    run = robot_ik("camera", "verify", "--allowed-mm", "3")
+    assert run.code == 1, run
+    for words in ("off: mm", "the arm as it is", "x <", "RMS mm", "beyond the allowed 3 mm", "not seen at 4"):
+        assert words in run.out
+    assert "ahead by" not in run.out
+    assert robot_ik("camera", "verify", "--allowed-mm", "60").code == 0
+    said = json.loads(robot_ik("camera", "verify", "--json").out)
+    assert said["passed"] is False and "fit" not in said
+    assert said["regions"][0]["poses"] == len(said["poses"]) == 8
+    assert said["regions"][0]["largest_m"] == pytest.approx(
+        max(np.linalg.norm(one["off_m"]) for one in said["poses"])
+    )
+
+
+def test_zeros_are_written_after_a_yes_and_only_then(
+    robot_ik: Any, arm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = arm.read_bytes()
+    run = robot_ik("camera", "verify", "--fit")
+    assert run.code == 1 and "give your arm file with --arm" in run.err
+    for answer in ("n", "", None):
+        monkeypatch.setattr("builtins.input", lambda answer=answer: _answer(answer))
+        run = robot_ik("camera", "verify", "--fit", "--arm", arm)
+        assert run.code == 1 and "stays as it is" in run.err
+        assert arm.read_bytes() == before and list(arm.parent.iterdir()) == [arm]
+    monkeypatch.setattr("builtins.input", lambda: "y")
+    run = robot_ik("camera", "verify", "--fit", "--arm", arm)
+    assert run.code == 0, run
+    assert "zero_ticks: joint1 2048 -> 2025" in run.err
+    assert "joint zeros" in run.out and "with these zeros" in run.out
+    assert (arm.parent / "mine.toml.1.bak").read_bytes() == before
+    old, new = ArmConfig.parse(before.decode()), ArmConfig.load(arm)
+    moved = [b.to_radians(2000) - a.to_radians(2000) for a, b in zip(old.joints, new.joints, strict=True)]
+    np.testing.assert_allclose(moved, HIDDEN, atol=np.deg2rad(0.1))
+
+
+def test_json_says_all_and_yes_asks_nothing(robot_ik: Any, arm: Path) -> None:
+    run = robot_ik("camera", "verify", "--fit", "--arm", arm, "--yes", "--json")
+    assert run.code == 0, run
+    said = json.loads(run.out)
+    assert said["written"] is True and said["passed"] is True and said["unseen"] == [3]
+    np.testing.assert_allclose(said["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
+    assert said["fit"]["held"] == [] and None not in said["fit"]["sigma_rad"]
+    assert said["fit"]["regions"][0]["largest_m"] < 1e-3 < said["regions"][0]["largest_m"]
+
+
+def test_what_is_held_is_said(robot_ik: Any, arm: Path) -> None:
+    run = robot_ik("camera", "verify", "--fit", "--board-sigma", "1", "3")
+    assert "the offset of joint6 and the turn of the board about z of flange look the same" in run.out
+    assert "joint6 is held" in run.out and "joint6" not in run.err
+
+
+def test_a_plan_is_printed(robot_ik: Any, arm: Path) -> None:
+    run = robot_ik("camera", "verify", "--dry-run")
+    assert run.code == 0 and "planned, degrees" in run.out and len(run.out.splitlines()) == 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--views", "3"], "allowed: 4 to 100"),
+        (["--speed", "2"], "share of the speed limits"),
+        (["--allowed-mm", "0"], "--allowed-mm"),
+        (["--board-sigma", "0", "1"], "--board-sigma"),
+        (["--bus", "none"], "has no zeros"),
+        (["--yes"], "with --fit and --arm"),
+        (["--board", "plank"], "is no board"),
+        (["--board-pose", "1", "2"], "--board-pose"),
+        (["--rehearse-zero-offset", "joint2"], "JOINT=DEGREES"),
+        (["--camera", "0"], "robot-ik camera locate"),
+        (["--arm", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_what_cannot_be_meant_is_told(robot_ik: Any, arguments: list[str], words: str) -> None:
+    run = robot_ik("camera", "verify", *arguments)
+    run.assert_one_screen_error()
+    assert words in run.err
+
+
+def _answer(text: str | None) -> str:
+    if text is None:
+        raise EOFError
+    return text
