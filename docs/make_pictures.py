@@ -35,6 +35,8 @@ from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar import extent
 from robot_ik.jobs.ar_scene import BOARD, Motion, synthetic_stage
 from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
+from robot_ik.jobs.verify import VerifyRequest, run_verify
+from robot_ik.jobs.verify_picture import error_picture
 
 Image = NDArray[np.uint8]
 
@@ -178,11 +180,19 @@ def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: fl
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
 
 
+def error_map() -> Image:
+    """A simulated arm with a slipped horn on joint 2: where it is off, and with the zeros that were found."""
+    report = run_verify(VerifyRequest("tabletop_puma", fit=True, zero_offset_deg={"joint2": 1.5}))
+    drawn = cv2.imdecode(np.frombuffer(error_picture(report), np.uint8), cv2.IMREAD_COLOR)
+    return np.asarray(drawn, dtype=np.uint8)
+
+
 # One row a picture; whoever adds one adds its function above.
 PICTURES: dict[str, Callable[[], Image]] = {
     **{name: partial(draw, scene) for name, scene in SCENES.items()},
     "calibration": calibration,
     "robot_in_the_picture": robot_in_the_picture,
+    "error_map": error_map,
 }
 
 
