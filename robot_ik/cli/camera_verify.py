@@ -127,6 +127,9 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     if not options.arm:
         console.say("nothing is written: to keep these zeros, give your arm file with --arm", "yellow")
         return False
+    if not report.better:
+        console.say("with these zeros the arm is no better: nothing is written", "yellow")
+        return False
     words = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
     console.say(f"zero_ticks: {words}")
     if not options.yes and not _agreed(f"write them to {options.arm}? [y/N] "):

@@ -41,9 +41,10 @@ def print_report(report: VerifyReport, allowed_mm: float) -> None:
         screen.print(_regions(title, report.judged(corrected=True)))
     if report.unseen:
         screen.print("board not seen at " + ", ".join(str(k + 1) for k in report.unseen))
-    largest = 1e3 * max(one.distance for one in report.judged(corrected=False))
-    verdict = "within" if largest <= allowed_mm else "beyond"
-    screen.print(f"largest error {largest:.2f} mm: {verdict} the allowed {allowed_mm:g} mm")
+    for corrected, words in ((False, "as it is"), (True, "with these zeros"))[: 1 + (report.fit is not None)]:
+        largest = 1e3 * max(one.distance for one in report.judged(corrected=corrected))
+        verdict = "within" if largest <= allowed_mm else "beyond"
+        screen.print(f"largest error {words}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
 
 
 def _poses(report: VerifyReport) -> Any:

@@ -95,6 +95,13 @@ class VerifyReport:
         """Whether no pose is farther off than ``allowed`` metres."""
         return summary(self.judged(corrected=corrected)).largest <= allowed
 
+    @property
+    def better(self) -> bool:
+        """Whether the zeros that were found explain poses that they were not found from."""
+        return self.fit is not None and (
+            summary(self.judged(corrected=True)).rms < summary(self.judged(corrected=False)).rms
+        )
+
     def offsets(self) -> dict[str, float]:
         """Joint -> rad, of those that could be determined."""
         if self.fit is None:

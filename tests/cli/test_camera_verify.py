@@ -56,7 +56,15 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--allowed-mm", "3")
     assert run.code == 1, run
-    for words in ("off: mm", "the arm as it is", "x <", "RMS mm", "beyond the allowed 3 mm", "not seen at 4"):
+    assert "with these zeros" not in run.out
+    for words in (
+        "off: mm",
+        "the arm as it is",
+        "x <",
+        "RMS mm",
+        "mm, beyond the allowed 3 mm",
+        "not seen at 4",
+    ):
         assert words in run.out
     assert "ahead by" not in run.out
     assert robot_ik("camera", "verify", "--allowed-mm", "60").code == 0
@@ -98,6 +106,16 @@ def test_json_says_all_and_yes_asks_nothing(robot_ik: Any, arm: Path) -> None:
     np.testing.assert_allclose(said["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
     assert said["fit"]["held"] == [] and None not in said["fit"]["sigma_rad"]
     assert said["fit"]["regions"][0]["largest_m"] < 1e-3 < said["regions"][0]["largest_m"]
+
+
+def test_zeros_that_explain_nothing_new_are_not_written(
+    robot_ik: Any, arm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(VerifyReport, "better", False)
+    before = arm.read_bytes()
+    run = robot_ik("camera", "verify", "--fit", "--arm", arm, "--yes")
+    assert run.code == 1 and "no better: nothing is written" in run.err
+    assert arm.read_bytes() == before
 
 
 def test_what_is_held_is_said(robot_ik: Any, arm: Path) -> None:

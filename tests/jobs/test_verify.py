@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.camera_rows import Effort
+from robot_ik.camera.boards import MarkerBoard
 from robot_ik.camera.places import CameraPlace
 from robot_ik.camera.self_calibration import PoseError
 from robot_ik.camera.sources import ClosingSource, Frame
@@ -85,7 +86,7 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
     assert not report.passed(5e-3) and report.passed(5e-3, corrected=True)
     assert summary(report.judged(corrected=False)).rms > 5e-3
     assert summary(report.judged(corrected=True)).rms < 1e-3
-    assert not report.by_arm and report.unsure == ()
+    assert report.better and not report.by_arm and report.unsure == ()
     # With the new zeros the servos' registers mean the joints' true angles, to a tick.
     now = zeros_moved(report.config, report.offsets())
     said = np.array([joint.to_radians(joint.to_ticks(0.3)) for joint in report.config.joints])
@@ -111,6 +112,36 @@ def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_
     other.save(tmp_path / "other.toml")
     with pytest.raises(CalibrationError, match="another calibration"):
         run_verify(VerifyRequest("tabletop_puma", views=4, place=tmp_path / "other.toml"))
+
+
+def test_a_camera_of_ones_own_with_its_place_and_a_board(
+    report: VerifyReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    prepare = verify.prepare_limbs
+    monkeypatch.setattr(verify, "prepare_limbs", lambda request: made.append(prepare(request)) or made[0])
+
+    def opened(name: str) -> Drawn:
+        limbs = made[0]
+        source = Drawn(handeye_scene.stage_for(limbs.robot, limbs.frame).scene(limbs.robot), limbs.true_q)
+        source.live = True
+        return source
+
+    monkeypatch.setattr(handeye_scene, "open_source", opened)
+    lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
+    STANDARD_CAMERA.save(lens)
+    CameraPlace(
+        report.camera.pose, "world", report.camera.covariance, 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
+    ).save(place)
+    stage = handeye_scene.stage_for(report.robot, "gripper")
+    found = run_verify(
+        VerifyRequest(
+            "tabletop_puma", camera="0", intrinsics=lens, place=place, views=4, frame=stage.cube_frame,
+            board=MarkerBoard(dict(stage.cube), stage.dictionary), pose_frame_board=stage.cube_offset,
+        )
+    )  # fmt: skip
+    assert found.true_offsets is None and not found.by_arm and found.frame == stage.cube_frame
+    assert len(found.samples) == len(found.errors) == 4 and found.passed(2e-3)
 
 
 def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
