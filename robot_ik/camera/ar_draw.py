@@ -121,7 +121,10 @@ def shadow_sheet(
     whole = np.ones(len(faces.faces), dtype=bool)
     if not good.all():
         whole = np.logical_and.reduce(good[faces.faces], axis=1)
-    soft = max(1.0, _SOFT * _extent(faces.pixels[faces.within, 1]) / _COARSE)
+    rows = np.clip(
+        faces.pixels[faces.within, 1], 0.0, intrinsics.height
+    )  # parts before the lens are anywhere
+    soft = max(1.0, _SOFT * _extent(rows) / _COARSE)
     flat = replace(
         faces,
         pixels=(pixels + 0.5) / _COARSE - 0.5,

@@ -72,6 +72,25 @@ def test_a_robot_of_another_size_is_the_same_picture_from_elsewhere() -> None:
     assert np.abs(small.coverage.astype(int) - large.robot.coverage).max() <= 1
 
 
+def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    softness: list[float] = []
+
+    def blur(image: np.ndarray, size: tuple[int, int], sigma: float) -> np.ndarray:
+        softness.append(sigma)
+        return image
+
+    monkeypatch.setattr(cv2, "GaussianBlur", blur)
+    figure, qpos = standing(
+        1.0
+    )  # its middle is as high as the lens: points of it are millions of pixels away
+    for height in (0.3, 0.6, 0.9):
+        PainterArtist().draw(figure, qpos, BENT, look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
+    assert len(softness) == 3
+    assert max(softness) <= 3.0
+
+
 def test_depth_by_rays_is_that_of_the_scaled_robot() -> None:
     figure, qpos = standing(0.25)
     seen = RayArtist().look(figure, qpos, BENT, EYE)
