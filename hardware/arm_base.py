@@ -113,10 +113,11 @@ class ArmBase:
             raise
         except HardwareError as error:
             self.state, self._fault = ArmState.FAULT, error
-            log.error("fault: %s", error)
+            log.info("fault: %s", error)  # whoever asked for the step is told by the error itself
             try:  # the others stay where they are; the one in fault cannot hear or will not obey
-                goal = shared_register(self.config, "goal_position")
-                self.bus.sync_write(goal, self._cycle.holding_goals())
+                if self.bus.is_open:
+                    goal = shared_register(self.config, "goal_position")
+                    self.bus.sync_write(goal, self._cycle.holding_goals())
             except HardwareError as second:
                 log.warning("holding the other joints: %s", second)
             raise

@@ -83,20 +83,21 @@ def torque_off(
     begin = clock.now()
     register = shared_register(config, "torque_enable")
     left = {servo.id: servo.name for servo in config.servos}
+    told: set[str] = set()
     # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
     # and the torn head of that one can swallow the first.
-    for _ in range(2):
-        with _tolerant("torque off for all"):
+    for _ in range(2 if bus.is_open else 0):
+        with _tolerant("torque off for all", told):
             bus.write(BROADCAST_ID, register, 0)
     while left and bus.is_open:
-        with _tolerant("reading torque"):
+        with _tolerant("reading torque", told):
             for id, status in bus.sync_read(list(left), register).items():
                 if status.data == 0:
                     del left[id]
         for id, name in list(left.items()):
             if clock.now() - begin > PATIENCE:
                 return _report("torque_off", config, left, clock.now() - begin, parked)
-            with _tolerant(f"torque off for {name}"):
+            with _tolerant(f"torque off for {name}", told):
                 bus.write(id, register, 0)
         if left:
             clock.sleep_until(clock.now() + PAUSE)
@@ -120,8 +121,9 @@ def hold(
     begin = clock.now()
     goal, watchdog = (shared_register(config, name) for name in ("goal_position", "bus_watchdog"))
     left = {servo.id: servo.name for servo in config.servos}
+    told: set[str] = set()
     while left and bus.is_open and clock.now() - begin < PATIENCE:
-        with _tolerant("hold"):
+        with _tolerant("hold", told):
             bus.sync_write(watchdog, dict.fromkeys(left, 0))
             bus.sync_write(goal, {id: goals[id] for id in left})
             for id, status in bus.sync_read(list(left), goal).items():
@@ -145,9 +147,10 @@ def _report(
 
 
 @contextmanager
-def _tolerant(what: str) -> Iterator[None]:
-    """One step of leaving must not prevent the next."""
+def _tolerant(what: str, told: set[str]) -> Iterator[None]:
+    """One step of leaving must not prevent the next.  What fails again and again is told once."""
     try:
         yield
     except Exception as error:
-        log.warning("%s: %s", what, error)
+        log.log(logging.DEBUG if what in told else logging.WARNING, "%s: %s", what, error)
+        told.add(what)

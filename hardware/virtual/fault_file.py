@@ -142,8 +142,11 @@ def _servo_id(entry: _Entry, config: ArmConfig, wrong: Any) -> int | None:
     if entry.joint is not None:
         try:
             return config.joint(entry.joint).id
-        except UnknownJointError as error:
-            raise wrong(str(error), "joint", ", ".join(config.whole.names)) from None
+        except UnknownJointError:
+            names = config.whole.names
+            close = close_matches(entry.joint, names)
+            hint = f"did you mean {' or '.join(close)}?" if close else ""
+            raise wrong(f"no joint is called {entry.joint!r}", "joint", ", ".join(names), hint) from None
     if entry.id is not None and entry.id not in config.servo_ids:
         raise wrong(f"no servo has the id {entry.id}", "id", ", ".join(map(str, config.servo_ids)))
     return entry.id

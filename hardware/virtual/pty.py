@@ -237,7 +237,7 @@ def _make_link(link: Path, path: str) -> None:
     except OSError as error:
         fresh.unlink(missing_ok=True)
         raise OutputError(
-            f"the link {link} cannot be made: {error}", hint="is its folder writable?"
+            f"the link {link} cannot be made: {error.strerror or error}", hint="is its folder writable?"
         ) from error
 
 

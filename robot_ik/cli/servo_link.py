@@ -193,6 +193,17 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
 
+@contextmanager
+def driving(arm: Arm) -> Iterator[None]:
+    """The arm connected, and left by its policy; says how it was left, also after a signal or an error."""
+    try:
+        with arm:
+            yield
+    finally:
+        if words := left(arm):
+            console.say(words, "dim")
+
+
 Limits = dict[str, tuple[float, float]]
 """Joint -> limits, rad (m of a slide)."""
 
@@ -233,6 +244,7 @@ def left(arm: Arm) -> str:
     report = arm.exit_report
     if report is None:
         return ""
+    if not report.ok:
+        return f"{report.done} NOT confirmed by {', '.join(report.unverified)}: cut the power"
     words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
-    text = words[report.done] + (" (parked first)" if report.parked else "")
-    return text if report.ok else f"{text}, NOT confirmed by {', '.join(report.unverified)}: cut the power"
+    return words[report.done] + (" (parked first)" if report.parked else "")

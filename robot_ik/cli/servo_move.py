@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, arm_on, left, load_arm, require_model, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried, wrong
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -58,10 +58,8 @@ def run_move(options: MoveOptions) -> int:
         _show(arm, here, goal)
         return console.DONE
 
-    with arm:
-        code = tried(move)
-    console.say(left(arm), "dim")
-    return code
+    with driving(arm):
+        return tried(move)
 
 
 def slowed(config: ArmConfig, speed: float) -> ArmConfig:

@@ -80,7 +80,7 @@ def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
 
 def print_found(found: Sequence[FoundServo]) -> None:
     """The table of servos on stdout."""
-    names = ("baud", "id", "model", "firmware", "supply", "temperature", "delay", "torque", "errors")
+    names = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
     shown = console.table(*names)
     for s in found:
         shown.add_row(

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
-from robot_ik.cli.servo_link import BusOptions, arm_on, left, load_arm, require_model, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried, wrong
 from robot_ik.cli.servo_move import slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError
@@ -205,10 +205,8 @@ def run_play(options: PlayOptions) -> int:
             )
     motion, stretch = playable(motion, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
-    with arm:
-        code = tried(lambda: _play(arm, motion, stretch))
-    console.say(left(arm), "dim")
-    return code
+    with driving(arm):
+        return tried(lambda: _play(arm, motion, stretch))
 
 
 def playable(motion: Trajectory, config: ArmConfig, speed: float) -> tuple[Trajectory, float]:

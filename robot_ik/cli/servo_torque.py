@@ -13,8 +13,8 @@ from robot_ik.cli.servo_link import (
     BusOptions,
     Link,
     arm_on,
+    driving,
     joints_of,
-    left,
     load_arm,
     opened,
     require_model,
@@ -61,9 +61,8 @@ def run_torque(options: TorqueOptions) -> int:
             arm.enable()
             return console.DONE
 
-        with arm:
+        with driving(arm):
             code = tried(switch_on)
-        console.say(left(arm), "dim")
         return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     register = config.joints[0].table["torque_enable"]
     servos = {servo.id: servo.name for servo in joints_of(config, options.joints).servos}

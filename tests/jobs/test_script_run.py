@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robot_ik.errors import ConfigError
 from robot_ik.hardware.limiter import SafetyLimiter
 from robot_ik.jobs.script import (
     ScriptReport,
@@ -17,6 +18,7 @@ from robot_ik.jobs.script import (
     shipped,
 )
 from robot_ik.jobs.script.report import junit_report
+from robot_ik.jobs.script.run import ScriptRequest, ScriptRun
 
 Run = Callable[..., ScriptReport]
 
@@ -39,6 +41,20 @@ def test_scripts_that_come_along_pass_and_repeat_to_the_bit(name: str) -> None:
     if name == "tracking_marker":
         return  # seventy pictures: the next test repeats a few
     assert everything(first) == everything(run_script(load_script(shipped()[name])))
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_which_scripts_a_real_arm_can_run(name: str) -> None:
+    """What breaks nothing on purpose and asks nothing that only a simulation knows; no port is opened."""
+
+    def prepare() -> None:
+        ScriptRun(load_script(shipped()[name]), ScriptRequest(bus="/dev/none"))
+
+    if name in ("out_of_reach", "pick_and_place"):
+        prepare()
+    else:
+        with pytest.raises(ConfigError, match=r"--bus sim or pty|robot-ik reach"):
+            prepare()
 
 
 def test_looking_repeats_to_the_bit(play: Run) -> None:
