@@ -108,7 +108,7 @@ def estimate_joint_noise(linear: Linear, free: NDArray[np.int64], before: JointN
         weights = np.maximum(1.0, far) ** -2.0
     else:
         weights = before.weights
-    sizes = _SIZES if before is None else before.size * _NEARBY
+    sizes = _SIZES if before is None else max(before.size, _SIZES[0]) * _NEARBY
     for _ in range(_ZOOMS):
         best = sizes[int(np.argmax([_likelihood(linear, free, weights, size) for size in sizes]))]
         factor = np.sqrt(sizes[1] / sizes[0])

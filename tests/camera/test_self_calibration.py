@@ -166,6 +166,31 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
         assert one.angle == pytest.approx(really.distance(said)[1], abs=1e-7)
         # the camera's millimetre moves all that it sees, in three axes; the corners add little
         assert 1.7e-3 < one.sigma < 1.9e-3
+    # a camera turned by a little moves what it sees by as much as it is far
+    turned = KnownPose.within(CAMERA, 1e-6, 1e-3), known[1]
+    errors = measure_errors(views, robot, FRAME, STANDARD_CAMERA, camera=turned[0], board=turned[1])
+    for one, view in zip(errors, views, strict=True):
+        far = float(np.linalg.norm(view.view.pose_camera_board.position))
+        assert one.sigma == pytest.approx(np.sqrt(2.0) * 1e-3 * far, rel=0.03)
+
+
+def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
+    offsets = np.deg2rad([1.0, 2.0, -1.0, 2.0, -2.0, 1.0])
+    views = views_of(robot, offsets, 12, 6, pixel=0.2, joint=1e-3)
+    camera, board = KnownPose.within(CAMERA, 1e-3, 1e-3), KnownPose.within(BOARD, 1e-3, 1e-3)
+    whole = fit(views, robot, camera=camera, board=board)
+    apart = []
+    for k in (0, 3, 6, 9):
+        view = views[k]
+        others = fit([*views[:k], *views[k + 1 :]], robot, camera=camera, board=board)
+        (one,) = measure_errors(
+            [ArmView(view.q + others.offsets, view.view)], robot, FRAME, STANDARD_CAMERA,
+            camera=KnownPose.within(others.pose_parent_camera, *EXACT),
+            board=KnownPose.within(others.pose_other_board, *EXACT),
+        )  # fmt: skip
+        apart.append((np.linalg.norm(one.vector - whole.errors[k].vector), one.distance))
+    miss, size = np.sqrt(np.mean(np.square(apart), axis=0))
+    assert miss < 0.2 * size
 
 
 def test_what_cannot_be_is_told(robot: Robot) -> None:
