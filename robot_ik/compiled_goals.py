@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import GoalError, InvalidGoalError, UnsupportedJointError
+from robot_ik.geometry import turn_z_to
 from robot_ik.goals import Goal, PostureGoal, Tolerance
-from robot_ik.goals.base import Array, turn_z_to
+from robot_ik.goals.base import Array
 from robot_ik.kernels import residuals
 from robot_ik.kernels.partial_rows import (
     BLOCK,

@@ -63,6 +63,16 @@ def matrix_to_quat(rotation: ArrayLike) -> Array:
     return -quat if quat[0] < 0 else quat
 
 
+def turn_z_to(axis: ArrayLike) -> Array:
+    """A rotation matrix (3, 3) whose z column is the unit vector ``axis``; the identity for z itself."""
+    z = np.asarray(axis, dtype=float)
+    # The coordinate axis least along z keeps the cross product well away from zero.
+    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = helper - z * (z @ helper)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
 def rotation_log(wxyz: Array) -> Array:
     """Rotation vector (3,), angle in [0, pi], of a unit quaternion (4,)."""
     w, vector = float(wxyz[0]), np.asarray(wxyz[1:], dtype=float)

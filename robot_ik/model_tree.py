@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.geometry import Pose, matrix_to_quat, rotation_exp
+from robot_ik.geometry import Pose, rotation_exp, turn_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 
 Array = NDArray[np.float64]
@@ -41,18 +41,6 @@ def pose_row(pose: Pose) -> Array:
 def row_pose(row: Array) -> Pose:
     """Inverse of ``pose_row``."""
     return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
-
-
-def _turn_z_to(axis: Array) -> Pose:
-    """A rotation that takes the z axis to the unit vector ``axis``; exact for the coordinate axes."""
-    z = axis / np.linalg.norm(axis)
-    # The coordinate axis least along z keeps the cross product well away from zero.
-    helper = np.zeros(3)
-    helper[int(np.argmin(np.abs(z)))] = 1.0
-    x = helper - z * (z @ helper)
-    x /= np.linalg.norm(x)
-    rotation = np.column_stack([x, np.cross(z, x), z])
-    return Pose((0, 0, 0), matrix_to_quat(rotation))
 
 
 def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: float) -> Pose:
@@ -101,12 +89,12 @@ class _Builder:
         after = Pose()
         constant = at.local
         if kind == HINGE:
-            align = _turn_z_to(axis)
+            align = Pose.from_rotation(turn_z_to(axis / np.linalg.norm(axis)))
             back = Pose((0, 0, 0), rotation_exp([0.0, 0.0, -reference]))
             constant = constant.compose(Pose(anchor)).compose(align).compose(back)
             after = align.inverse().compose(Pose(-anchor))
         elif kind == SLIDE:
-            align = _turn_z_to(axis)
+            align = Pose.from_rotation(turn_z_to(axis / np.linalg.norm(axis)))
             constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
             after = align.inverse()
         elif kind == BALL:

@@ -134,15 +134,6 @@ def axes_mask(axes: object) -> tuple[float, float, float]:
     return tuple(float(letter in axes) for letter in "xyz")  # type: ignore[return-value]
 
 
-def turn_z_to(axis: ArrayLike) -> Array:
-    """A rotation matrix (3, 3) whose z column is the unit vector ``axis``; the identity for z itself."""
-    z = np.asarray(axis, dtype=float)
-    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = helper - z * (z @ helper)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
 @dataclass(frozen=True)
 class Rows:
     """Which rows a goal makes: all that the kernels know of its kind (``kernels/partial_rows.py``).

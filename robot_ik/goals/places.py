@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
-from robot_ik.geometry import Pose
-from robot_ik.goals.base import Goal, Rows, axis_vector, positive_number, turn_z_to, vector
+from robot_ik.geometry import Pose, turn_z_to
+from robot_ik.goals.base import Goal, Rows, axis_vector, positive_number, vector
 from robot_ik.kernels.partial_rows import ONE_SIDE, SOME_AXES
 
 
