@@ -121,9 +121,8 @@ def shadow_sheet(
     whole = np.ones(len(faces.faces), dtype=bool)
     if not good.all():
         whole = np.logical_and.reduce(good[faces.faces], axis=1)
-    rows = np.clip(
-        faces.pixels[faces.within, 1], 0.0, intrinsics.height
-    )  # parts before the lens are anywhere
+    # what is beside the lens is projected anywhere
+    rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
     soft = max(1.0, _SOFT * _extent(rows) / _COARSE)
     flat = replace(
         faces,

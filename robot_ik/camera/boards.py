@@ -22,6 +22,8 @@ from robot_ik.geometry import Pose
 # Corners of patterns are found to about this, px (measured by the calibration).
 _PATTERN_SIGMA = 0.1
 _DICTIONARY = "DICT_5X5_50"
+# No square of a board is smaller, mm: such a number is metres.
+_LEAST_MM = 0.5
 _KINDS = (
     "marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM, "
     "chessboard:COLUMNSxROWS:SQUARE_MM, or a file of bodies (FILE.toml or FILE.toml:NAME)"
@@ -137,9 +139,15 @@ def _count(text: str) -> tuple[int, int]:
 
 
 def _metres(text: str) -> float:
-    if not 0.0 <= float(text) < np.inf:
+    length = float(text)
+    if not 0.0 <= length < np.inf:
         raise ValueError
-    return 1e-3 * float(text)
+    if 0.0 < length < _LEAST_MM:
+        raise CameraError(
+            f"a length of {length:g} mm cannot be right on a board",
+            hint=f"boards are said in millimetres: {length:g} m are {1e3 * length:g}",
+        )
+    return 1e-3 * length
 
 
 def _body(path: Path, name: str, dictionary: str) -> MarkerBoard:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.calibrate import View
 from robot_ik.camera.coverage import Coverage, cover
+from robot_ik.camera.dictionary_guess import guess_dictionary
 from robot_ik.camera.pattern_guess import describe, fitting_pattern
 from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
 from robot_ik.camera.sources import Frame
@@ -28,6 +29,8 @@ _NEW_PLACE, _NEW_SCALE, _NEW_LEAN = 0.12, 1.2, 9.0
 _MISSES, _PATIENCE = 12, 4
 # Pictures to ask about while more are to come.
 _ASKED = 3
+# Pictures without the pattern that are named.
+_NAMED = 5
 
 
 class ViewGatherer:
@@ -52,6 +55,7 @@ class ViewGatherer:
         self._misses: deque[Image] = deque(maxlen=_MISSES)
         self._missed, self._ask_at = 0, _MISSES
         self._found_any = False
+        self._without: list[str] = []
 
     @property
     def in_view(self) -> bool:
@@ -74,6 +78,8 @@ class ViewGatherer:
         found = self.pattern.find(frame.image)
         if found is None:
             self._before = None
+            if not choosy:
+                self._without.append(name)
             self._miss(frame.image)
             return False
         self._found_any = True
@@ -93,6 +99,9 @@ class ViewGatherer:
         """
         if not self._found_any and self._misses:
             self._ask_what_it_is(last=True)
+        if self._without and self._found_any:
+            names = ", ".join(self._without[:_NAMED]) + (", …" if len(self._without) > _NAMED else "")
+            self.notices.append(f"not seen well enough in {len(self._without)} of the pictures: {names}")
 
     @property
     def coverage(self) -> Coverage:
@@ -128,6 +137,7 @@ class ViewGatherer:
             self.notices.append(
                 "the board has the layout of OpenCV before 4.6 (legacy pattern): taken as such"
             )
+            self._without.clear()
             for number, image in enumerate(images):
                 self.offer(Frame(image, 0.0, number), f"picture {number + 1}", choosy=False)
         elif other is not None:
@@ -138,8 +148,7 @@ class ViewGatherer:
         elif last:
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in any of the pictures",
-                hint="a chessboard must be in view as a whole, with a white margin; check size, pattern and "
-                "dictionary, light and focus",
+                hint=_other_kind(self.pattern, images),
             )
 
     def _is_still(self, found: FoundPattern, size: tuple[int, int]) -> bool:
@@ -161,6 +170,20 @@ class ViewGatherer:
 
     def _is_new(self, kind: Array) -> bool:
         return all(np.linalg.norm(kind - other) > 1.0 for other in self._kinds)
+
+
+def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
+    """What to look at when the pattern and all that is nearly the same were not found."""
+    if isinstance(pattern, ChessboardPattern):
+        return (
+            "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
+        )
+    seen = guess_dictionary(images[-_ASKED:])
+    if seen is None:
+        return "there are no markers at all: is it a chessboard (--pattern chessboard)? Check light and focus"
+    if seen != pattern.dictionary:
+        return f"there are markers of {seen}: --dictionary {seen}, and --columns, --rows as on the print"
+    return "there are markers of its dictionary: check --columns, --rows and the two sizes against the print"
 
 
 def _counted(pattern: Pattern) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 # A pose that fits hardly better than its mirror image is marked: goals are not made from it either.
 _DOUBTFUL = 0.6
+# When there is no marker in any picture, so many of them are looked at again for markers of other kinds.
+_GUESSED_FROM = 3
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,8 @@ def run(options: CameraDetectOptions) -> int:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
-    rows = list(_looked(options, intrinsics))
+    blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
+    rows = list(_looked(options, intrinsics, blank))
     if options.json:
         images = [
             {"file": row.file, "frame": row.frame, "width": row.size[0], "height": row.size[1], **row.values}
@@ -78,12 +83,26 @@ def run(options: CameraDetectOptions) -> int:
         return console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
     console.say(f"error: {wanted} of {options.dictionary} in {len(rows)} picture(s)", "bold red")
-    console.say("is it of another dictionary, too small, or without white all round it?", "cyan")
+    console.say(_hint(options, blank), "cyan")
     return console.NOT_ACHIEVED
 
 
-def _looked(options: CameraDetectOptions, intrinsics: CameraIntrinsics | None) -> Iterator[_Row]:
-    """Looks at all pictures, draws them when wanted."""
+def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
+    """What may be wrong when no picture shows a marker that was asked for."""
+    from robot_ik.camera.dictionary_guess import guess_dictionary
+
+    other = guess_dictionary(blank)
+    if other is None:
+        return "is the marker too small, blurred, or without white all round it?"
+    if other == options.dictionary:
+        return "other markers of this dictionary are there: leave --ids away to see which"
+    return f"there are markers of {other}: --dictionary {other}"
+
+
+def _looked(
+    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, blank: deque[Any]
+) -> Iterator[_Row]:
+    """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
     from robot_ik.camera.sightings import Lookout, as_values, drawn
     from robot_ik.errors import CameraError
@@ -100,6 +119,8 @@ def _looked(options: CameraDetectOptions, intrinsics: CameraIntrinsics | None) -
                 if in_film and frame.sequence == 0:
                     lookout = Lookout(*asked, film=True)
                 sighting = lookout.look(frame)
+                if not sighting.markers:
+                    blank.append(frame.image)
                 bar.update(task, note=str(frame.sequence))
                 yield _Row(file, frame.sequence, frame.size, as_values(sighting))
                 if options.draw is not None:
@@ -136,26 +157,40 @@ def _save(folder: Path, file: str, number: int | None, image: Any) -> None:
 # ------------------------------------------------------------------------------------ tables
 
 
+# Of a pose, short enough for 80 columns.
+_POSE = ("position, m", "tilt", "error", "ambi-\nguity", "sigma")
+
+
 def _print_markers(rows: Sequence[_Row], *, posed: bool) -> None:
-    columns = ("position, m", "distance", "tilt", "reprojection", "ambiguity", "sigma") if posed else ()
-    shown = console.table("picture", "id", "centre, px", *columns)
+    shown = console.table("picture", "id", *(_POSE if posed else ("centre, px",)))
+    shown.columns[0].no_wrap = False
     for row in rows:
         for marker in row.values["markers"]:
-            centre = np.mean(marker["corners"], axis=0)
-            cells = [_place(row), str(marker["id"]), f"{centre[0]:.2f} {centre[1]:.2f}"]
-            shown.add_row(*cells, *(_pose_cells(marker) if posed else ()))
-    if shown.row_count:
-        console.out().print(shown)
+            centre = " ".join(f"{x:.2f}" for x in np.mean(marker["corners"], axis=0))
+            cells = _pose_cells(marker) if posed else [Text(centre)]
+            shown.add_row(_place(row), str(marker["id"]), *cells)
+    _show(shown, posed=posed)
 
 
 def _print_bodies(rows: Sequence[_Row]) -> None:
-    shown = console.table(
-        "picture", "body", "position, m", "distance", "tilt", "reprojection", "ambiguity", "sigma", "markers"
-    )
+    shown = console.table("picture", "body", *_POSE)
+    shown.columns[0].no_wrap = False
+    odd = []
     for row in rows:
         for body in row.values["bodies"]:
-            left_out = f", without {_listed(body['rejected'])}" if body["rejected"] else ""
-            shown.add_row(_place(row), body["name"], *_pose_cells(body), _listed(body["ids"]) + left_out)
+            shown.add_row(_place(row), body["name"], *_pose_cells(body))
+            if body["rejected"]:
+                ids = ", ".join(map(str, body["rejected"]))
+                odd.append(f"{_place(row)}: {body['name']} without {ids}, at odds with its other markers")
+    _show(shown, posed=True)
+    for line in odd:
+        console.out().print(Text(line, style="yellow"))
+
+
+def _show(shown: Table, *, posed: bool) -> None:
+    if posed:  # numbers stay whole, names of pictures are broken where there is no room
+        for column in shown.columns[1:]:
+            column.no_wrap = True
     if shown.row_count:
         console.out().print(shown)
 
@@ -164,22 +199,16 @@ def _place(row: _Row) -> str:
     return f"{Path(row.file).name} #{row.frame}" if row.frame else Path(row.file).name
 
 
-def _listed(ids: Sequence[int]) -> str:
-    return " ".join(map(str, ids))
-
-
 def _pose_cells(values: dict[str, Any]) -> list[Text]:
-    """Position, distance, tilt, reprojection error, ambiguity, and how sure the pose is."""
+    """Position, tilt, reprojection error, ambiguity, and how sure the pose is."""
     position = np.array(values["pose"]["position"])
-    distance = float(np.linalg.norm(position))
-    away = Pose(position, values["pose"]["wxyz"]).rotation[:, 2] @ position / -distance
+    away = Pose(position, values["pose"]["wxyz"]).rotation[:, 2] @ position / -np.linalg.norm(position)
     sigma = np.sqrt(np.diag(values["covariance"]))
     doubtful = values["ambiguity"] > _DOUBTFUL
     return [
         Text(" ".join(f"{x:.4f}" for x in position)),
-        Text(f"{distance:.4f} m"),
-        Text(f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f} deg"),
-        Text(f"{values['reprojection_error']:.3f} px"),
+        Text(f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°"),
+        Text(f"{values['reprojection_error']:.2f} px"),
         Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
-        Text(f"{1e3 * sigma[:3].max():.2f} mm {np.degrees(sigma[3:].max()):.2f} deg"),
+        Text(f"{1e3 * sigma[:3].max():.2f} mm {np.degrees(sigma[3:].max()):.2f}°"),
     ]

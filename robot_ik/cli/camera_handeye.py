@@ -192,6 +192,7 @@ def _print(report: HandEyeReport) -> None:
         )  # fmt: skip
     screen.print(rows)
     facts = console.table("", "")
+    facts.show_header = False
     facts.add_row(f"camera seen from {report.parent}", pose_words(result.pose_parent_camera))
     board = "world" if report.parent != "world" else report.samples.frame
     facts.add_row(f"board seen from {board}", pose_words(result.pose_other_board))

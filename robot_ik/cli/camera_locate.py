@@ -77,6 +77,7 @@ def run(options: CameraLocateOptions) -> int:
         console.print_json(_as_json(place, options, len(views), looked))
         return console.DONE
     facts = console.table("", "")
+    facts.show_header = False
     facts.add_row(f"camera seen from {place.parent}", pose_words(place.pose_parent_camera))
     sigma = f"{1e3 * place.sigma_position:.2f} mm, {math.degrees(place.sigma_angle):.3f} deg"
     facts.add_row("stated uncertainty", f"{sigma} (one sigma; the board's place is taken for exact)")

@@ -82,9 +82,8 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
         return image
 
     monkeypatch.setattr(cv2, "GaussianBlur", blur)
-    figure, qpos = standing(
-        1.0
-    )  # its middle is as high as the lens: points of it are millions of pixels away
+    # as high as the lens: points of it are millions of pixels away
+    figure, qpos = standing(1.0)
     for height in (0.3, 0.6, 0.9):
         PainterArtist().draw(figure, qpos, BENT, look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
     assert len(softness) == 3

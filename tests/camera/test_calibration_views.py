@@ -120,6 +120,33 @@ def test_nothing_there_is_told() -> None:
         gatherer.finish()
 
 
+@pytest.mark.parametrize(
+    ("asked", "shown", "hint"),
+    [
+        (
+            CharucoPattern(6, 4, 0.03, 0.022, "DICT_6X6_250"),
+            CharucoPattern(6, 4, 0.03, 0.022),
+            "DICT_5X5_50:",
+        ),
+        (CharucoPattern(8, 6, 0.03, 0.022), CharucoPattern(5, 3, 0.03, 0.022), "check --columns, --rows"),
+        (CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(6, 4, 0.025), "--pattern chessboard"),
+    ],
+)
+def test_a_board_of_another_kind_is_told(asked: Pattern, shown: Pattern, hint: str) -> None:
+    gatherer = ViewGatherer(asked)
+    gatherer.offer(picture(shown), "photo", choosy=False)
+    with pytest.raises(CalibrationError, match="in any of the pictures") as caught:
+        gatherer.finish()
+    assert hint in caught.value.hint
+
+
+def test_pictures_without_the_board_are_named(gatherer: ViewGatherer) -> None:
+    for image, name in ((0, "good"), (255, "wall"), (0, "again")):
+        gatherer.offer(frame(image), name, choosy=False)
+    gatherer.finish()
+    assert gatherer.notices == ["not seen well enough in 1 of the pictures: wall"]
+
+
 def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() -> None:
     """A 7x5 board holds markers of the 8x6 one; its corners must not be taken for that one's."""
     rng = np.random.default_rng(0)

@@ -168,6 +168,12 @@ def test_a_board_that_means_nothing_is_refused(text: str) -> None:
     assert "charuco:COLUMNSxROWS" in refused.value.hint
 
 
+def test_metres_in_the_words_of_a_board_are_told() -> None:
+    with pytest.raises(CameraError, match=r"0\.05 mm cannot be right") as refused:
+        parse_board("grid:2x2:0.05:0.0125")
+    assert "0.05 m are 50" in refused.value.hint
+
+
 def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "bodies.toml"
     one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'

@@ -74,9 +74,10 @@ def test_a_readable_table_and_only_the_listed_ids(robot_ik: Any, place: Path) ->
         "--size", STANDARD_SIZE, "--ids", 5, 3,
     )  # fmt: skip
     assert run.code == 0
-    head, *rows = run.out.splitlines()
-    assert head.split()[:2] == ["picture", "id"] and "ambiguity" in head
+    _, head, *rows = run.out.splitlines()
+    assert head.split() == ["picture", "id", "position,", "m", "tilt", "error", "guity", "sigma"]
     assert [row.split()[:2] for row in rows] == [["board.png", "3"], ["board.png", "5"]]
+    assert max(map(len, rows)) <= 80
 
 
 def test_without_a_calibration_there_are_corners_only_and_it_says_so(robot_ik: Any, place: Path) -> None:
@@ -111,6 +112,17 @@ def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:
     run = robot_ik("camera", "detect", tmp_path / "grey.png", "--ids", 4)
     assert run.code == 1 and run.out == ""
     assert "none of the ids 4 of DICT_5X5_50 in 1 picture" in run.err
+    assert "too small, blurred, or without white" in run.err
+
+
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [(("--dictionary", "DICT_6X6_250"), "--dictionary DICT_5X5_50"), (("--ids", 9), "leave --ids away")],
+)
+def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: Any, hint: str) -> None:
+    run = robot_ik("camera", "detect", place / "board.png", *options)
+    assert run.code == 1 and run.out == ""
+    assert hint in run.err
 
 
 @pytest.mark.parametrize(

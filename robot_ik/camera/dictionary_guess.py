@@ -1,0 +1,45 @@
+"""Which dictionary the markers in pictures are of, when they are not of the one that was said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.detect import MarkerDetector, to_gray
+from robot_ik.camera.opencv import dictionary_names, dictionary_size
+
+Image = NDArray[np.uint8]
+
+# Pictures are looked at in about this size, px: some 20 dictionaries want patience otherwise.
+_LONGER_SIDE = 1280
+
+
+def guess_dictionary(images: Sequence[Image]) -> str | None:
+    """Name of the dictionary that knows most markers in the pictures, None when none knows any.
+
+    Dictionaries contain smaller ones, and coarse ones see a marker now and then where there is none: of those
+    that find equally many, the one whose chance finds are rarest (fewest codes among most bits) is taken.
+
+    Args:
+        images: (h, w) or (h, w, 3) uint8 each.
+    """
+    pictures = [_shrunk(to_gray(image)) for image in images]
+    best, name = (0, 0.0), None
+    for candidate in dictionary_names():
+        detector = MarkerDetector(candidate)
+        count = sum(len(detector.detect(picture)) for picture in pictures)
+        bits = (detector.cells - 2) ** 2 - float(np.log2(dictionary_size(candidate)))
+        if count and (count, bits) > best:
+            best, name = (count, bits), candidate
+    return name
+
+
+def _shrunk(gray: Image) -> Image:
+    factor = _LONGER_SIDE / max(gray.shape)
+    if factor >= 1.0:
+        return gray
+    small = cv2.resize(gray, (0, 0), fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
