@@ -18,8 +18,7 @@ from robot_ik.camera.ar_draw import Artist, Drawing, Figure
 from robot_ik.camera.boards import MarkerBoard, PatternBoard
 from robot_ik.camera.filter import MotionFilter
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.pose import MarkerObservation, estimate_body, marker_points
-from robot_ik.camera.refine import unrefined
+from robot_ik.camera.pose import MarkerObservation, marker_points
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.geometry import Pose
@@ -92,21 +91,19 @@ class BoardWatcher:
         Raises:
             CalibrationError: The picture has not the size of the calibration.
         """
-        found = [] if self._tracker is None else self._tracker.observe(frame)
-        ids = [one.id for one in found]
-        once = {one.id: one for one in found if ids.count(one.id) == 1}
-        marker = None if self._other is None else once.get(self._other[0])
+        tracker, marker = self._tracker, None
+        if tracker is not None and self._other is not None:
+            others = tracker.observe(frame, self._other[:1])
+            marker = others[0] if len(others) == 1 else None
         if isinstance(self._board, PatternBoard):
             return self._see_pattern(self._board, frame, marker)
+        assert tracker is not None, "a board of markers has a tracker"
         layout = self._board.layout
-        corners = {id: one.corners for id, one in once.items() if id in layout}
-        measured = {
-            id: unrefined(once[id].corners, self._intrinsics, once[id].sigma) for id in sorted(corners)
-        }
-        body = estimate_body(measured, layout, self._intrinsics) if measured else None
+        body = tracker.observe_body(frame, layout)
         if body is None:
             return None
-        points = {(i, k): corners[i][k] for i in body.ids for k in range(4)}
+        found = tracker.corners(frame)
+        points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
         places = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
         return Seen(
             body.pose_camera_body,

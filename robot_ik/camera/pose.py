@@ -7,7 +7,7 @@ lens mapping and by the covariance of the corners, so they are in units of stand
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,9 @@ _OUTLIER_SIGMAS, _OUTLIER_PIXELS = 4.0, 0.3
 # counts less, with the square of it.
 _DOUBTED, _REWEIGHTINGS = 1.5, 4
 _CORNER_NUMBERS = 8
+# The corners of several markers are each this much less certain, px: what the model of an edge leaves out
+# differs from marker to marker, and a sharp picture must not make it count.
+_MODEL_SIGMA = 0.015
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +140,7 @@ def body_branches(
         if found is None:
             continue
         ids.append(i)
-        seen.append(corners)
+        seen.append(replace(corners, covariance=corners.covariance + _MODEL_SIGMA**2 * np.eye(8)))
         points.append(pose_body_marker.apply(own))
         starts += [pose.compose(pose_body_marker.inverse()) for pose in found.poses]
     if not ids:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.detect import Detection
+from robot_ik.camera.detect import Detection, shortest_side
 
 Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 # The window for a marker: its box and so much of its size on each side, for its white margin (a cell) and
-# for what it moves otherwise than in the last picture.
-_MARGIN = 0.5
+# for what it moves otherwise than in the last picture; and when it was not there.
+_MARGIN, _WIDE_MARGIN = 0.5, 1.5
 # The whole picture is searched every so many pictures all the same: for markers that come into view.
 _WHOLE_EVERY = 10
 # A window of more than this part of the picture saves nothing.
@@ -25,33 +26,38 @@ class SearchWindow:
     """Remembers the corners of the last two pictures.
 
     Attributes:
-        perimeter: Of the smallest marker in the last picture, px; 0 when there was none.
+        side: The shortest one in the last picture, px; 0 when there was none.
     """
 
     def __init__(self) -> None:
-        self.perimeter = 0.0
+        self.side = 0.0
         self._last: dict[int, Array] = {}
         self._before: dict[int, Array] = {}
         self._since_whole = 0
 
-    def around(self, width: int, height: int) -> Box | None:
+    @property
+    def due(self) -> bool:
+        """Whether it is time to search the whole picture, or there is nothing to search round."""
+        return not self._last or self._since_whole + 1 >= _WHOLE_EVERY
+
+    def around(self, width: int, height: int, *, wide: bool = False) -> Box | None:
         """Part of the picture (x0, y0, x1, y1), half open, for the last markers; None: search all of it."""
-        if not self._last or self._since_whole + 1 >= _WHOLE_EVERY:
-            return None
-        boxes = []
+        x0, y0, x1, y1 = math.inf, math.inf, -math.inf, -math.inf
         for i, corners in self._last.items():
-            margin = _MARGIN * np.ptp(corners, axis=0)
-            ahead = corners - self._before.get(i, corners)
-            low, high = corners.min(axis=0) - margin, corners.max(axis=0) + margin
-            step = ahead.mean(axis=0)
-            boxes.append((np.minimum(low, low + step), np.maximum(high, high + step)))
-        low = np.min([b[0] for b in boxes], axis=0)
-        high = np.max([b[1] for b in boxes], axis=0)
-        x0, y0 = np.maximum(np.floor(low), 0).astype(int)
-        x1, y1 = np.minimum(np.ceil(high) + 1, (width, height)).astype(int)
-        if x1 <= x0 or y1 <= y0 or (x1 - x0) * (y1 - y0) > _LARGEST_PART * width * height:
+            (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+            dx = (_WIDE_MARGIN if wide else _MARGIN) * (right - left)
+            dy = (_WIDE_MARGIN if wide else _MARGIN) * (bottom - top)
+            # Where it is if it stays, and if it goes on as it did.
+            step = (corners - self._before.get(i, corners)).mean(axis=0).tolist()
+            x0, x1 = min(x0, left - dx + min(step[0], 0.0)), max(x1, right + dx + max(step[0], 0.0))
+            y0, y1 = min(y0, top - dy + min(step[1], 0.0)), max(y1, bottom + dy + max(step[1], 0.0))
+        if not self._last:
             return None
-        return int(x0), int(y0), int(x1), int(y1)
+        left, right = max(math.floor(x0), 0), min(math.ceil(x1) + 1, width)
+        top, bottom = max(math.floor(y0), 0), min(math.ceil(y1) + 1, height)
+        if right <= left or bottom <= top or (right - left) * (bottom - top) > _LARGEST_PART * width * height:
+            return None
+        return left, top, right, bottom
 
     def holds(self, found: Sequence[Detection]) -> bool:
         """Whether all markers of the last picture are among these."""
@@ -61,5 +67,4 @@ class SearchWindow:
         """Takes in what was found; ``whole``: in all of the picture."""
         self._since_whole = 0 if whole else self._since_whole + 1
         self._before, self._last = self._last, {d.id: d.corners for d in found}
-        sides = [np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1).sum() for c in self._last.values()]
-        self.perimeter = float(min(sides, default=0.0))
+        self.side = min((shortest_side(c) for c in self._last.values()), default=0.0)

@@ -33,8 +33,9 @@ class MarkerTracker:
         dictionary: Name as in OpenCV.
         sizes: Side of the black squares in metres: one number, or by id.
         ids: Only these are reported; None for all, or for those named in ``sizes``.
-        window: Search only round the markers of the last frame, and the whole frame every tenth time or
-            when one is lost.  Several times faster; off, each frame is searched for itself.
+        window: Search only round the markers of the last frame, farther round when one is lost, and the
+            whole frame when it is not there either, and every tenth time.  Several times faster; off, each
+            frame is searched for itself.
         memory: Decide between the two poses of a flat marker with the last pictures in mind, see
             ``robot_ik.camera.flips``; None: as ``window``.  For pictures of one scene in their order.
 
@@ -79,16 +80,21 @@ class MarkerTracker:
             return self._size
         return self._sizes[marker_id]
 
-    def observe(self, frame: Frame) -> list[MarkerObservation]:
+    def observe(self, frame: Frame, ids: Iterable[int] | None = None) -> list[MarkerObservation]:
         """All wanted markers in the frame, sorted by id; empty when there is none.
 
         The same id comes twice when two copies of a marker are in view.
+
+        Args:
+            frame: The picture.
+            ids: Only these of the wanted ones; the others' poses are not asked for.
 
         Raises:
             CalibrationError: The frame has not the size of the calibration.
         """
         observations = []
-        found = self._refined(frame)
+        chosen = None if ids is None else frozenset(ids)
+        found = [(i, c) for i, c in self._refined(frame) if chosen is None or i in chosen]
         count = Counter(i for i, _ in found)
         for marker_id, corners in found:
             branches = marker_branches(corners, self.size_of(marker_id), self.intrinsics)
@@ -117,13 +123,21 @@ class MarkerTracker:
         layout = body.markers if isinstance(body, MarkerBody) else body
         if isinstance(body, MarkerBody):
             body.require_dictionary(self.detector.dictionary)
-        found = self._refined(frame)
-        count = Counter(i for i, _ in found)
-        fitting = body_branches({i: c for i, c in found if count[i] == 1}, layout, self.intrinsics)
+        fitting = body_branches(self.corners(frame), layout, self.intrinsics)
         if fitting is None:
             return None
         choice = self._choose(frozenset(layout), fitting.branches, frame.time)
         return fitting.observation(choice.index, choice.ambiguity, frame.time)
+
+    def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
+        """Corners of the wanted markers in the frame, by id; those that come twice are left out.
+
+        Raises:
+            CalibrationError: The frame has not the size of the calibration.
+        """
+        found = self._refined(frame)
+        count = Counter(i for i, _ in found)
+        return {i: c for i, c in found if count[i] == 1}
 
     def _choose(
         self, who: int | frozenset[int], branches: Branches, time: float, *, certain: bool = True
@@ -153,14 +167,17 @@ class MarkerTracker:
     def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection]]:
         """The part of the picture (grey) that was looked at, where it begins, and what is in it."""
         window = self._window if self._use_window else None
-        box = None if window is None else window.around(image.shape[1], image.shape[0])
-        if window is not None and box is not None:
-            x0, y0, x1, y1 = box
-            part = to_gray(np.ascontiguousarray(image[y0:y1, x0:x1]))
-            found = self.detector.detect_quickly(part, window.perimeter, origin=(x0, y0))
-            if window.holds(found):
-                window.remember(found)
-                return part, (x0, y0), found
+        if window is not None and not window.due:
+            for wide in (False, True):
+                box = window.around(image.shape[1], image.shape[0], wide=wide)
+                if box is None:
+                    break
+                x0, y0, x1, y1 = box
+                part = to_gray(np.ascontiguousarray(image[y0:y1, x0:x1]))
+                found = self.detector.detect_part(part, window.side, origin=(x0, y0), thorough=wide)
+                if window.holds(found):
+                    window.remember(found)
+                    return part, (x0, y0), found
         gray = to_gray(image)
         wanted = self.detector.ids
         # Quickly, when all that may be there is found that way.

@@ -143,13 +143,17 @@ def test_the_quick_search_finds_markers_of_the_expected_size() -> None:
     detector = MarkerDetector()
     full = detector.detect(image)
     side = float(np.linalg.norm(full[0].corners[1] - full[0].corners[0]))
-    quick = detector.detect_quickly(image, 4 * side)
+    quick = detector.detect_quickly(image)
     assert [d.id for d in quick] == [3, 11, 17]
     for a, b in zip(full, quick, strict=True):
         assert a.corners == pytest.approx(b.corners, abs=1.5)
-    part = detector.detect_quickly(image[:, 100:], 4 * side, origin=(100, 0))
-    assert [d.id for d in part] == [11, 17]
-    assert part[0].corners == pytest.approx(full[1].corners, abs=1.5)
+    for thorough in (False, True):
+        part = detector.detect_part(image[:, 100:], side, origin=(100, 0), thorough=thorough)
+        assert [d.id for d in part] == [11, 17]
+        assert part[0].corners == pytest.approx(full[1].corners, abs=1.5)
+    # what is said to be small is looked at enlarged, and is where it was
+    large = detector.detect_part(image[:, 100:], 20.0, origin=(100, 0))
+    assert large[0].corners == pytest.approx(full[1].corners, abs=1.0)
 
 
 def test_a_marker_under_steep_view_and_weak_contrast_is_found() -> None:

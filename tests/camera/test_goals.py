@@ -136,13 +136,13 @@ def test_the_window_finds_what_the_whole_frame_finds() -> None:
     whole = MarkerTracker(CAMERA, "DICT_5X5_50", 0.05)
     window = MarkerTracker(CAMERA, "DICT_5X5_50", 0.05, window=True)
     sizes = []
-    inner = window.detector.detect_quickly
+    inner = window.detector.detect_part
 
     def spy(image: np.ndarray, *rest: Any, **more: Any) -> list:
         sizes.append(image.shape)
         return inner(image, *rest, **more)
 
-    window.detector.detect_quickly = spy  # type: ignore[method-assign]
+    window.detector.detect_part = spy  # type: ignore[method-assign]
     for k in range(20):
         # Wanders slowly, jumps once (5), hides once (8); a second marker comes in (10) and is seen
         # at the latest in the tenth frame after a full search.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
+from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.branches import Branches, flat_normal, mirrored
 from robot_ik.camera.corner_fit import CornerData, fit_pose
 from robot_ik.camera.detect import Detection, MarkerDetector
@@ -26,6 +28,7 @@ from robot_ik.camera.standard_set import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.standard_set import random_pose, render_markers
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+from robot_ik.jobs.ar_scene import synthetic_stage
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
 SIZE, RATE = 0.05, 30.0
@@ -152,7 +155,7 @@ def test_a_part_of_the_picture_gives_the_corners_of_the_whole() -> None:
     assert box is not None
     x0, y0, x1, y1 = box
     part = image[y0:y1, x0:x1]
-    (again,) = detector.detect_quickly(part, window.perimeter, origin=(x0, y0))
+    (again,) = detector.detect_part(part, window.side, origin=(x0, y0))
     assert again.corners == pytest.approx(found.corners, abs=1.5)
     (refined,) = refine_markers(part, [found.corners], CAMERA, cells=6, origin=(x0, y0))
     assert refined.corners == pytest.approx(whole.corners, abs=1e-9)
@@ -248,3 +251,24 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
         found, cost = fit_pose(data, start)
         assert cost == pytest.approx(2 * best.cost, rel=1e-6)
         assert found.distance(Pose(best.x[:3], rotation_exp(best.x[3:])))[0] < 1e-6
+
+
+def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:
+    """Cells of 2 px: read at the picture's own size, one in three of these boards lacks a marker."""
+    source, clock = synthetic_stage(640, 480)
+    layout = grid_body(2, 2, 0.05, 0.0125).markers
+    sizes = {i: side for i, (side, _) in layout.items()}
+    tracker = MarkerTracker(source.scene.intrinsics, "DICT_5X5_50", sizes, window=True)
+    whole = []
+    inner = tracker.detector.detect
+
+    def spy(image: Any) -> Any:
+        whole.append(image.shape)
+        return inner(image)
+
+    tracker.detector.detect = spy  # type: ignore[method-assign]
+    for k in range(9):
+        seen = tracker.observe_body(source.read(), layout)
+        assert seen is not None and seen.ids == (0, 1, 2, 3), k
+        clock.ticks += 1
+    assert len(whole) <= 1  # the first picture
