@@ -74,7 +74,9 @@ COMMANDS: dict[str, Command] = {
         mujoco=False,
     ),
     "ar": Command(
-        "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, standing on a printed board"
+        "robot_ik.cli.ar",
+        "ArOptions",
+        "the virtual robot in a camera's pictures, standing on a printed board",
     ),
     "camera": Command(
         "robot_ik.cli.camera",
