@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.bench.camera_motion import compare_filters
+from robot_ik.bench.camera_rows import ROWS as CAMERA_ROWS
 from robot_ik.bench.camera_rows import Figure
 from robot_ik.cli.bench_camera import measured, wanted
 
@@ -22,13 +23,14 @@ PAGE = Path(__file__).parent / "camera.md"
 
 
 def camera_table(files: Sequence[dict[str, Any]]) -> str:
-    """Quantity, value and wanted of every figure, and the machine."""
+    """Quantity, value and wanted of every figure under what it is of, and the machine."""
     lines = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"]
     rows: dict[str, Any] = {}
     for facts in files:
         rows |= facts["rows"]
-    for row in rows.values():
-        for facts in row["figures"]:
+    for row in (one for one in CAMERA_ROWS if one.name in rows):
+        lines.append(f"| **{row.about}** | | |")
+        for facts in rows[row.name]["figures"]:
             one = Figure(**{name: value for name, value in facts.items() if name != "passed"})
             missed = " (missed)" if one.passed is False else ""
             lines.append(f"| {one.quantity} | {measured(one)}{missed} | {wanted(one)} |")

@@ -174,7 +174,7 @@ class ViewGatherer:
 
 def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
     """What to look at when the pattern and all that is nearly the same were not found."""
-    if isinstance(pattern, ChessboardPattern):
+    if not isinstance(pattern, CharucoPattern):
         return (
             "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
         )
