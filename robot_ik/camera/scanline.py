@@ -87,13 +87,11 @@ def _fill(
     long = (x2 - x0) / (y2 - y0)
     upper = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
     lower = (x2 - x1) / (y2 - y1) if y2 > y1 else 0.0
-    slope = np.float32(wx)
+    slope, owned = np.float32(wx), np.int32(mark + 2 * offset)
     for k in range(len(samples)):
         shift, drop = left + samples[k, 0], top + samples[k, 1]
-        for row in range(first, last + 1):
+        for row in range(max(first, math.ceil(y0 - drop)), min(last + 1, math.ceil(y2 - drop))):
             y = row + drop
-            if not y0 <= y < y2:
-                continue
             one = x0 + (y - y0) * long
             two = x0 + (y - y0) * upper if y < y1 else x1 + (y - y1) * lower
             start = max(math.ceil(min(one, two) - shift), 0)
@@ -101,12 +99,12 @@ def _fill(
             if start >= stop:
                 continue
             extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
-            near, owner = depth[k, row, start:stop], whose[k, row, start:stop]
             w = np.float32(inverse[a] + wx * (start + shift - ax) + wy * (y - ay))
+            near, owner = depth[k, row, start:stop], whose[k, row, start:stop]
             for column in range(len(near)):  # without branches, so that it runs eight at a time
                 here = w + np.float32(column) * slope
                 nearer = here > near[column]
-                owner[column] = np.int32(mark + 2 * offset) if nearer else owner[column]
+                owner[column] = owned if nearer else owner[column]
                 near[column] = here if nearer else near[column]
 
 
@@ -135,11 +133,11 @@ def fill_faces(
     """
     for i in range(len(chosen)):
         f = chosen[i]
-        _fill(pixels, inverse, lit, faces[f], f, 0, offset, samples, left, top, depth, whose, planes, extent)
-        if faces[f, 3] != faces[f, 2]:
+        for half in range(2 if faces[f, 3] != faces[f, 2] else 1):
             _fill(
-                pixels, inverse, lit, faces[f], f, 1, offset, samples, left, top, depth, whose, planes, extent
-            )
+                pixels, inverse, lit, faces[f], f, half, offset, samples, left, top, depth, whose, planes,
+                extent,
+            )  # fmt: skip
 
 
 @kernel
@@ -154,7 +152,10 @@ def resolve(
     """
     count, height = depth.shape[:2]
     scale = 1.0 / count
+    last, who = -1, -1  # whose light and colour are at hand: neighbours are mostly of one face
+    a0 = ax = ay = s0 = sx = sy = blue = green = red = 0.0
     for row in range(height):
+        y = row + top
         for column in range(extent[row, 0], extent[row, 1]):
             b, g, r, seen = 0.0, 0.0, 0.0, 0
             k = 0
@@ -162,30 +163,29 @@ def resolve(
                 if not depth[k, row, column] > 0.0:
                     k += 1
                     continue
-                mark = whose[k, row, column]
-                run = 1
-                while (
-                    k + run < count
-                    and depth[k + run, row, column] > 0.0
-                    and whose[k + run, row, column] == mark
-                ):
-                    run += 1
-                k += run
-                who = owner[mark // 2]
+                mark, run = whose[k, row, column], 0
+                while k < count and whose[k, row, column] == mark and depth[k, row, column] > 0.0:
+                    k, run = k + 1, run + 1
+                if mark != last:
+                    last, who = mark, owner[mark // 2]
+                    if who >= 0:
+                        a0, ax, ay = planes[mark, 0], planes[mark, 1], planes[mark, 2]
+                        s0, sx, sy = planes[mark, 3], planes[mark, 4], planes[mark, 5]
+                        blue, green, red = base[who, 0], base[who, 1], base[who, 2]
                 if who >= 0:
-                    light = planes[mark]
-                    x, y = column + left, row + top
+                    x = column + left
                     # a sample beside the pixel's middle may be on a face whose plane bends away there
-                    shade = min(max(light[0] + light[1] * x + light[2] * y, 0.0), 1.0)
-                    shine = gloss * min(max(light[3] + light[4] * x + light[5] * y, 0.0), 1.0)
-                    b += run * min(base[who, 0] * shade + shine, 255.0)
-                    g += run * min(base[who, 1] * shade + shine, 255.0)
-                    r += run * min(base[who, 2] * shade + shine, 255.0)
+                    shade = min(max(a0 + ax * x + ay * y, 0.0), 1.0)
+                    shine = gloss * min(max(s0 + sx * x + sy * y, 0.0), 1.0)
+                    b += run * min(blue * shade + shine, 255.0)
+                    g += run * min(green * shade + shine, 255.0)
+                    r += run * min(red * shade + shine, 255.0)
                     seen += run
-            colour[row, column, 0] = np.uint8(b * scale + 0.5)
-            colour[row, column, 1] = np.uint8(g * scale + 0.5)
-            colour[row, column, 2] = np.uint8(r * scale + 0.5)
-            coverage[row, column] = np.uint8(seen * 255 * scale + 0.5)
+            if seen > 0:
+                colour[row, column, 0] = np.uint8(np.int32(b * scale + 0.5))
+                colour[row, column, 1] = np.uint8(np.int32(g * scale + 0.5))
+                colour[row, column, 2] = np.uint8(np.int32(r * scale + 0.5))
+                coverage[row, column] = np.uint8(seen * 255 * scale + 0.5)
 
 
 @kernel
@@ -195,7 +195,10 @@ def lay_over(image: Any, colour: Any, coverage: Any, alpha: float, left: int, to
     for row in range(coverage.shape[0]):
         for column in range(coverage.shape[1]):
             c = int(coverage[row, column])
-            if c > 0:
+            if c == 255 and share == 256:
+                for k in range(3):
+                    image[row + top, column + left, k] = colour[row, column, k]
+            elif c > 0:
                 keep = 65280 - c * share  # 255 * 256 is all of it
                 for k in range(3):
                     old = int(image[row + top, column + left, k])
