@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import cv2
@@ -20,7 +21,8 @@ _LONGER_SIDE = 1280
 def guess_dictionary(images: Sequence[Image]) -> str | None:
     """Name of the dictionary that knows most markers in the pictures, None when none knows any.
 
-    Dictionaries contain smaller ones, and coarse ones see a marker now and then where there is none: of those
+    Of a family in which each dictionary contains the smaller ones, the largest is tried, and the smallest
+    that has the ids is named.  Coarse codes see a marker now and then where there is none: of dictionaries
     that find equally many, the one whose chance finds are rarest (fewest codes among most bits) is taken.
 
     Args:
@@ -28,13 +30,24 @@ def guess_dictionary(images: Sequence[Image]) -> str | None:
     """
     pictures = [_shrunk(to_gray(image)) for image in images]
     best, name = (0, 0.0), None
-    for candidate in dictionary_names():
-        detector = MarkerDetector(candidate)
-        count = sum(len(detector.detect(picture)) for picture in pictures)
-        bits = (detector.cells - 2) ** 2 - float(np.log2(dictionary_size(candidate)))
-        if count and (count, bits) > best:
-            best, name = (count, bits), candidate
+    for family in _families():
+        detector = MarkerDetector(family[-1])
+        ids = [one.id for picture in pictures for one in detector.detect(picture)]
+        if not ids:
+            continue
+        smallest = next(one for one in family if dictionary_size(one) > max(ids))
+        bits = (detector.cells - 2) ** 2 - float(np.log2(dictionary_size(smallest)))
+        if (len(ids), bits) > best:
+            best, name = (len(ids), bits), smallest
     return name
+
+
+def _families() -> list[list[str]]:
+    """Dictionaries that contain each other together, the smallest first."""
+    groups: dict[str, list[str]] = {}
+    for name in dictionary_names():
+        groups.setdefault(re.sub(r"(DICT_\dX\d)_\d+", r"\1", name), []).append(name)
+    return [sorted(group, key=dictionary_size) for group in groups.values()]
 
 
 def _shrunk(gray: Image) -> Image:

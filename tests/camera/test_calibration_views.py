@@ -128,8 +128,8 @@ def test_nothing_there_is_told() -> None:
             CharucoPattern(6, 4, 0.03, 0.022),
             "DICT_5X5_50:",
         ),
-        (CharucoPattern(8, 6, 0.03, 0.022), CharucoPattern(5, 3, 0.03, 0.022), "check --columns, --rows"),
-        (CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(6, 4, 0.025), "--pattern chessboard"),
+        (CharucoPattern(8, 6, 0.03, 0.022), CharucoPattern(4, 3, 0.03, 0.022), "check --columns, --rows"),
+        (CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(4, 3, 0.025), "--pattern chessboard"),
     ],
 )
 def test_a_board_of_another_kind_is_told(asked: Pattern, shown: Pattern, hint: str) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.dictionary_guess import guess_dictionary
 from robot_ik.camera.opencv import dictionary_names, dictionary_size, marker_bits
 from robot_ik.camera.pose import marker_points
 from robot_ik.camera.standard_set import STANDARD_CAMERA, Look, render_marker
@@ -168,3 +169,15 @@ def test_a_marker_under_steep_view_and_weak_contrast_is_found() -> None:
         look=Look(black=80, white=150),
     )
     assert [d.id for d in MarkerDetector().detect(image)] == [1]
+
+
+@pytest.mark.parametrize(
+    ("dictionary", "ids"),
+    [("DICT_4X4_100", (77, 3)), ("DICT_5X5_50", (7, 9)), ("DICT_APRILTAG_36H11", (500, 2))],
+)
+def test_the_dictionary_of_a_picture_is_guessed(dictionary: str, ids: tuple[int, int]) -> None:
+    cells = [np.pad(marker_bits(dictionary, i), 2, constant_values=255) for i in ids]
+    assert (
+        guess_dictionary([np.hstack([np.kron(c, np.ones((16, 16), np.uint8)) for c in cells])]) == dictionary
+    )
+    assert guess_dictionary([np.full((120, 160), 200, np.uint8)]) is None
