@@ -29,6 +29,8 @@ _NEW_PLACE, _NEW_SCALE, _NEW_LEAN = 0.12, 1.2, 9.0
 _MISSES, _PATIENCE = 12, 4
 # Pictures to ask about while more are to come.
 _ASKED = 3
+# Markers that make a ChArUco board; fewer may be chance finds among the squares of a chessboard.
+_BOARD_MARKERS = 4
 # Pictures without the pattern that are named.
 _NAMED = 5
 
@@ -178,7 +180,7 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
         return (
             "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
         )
-    seen = guess_dictionary(images[-_ASKED:])
+    seen = guess_dictionary(images[-_ASKED:], least=_BOARD_MARKERS)
     if seen is None:
         return "there are no markers at all: is it a chessboard (--pattern chessboard)? Check light and focus"
     if seen != pattern.dictionary:

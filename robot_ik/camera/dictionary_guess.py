@@ -18,7 +18,7 @@ Image = NDArray[np.uint8]
 _LONGER_SIDE = 1280
 
 
-def guess_dictionary(images: Sequence[Image]) -> str | None:
+def guess_dictionary(images: Sequence[Image], least: int = 1) -> str | None:
     """Name of the dictionary that knows most markers in the pictures, None when none knows any.
 
     Of a family in which each dictionary contains the smaller ones, the largest is tried, and the smallest
@@ -27,13 +27,14 @@ def guess_dictionary(images: Sequence[Image]) -> str | None:
 
     Args:
         images: (h, w) or (h, w, 3) uint8 each.
+        least: So many markers are wanted in all of them: a single one may be a chance find.
     """
     pictures = [_shrunk(to_gray(image)) for image in images]
     best, name = (0, 0.0), None
     for family in _families():
         detector = MarkerDetector(family[-1])
         ids = [one.id for picture in pictures for one in detector.detect(picture)]
-        if not ids:
+        if len(ids) < max(least, 1):
             continue
         smallest = next(one for one in family if dictionary_size(one) > max(ids))
         bits = (detector.cells - 2) ** 2 - float(np.log2(dictionary_size(smallest)))

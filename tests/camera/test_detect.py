@@ -180,4 +180,7 @@ def test_the_dictionary_of_a_picture_is_guessed(dictionary: str, ids: tuple[int,
     assert (
         guess_dictionary([np.hstack([np.kron(c, np.ones((16, 16), np.uint8)) for c in cells])]) == dictionary
     )
+    picture = np.hstack([np.kron(c, np.ones((16, 16), np.uint8)) for c in cells])
+    assert guess_dictionary([picture]) == dictionary
+    assert guess_dictionary([picture], least=3) is None
     assert guess_dictionary([np.full((120, 160), 200, np.uint8)]) is None
