@@ -21,7 +21,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch, desk: Any) -> None:
     from robot_ik.hardware import scan
 
     monkeypatch.setattr(scan, "listening_time", lambda baud: 0.03)
-    monkeypatch.setattr(scan, "KNOCK", 0.006)
+    monkeypatch.setattr(scan, "KNOCK", 0.012)
     monkeypatch.setattr(scan, "IDS", range(8))
     monkeypatch.setattr(doctor, "CHECKS", [])
     for servo in desk.bus.servos:

@@ -157,9 +157,9 @@ def test_any_model_by_path(extra: list[str], robot_ik: Any, tmp_path: Path) -> N
         (["--goal", *GOAL, "--position-tolerance", "0"], ["tolerance"]),
         (["--goal", *GOAL, "--angle-tolerance", "nan"], ["tolerance"]),
         (["--goal", *GOAL, "--iterations", "-5"], ["iterations"]),
-        (["--goal", *GOAL, "--set", "rstarts=5"], ["'restarts'"]),
-        (["--goal", *GOAL, "--set", "restarts=-5"], ["restarts", "0 …"]),
-        (["--goal", *GOAL, "--set", "restarts=many"], ["restarts=many", "int"]),
+        (["--solver", "lm", "--goal", *GOAL, "--set", "rstarts=5"], ["'restarts'"]),
+        (["--solver", "lm", "--goal", *GOAL, "--set", "restarts=-5"], ["restarts", "0 …"]),
+        (["--solver", "lm", "--goal", *GOAL, "--set", "restarts=many"], ["restarts=many", "int"]),
         (["--goal", *GOAL, "--set", "restarts"], ["restarts", "NAME=VALUE"]),
     ],
 )
