@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +17,10 @@ from hypothesis import settings
 
 # The width of the terminal that the tests were started in, which pytest-xdist hands on, must not matter.
 os.environ.pop("COLUMNS", None)
+
+# Started in the background of a shell, Ctrl-C is ignored, and by all children too: tests of it need it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries
 # the same examples every time: a change is judged by itself, not by luck.  `make explore` draws new ones.
