@@ -21,7 +21,7 @@ PAGE, DATA, IMAGES = DOCS / "performance.md", DOCS / "performance.json", DOCS / 
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
-CONTESTANTS = ("robot_ik", "robot_ik_lm", "rtb_lm", "eaik", "placo", "placo_restarts")
+CONTESTANTS = ("robot_ik", "robot_ik_lm", "robot_ik_analytic", "rtb_lm", "eaik", "placo", "placo_restarts")
 BENCHES = ("methods", "kernels", "batch")
 PICTURES = {
     "methods/success-puma560.png": "performance-success.png",
@@ -194,6 +194,10 @@ def ratios(data: Data) -> str:
         best = min(("rtb_lm", "placo"), key=lambda name: warm[name])
         ours = min(("robot_ik", "robot_ik_lm"), key=lambda name: warm[name])
         rows.append(line(f"warm {title}: median", best, warm[best], warm[ours], ours))
+    far = {name: peers[name]["puma560"]["unreachable"]["median_us"] for name in peers}
+    proof = "robot_ik_analytic"
+    rows.append(line("out of reach, proof: median", "eaik", far["eaik"], far[proof], proof))
+    rows.append(line("out of reach, nearest answer: median", "placo", far["placo"], far["robot_ik"]))
     for mode in ("cold", "warm"):
         mine, theirs = four["robot_ik"][mode], four["placo"][mode]
         rows.append(
