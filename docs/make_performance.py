@@ -252,16 +252,6 @@ def growth(data: Data, across: str) -> str:
     return table((f"µs a step, {across}:", *sizes), rows)
 
 
-def growth_joints(data: Data) -> str:
-    """A step, by joints."""
-    return growth(data, "joints")
-
-
-def growth_goals(data: Data) -> str:
-    """A step, by goals."""
-    return growth(data, "goals")
-
-
 def methods(data: Data) -> str:
     """Every method on the PUMA."""
     sets = ("cold", "warm", "singular", "limits")
@@ -269,9 +259,9 @@ def methods(data: Data) -> str:
     rows = []
     for solver in dict.fromkeys(c["solver"] for c in data["methods"]):
         mine = [cells.get((solver, name)) for name in sets]
+        told = "{:.1f} / {} / {}".format
         shown = [
-            f"{100 * c['rate']:.1f} / {us(c['median'])} / {us(c['mean'])}" if c and c["count"] else "-"
-            for c in mine
+            told(100 * c["rate"], us(c["median"]), us(c["mean"])) if c and c["count"] else "-" for c in mine
         ]
         goal = mine[0]["goal"] if mine[0] else ""
         rows.append((f"`{solver}`" + (" (position)" if goal == "position" else ""), *shown))
@@ -279,12 +269,12 @@ def methods(data: Data) -> str:
 
 
 TABLES: dict[str, Callable[[Data], str]] = {
-    make.__name__: make
-    for make in (
-        machine, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, growth_joints,
-        growth_goals, methods,
+    make.__name__: make for make in (
+        machine, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, methods,
     )
 }  # fmt: skip
+TABLES["growth_joints"] = lambda data: growth(data, "joints")
+TABLES["growth_goals"] = lambda data: growth(data, "goals")
 
 
 def filled(text: str, data: Data) -> str:

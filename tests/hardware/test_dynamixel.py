@@ -291,12 +291,9 @@ def test_an_exception_anywhere_in_a_transaction_leaves_the_port_usable(bus, meth
 
 
 def test_an_interrupted_read_does_not_answer_the_next_question(bus, served, monkeypatch):
-    """The answer to the cut-off read is on its way when the next request goes out."""
     served.bus.servo(1).memory.set("profile_velocity", 7)
     handler = bus._wire._handler
-    original = handler.readPort
-    monkeypatch.setattr(handler, "readPort", lambda n: (_ for _ in ()).throw(Interrupt()))
-    with pytest.raises(Interrupt):
+    with monkeypatch.context() as cut, pytest.raises(Interrupt):
+        cut.setattr(handler, "readPort", lambda n: (_ for _ in ()).throw(Interrupt()))
         bus.read(1, POSITION)
-    monkeypatch.setattr(handler, "readPort", original)
     assert bus.read(1, XM["profile_velocity"]).data == 7
