@@ -32,7 +32,7 @@ class SolveOptions:
 
     Metres and radians, quaternions as w x y z, goals in the world frame.
 
-    Example: robot-ik solve --goal -0.4 -0.1 0.7
+        robot-ik solve --goal -0.4 -0.1 0.7
 
     Exit code 0: the goal is met. 1: it is not; the nearest joint angles found are printed all the same.
     2: wrong input.
