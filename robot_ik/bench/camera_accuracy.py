@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.pose import BodyObservation, MarkerObservation
-from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.standard_set import (
+from robot_ik.camera.made_up.standard_set import (
     STANDARD_CAMERA,
     STANDARD_DISTANCES,
     STANDARD_SIZE,
@@ -22,6 +19,9 @@ from robot_ik.camera.standard_set import (
     render_markers,
     standard_set,
 )
+from robot_ik.camera.pose import BodyObservation, MarkerObservation
+from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.geometry import Pose
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.marker_pose import marker_points
-from robot_ik.camera.self_calibration import ArmView, KnownPose, fit_zero_offsets
-from robot_ik.camera.standard_set import STANDARD_CAMERA
-from robot_ik.camera.synthetic import look_at
+from robot_ik.camera.arm_zeros.fit import ArmView, KnownPose, fit_zero_offsets
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.pose.marker import marker_points
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.robot import Robot, load_robot
 

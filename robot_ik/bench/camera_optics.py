@@ -8,15 +8,15 @@ import numpy as np
 
 from robot_ik.bench.camera_accuracy import rms
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.ar_draw import Artist, PainterArtist, RayArtist
+from robot_ik.camera.ar.draw import Artist, PainterArtist, RayArtist
+from robot_ik.camera.ar.gl_draw import make_artist
+from robot_ik.camera.ar.registration import BENT, STRAIGHT, overlay_error, projection_identity
+from robot_ik.camera.boards.patterns import CharucoPattern
 from robot_ik.camera.calibrate import calibrate
-from robot_ik.camera.gl_draw import make_artist
 from robot_ik.camera.handeye import solve_handeye
-from robot_ik.camera.handeye_set import handeye_set
-from robot_ik.camera.pattern_set import pattern_set
-from robot_ik.camera.patterns import CharucoPattern
-from robot_ik.camera.registration import BENT, STRAIGHT, overlay_error, projection_identity
-from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.made_up.handeye_set import handeye_set
+from robot_ik.camera.made_up.pattern_set import pattern_set
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 
 # What is wanted of drawn spheres (RMS, worst, px) without and with a lens.
 _WANTED = {"pinhole": (STRAIGHT, 0.05, 0.15), "with distortion": (BENT, 0.08, 0.20)}

@@ -139,7 +139,7 @@ def make_request(options: ArOptions) -> ArRequest:
     Raises:
         ConfigError: A malformed option.
     """
-    from robot_ik.camera.ar import Remedies
+    from robot_ik.camera.ar.registrar import Remedies
     from robot_ik.jobs.ar import ArRequest
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():

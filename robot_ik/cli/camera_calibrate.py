@@ -16,7 +16,7 @@ from robot_ik.cli import console
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibrate import CalibrationResult
-    from robot_ik.camera.calibration_views import ViewGatherer
+    from robot_ik.camera.calibrate.views import ViewGatherer
     from robot_ik.camera.sources import Frame, FrameSource
 
 # More views than these teach nothing.
@@ -68,9 +68,9 @@ def run(options: CameraCalibrateOptions) -> int:
     """Gathers views, calibrates, writes the file and says what it is worth."""
     import dataclasses
 
+    from robot_ik.camera.boards.pattern_kinds import PatternWish
     from robot_ik.camera.calibrate import calibrate
-    from robot_ik.camera.calibration_views import ViewGatherer
-    from robot_ik.camera.pattern_kinds import PatternWish
+    from robot_ik.camera.calibrate.views import ViewGatherer
     from robot_ik.errors import CameraError
 
     if not options.sources:
@@ -133,9 +133,9 @@ def _gather(text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions) 
 def _gather_moving(
     source: FrameSource, text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions
 ) -> None:
-    from robot_ik.camera.calibration_views import missing_words
-    from robot_ik.camera.device import DeviceSource
-    from robot_ik.camera.pattern_guess import describe
+    from robot_ik.camera.boards.pattern_guess import describe
+    from robot_ik.camera.calibrate.views import missing_words
+    from robot_ik.camera.sources.device import DeviceSource
 
     live, unseen = isinstance(source, DeviceSource), 0
     if live:
@@ -159,7 +159,7 @@ def _gather_moving(
 
 def _keep(frame: Frame, number: int, out: Path) -> None:
     """A view of a live camera as a picture, so that nothing that was shown is lost."""
-    from robot_ik.camera.picture_files import write_image
+    from robot_ik.camera.sources.picture_files import write_image
     from robot_ik.files import make_folder
 
     folder = make_folder(out.with_name(f"{out.stem}-views"))
@@ -167,8 +167,8 @@ def _keep(frame: Frame, number: int, out: Path) -> None:
 
 
 def _draw_coverage(result: CalibrationResult, out: Path) -> Path:
-    from robot_ik.camera.coverage import coverage_picture
-    from robot_ik.camera.picture_files import write_image
+    from robot_ik.camera.calibrate.coverage import coverage_picture
+    from robot_ik.camera.sources.picture_files import write_image
 
     path = out.with_name(f"{out.stem}-coverage.png")
     write_image(path, coverage_picture(result.coverage))

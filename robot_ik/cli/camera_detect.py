@@ -89,7 +89,7 @@ def run(options: CameraDetectOptions) -> int:
 
 def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
     """What may be wrong when no picture shows a marker that was asked for."""
-    from robot_ik.camera.dictionary_guess import guess_dictionary
+    from robot_ik.camera.detect.dictionary_guess import guess_dictionary
 
     other = guess_dictionary(blank)
     if other is None:
@@ -103,8 +103,8 @@ def _looked(
     options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, blank: deque[Any]
 ) -> Iterator[_Row]:
     """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
-    from robot_ik.camera.bodies import load_bodies
-    from robot_ik.camera.sightings import Lookout, as_values, drawn
+    from robot_ik.camera.pose.bodies import load_bodies
+    from robot_ik.camera.track.sightings import Lookout, as_values, drawn
     from robot_ik.errors import CameraError
 
     if not options.images:
@@ -146,7 +146,7 @@ def _pictures(name: str) -> Iterator[tuple[str, Frame, bool]]:
 
 
 def _save(folder: Path, file: str, number: int | None, image: Any) -> None:
-    from robot_ik.camera.picture_files import write_image
+    from robot_ik.camera.sources.picture_files import write_image
     from robot_ik.files import make_folder
 
     make_folder(folder)

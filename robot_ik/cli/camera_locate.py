@@ -14,10 +14,10 @@ from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.errors import ConfigError, FrameTimeoutError, MarkerNotFoundError
 
 if TYPE_CHECKING:
-    from robot_ik.camera.board_view import BoardView
-    from robot_ik.camera.boards import Board
+    from robot_ik.camera.boards.board import Board
+    from robot_ik.camera.boards.view import BoardView
+    from robot_ik.camera.handeye.places import CameraPlace
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.camera.places import CameraPlace
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class CameraLocateOptions:
 
 def run(options: CameraLocateOptions) -> int:
     """Looks, fits, writes."""
-    from robot_ik.camera.boards import parse_board
+    from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.handeye.places import locate_camera
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.camera.places import locate_camera
     from robot_ik.geometry import Pose
 
     if not 1 <= options.frames <= 10_000:

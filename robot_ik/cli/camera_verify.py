@@ -167,7 +167,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         robot = ArmConfig.load(options.arm).robot
     board = None
     if options.board:
-        from robot_ik.camera.boards import parse_board
+        from robot_ik.camera.boards.board import parse_board
 
         board = parse_board(options.board, options.dictionary)
     return VerifyRequest(

@@ -204,8 +204,8 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
         if numbers or not options.intrinsics:
             what = "a place file and a pose" if numbers else "a place file without its calibration"
             raise _wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
+        from robot_ik.camera.handeye.places import CameraPlace
         from robot_ik.camera.intrinsics import CameraIntrinsics
-        from robot_ik.camera.places import CameraPlace
 
         place = CameraPlace.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")

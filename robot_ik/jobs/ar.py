@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.ar import BoardWatcher, Registrar, Remedies, Seen, Shown
-from robot_ik.camera.ar_draw import Artist, Figure
-from robot_ik.camera.boards import MarkerBoard, parse_board
-from robot_ik.camera.gl_draw import make_artist
+from robot_ik.camera.ar.draw import Artist, Figure
+from robot_ik.camera.ar.gl_draw import make_artist
+from robot_ik.camera.ar.phantoms import load_phantoms
+from robot_ik.camera.ar.registrar import BoardWatcher, Registrar, Remedies, Seen, Shown
+from robot_ik.camera.boards.board import MarkerBoard, parse_board
+from robot_ik.camera.drawing.painter import faces_in_picture
+from robot_ik.camera.handeye.places import CameraPlace
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.painter import faces_in_picture
-from robot_ik.camera.phantoms import load_phantoms
-from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.made_up.synthetic import look_at
 from robot_ik.camera.sources import Frame, FrameSource, open_source
-from robot_ik.camera.synthetic import look_at
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar_files import open_sink

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.ar import Seen
-from robot_ik.camera.ar_draw import Figure
+from robot_ik.camera.ar.draw import Figure
+from robot_ik.camera.ar.registrar import Seen
 from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
 from robot_ik.motion.trajectory import Trajectory

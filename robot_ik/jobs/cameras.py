@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robot_ik.camera.goals.lost import WhenLost
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lost import WhenLost
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.sources import open_source
-from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PostureGoal

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.filter import FilterOptions
 from robot_ik.camera.goals import MarkerGoalSource
+from robot_ik.camera.goals.latency import Delays
+from robot_ik.camera.goals.latest import SYNTHETIC_RATE_HZ, LatestGoals
+from robot_ik.camera.goals.lost import WhenLost
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.latency import Delays
-from robot_ik.camera.latest import SYNTHETIC_RATE_HZ, LatestGoals
-from robot_ik.camera.lost import WhenLost
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import (
     FolderSource,
@@ -24,7 +25,6 @@ from robot_ik.camera.sources import (
     ImageSource,
     VideoSource,
 )
-from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose

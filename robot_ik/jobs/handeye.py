@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.handeye import HandEye, solve_handeye
-from robot_ik.camera.handeye_model import Mount
-from robot_ik.camera.handeye_start import LEAST_VIEWS
+from robot_ik.camera.handeye.model import Mount
+from robot_ik.camera.handeye.places import CameraPlace, today
+from robot_ik.camera.handeye.start import LEAST_VIEWS
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.places import CameraPlace, today
 from robot_ik.errors import MarkerNotFoundError
 from robot_ik.jobs.handeye_samples import SampleSet
 from robot_ik.jobs.handeye_scene import HandEyeRequest, HandEyeScene, open_scene

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.handeye_model import MOUNTINGS, HandEyeSample, Mounting
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.handeye.model import MOUNTINGS, HandEyeSample, Mounting
+from robot_ik.camera.handeye.places import today
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.places import today
 from robot_ik.errors import CameraError, RobotIkError
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose

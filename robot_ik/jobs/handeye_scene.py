@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_ik.camera.board_view import Layout
-from robot_ik.camera.boards import Board, MarkerBoard
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.carried import CarriedSource
-from robot_ik.camera.handeye_model import Mount, Mounting, moved
+from robot_ik.camera.boards.board import Board, MarkerBoard
+from robot_ik.camera.boards.view import Layout
+from robot_ik.camera.handeye.model import Mount, Mounting, moved
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.made_up.carried import CarriedSource
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.made_up.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource
+from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.camera.sources import Frame, FrameSource, open_source
-from robot_ik.camera.standard_set import STANDARD_CAMERA
-from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.limbs import Limbs

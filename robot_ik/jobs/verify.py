@@ -13,12 +13,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards import MarkerBoard
-from robot_ik.camera.handeye_model import Mount
-from robot_ik.camera.places import CameraPlace, locate_camera
-from robot_ik.camera.self_calibration import LEAST_VIEWS, ZeroOffsets, fit_zero_offsets
-from robot_ik.camera.self_calibration_errors import PoseError, measure_errors
-from robot_ik.camera.self_calibration_model import ArmView, KnownPose
+from robot_ik.camera.arm_zeros.errors import PoseError, measure_errors
+from robot_ik.camera.arm_zeros.fit import LEAST_VIEWS, ZeroOffsets, fit_zero_offsets
+from robot_ik.camera.arm_zeros.model import ArmView, KnownPose
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.handeye.model import Mount
+from robot_ik.camera.handeye.places import CameraPlace, locate_camera
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig

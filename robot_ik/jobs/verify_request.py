@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_ik.camera.boards import Board
+from robot_ik.camera.boards.board import Board
 from robot_ik.geometry import Pose
 
 #: How well the board's place on the arm is known unless said otherwise, each axis: metres, rad.

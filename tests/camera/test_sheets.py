@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards import PatternBoard, parse_board
-from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.boards.board import PatternBoard, parse_board
+from robot_ik.camera.boards.pattern_kinds import PatternKind, PatternWish
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.pattern_kinds import PatternKind, PatternWish
-from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
-from robot_ik.camera.sheet_bodies import body_file, body_of
-from robot_ik.camera.sheet_cube import unfold
-from robot_ik.camera.sheet_page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
-from robot_ik.camera.sheets import make_sheet_page
+from robot_ik.camera.pose.bodies import load_bodies
+from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
+from robot_ik.camera.sheets.bodies import body_file, body_of
+from robot_ik.camera.sheets.cube import unfold
+from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
+from robot_ik.camera.sheets.sheet import make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 from robot_ik.geometry import Pose, rotation_exp
 

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.registration import Misses
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_marker
+from robot_ik.camera.ar.registration import Misses
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_marker
 from robot_ik.cli import ar_self_test
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose

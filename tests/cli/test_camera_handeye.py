@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.handeye_model import Mount
-from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.handeye.model import Mount
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 from robot_ik.camera.pose import marker_points
-from robot_ik.camera.standard_set import STANDARD_CAMERA
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import handeye
 from robot_ik.jobs.handeye_samples import SampleSet

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera.bodies import load_bodies
-from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
-from robot_ik.camera.sheets import make_sheet_page
+from robot_ik.camera.pose.bodies import load_bodies
+from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
+from robot_ik.camera.sheets.sheet import make_sheet_page
 from robot_ik.cli.arguments import parse
 from robot_ik.cli.camera_print import CameraPrintOptions
 from robot_ik.cli.commands import find_command

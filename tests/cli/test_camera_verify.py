@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.board_view import BoardView
+from robot_ik.camera.arm_zeros.fit import KnownPose
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 from robot_ik.camera.pose import marker_points
-from robot_ik.camera.self_calibration import KnownPose
-from robot_ik.camera.standard_set import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import verify

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.ar import Remedies
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.ar.registrar import Remedies
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import ar_files

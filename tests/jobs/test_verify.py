@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.camera_rows import Effort
-from robot_ik.camera.boards import MarkerBoard
-from robot_ik.camera.places import CameraPlace
-from robot_ik.camera.self_calibration import PoseError
+from robot_ik.camera.arm_zeros.fit import PoseError
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.made_up.synthetic import SyntheticScene
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.synthetic import SyntheticScene
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import handeye_scene, verify, verify_bench
