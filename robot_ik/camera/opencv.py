@@ -6,6 +6,7 @@ broadcasts silently to N x N.  Everything that comes out of OpenCV is therefore 
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -93,7 +94,7 @@ def detect_markers(detector: Any, gray: Image) -> list[tuple[int, Array]]:
     return [(int(i), np.asarray(c, dtype=float).reshape(4, 2)) for i, c in zip(numbers, corners, strict=True)]
 
 
-def square_poses(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
+def square_poses(points: Array, ideal: Array) -> list[tuple[list[float], list[float]]]:
     """Both poses of a square seen in undistorted normalised coordinates (IPPE_SQUARE).
 
     Args:
@@ -101,8 +102,8 @@ def square_poses(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
         ideal: (4, 2) undistorted normalised coordinates.
 
     Returns:
-        Up to two pairs of rotation matrix (3, 3) and translation (3,), best first; empty when the four
-        corners are degenerate.
+        Up to two pairs of rotation vector (3,) and translation (3,), best first; empty when the four corners
+        are degenerate.
     """
     try:
         found, rotations, translations, _ = cv2.solvePnPGeneric(
@@ -114,8 +115,7 @@ def square_poses(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
         return []
     poses = []
     for vector, shift in zip(rotations, translations, strict=True):
-        rotation = np.asarray(cv2.Rodrigues(np.asarray(vector, dtype=float).reshape(3))[0], dtype=float)
-        translation = np.asarray(shift, dtype=float).reshape(3)
-        if np.isfinite(rotation).all() and np.isfinite(translation).all():
-            poses.append((rotation.reshape(3, 3), translation))
+        turn, translation = np.ravel(vector).tolist(), np.ravel(shift).tolist()
+        if all(map(math.isfinite, turn + translation)):
+            poses.append((turn, translation))
     return poses

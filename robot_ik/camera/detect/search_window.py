@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from robot_ik.camera.detect.detector import Detection, shortest_side
 
-Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
+# The x of the four corners and their y, as plain numbers: quicker than arrays of four.
+_Corners = tuple[list[float], ...]
 
 # The window for a marker: its box and so much of its size on each side, for its white margin (a cell) and
 # for what it moves otherwise than in the last picture; and when it was not there.
@@ -31,8 +29,8 @@ class SearchWindow:
 
     def __init__(self) -> None:
         self.side = 0.0
-        self._last: dict[int, Array] = {}
-        self._before: dict[int, Array] = {}
+        self._last: dict[int, _Corners] = {}
+        self._before: dict[int, _Corners] = {}
         self._since_whole = 0
 
     @property
@@ -43,14 +41,15 @@ class SearchWindow:
     def around(self, width: int, height: int, *, wide: bool = False) -> Box | None:
         """Part of the picture (x0, y0, x1, y1), half open, for the last markers; None: search all of it."""
         x0, y0, x1, y1 = math.inf, math.inf, -math.inf, -math.inf
+        margin = _WIDE_MARGIN if wide else _MARGIN
         for i, corners in self._last.items():
-            (left, top), (right, bottom) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-            dx = (_WIDE_MARGIN if wide else _MARGIN) * (right - left)
-            dy = (_WIDE_MARGIN if wide else _MARGIN) * (bottom - top)
+            (xs, ys), (old_xs, old_ys) = corners, self._before.get(i, corners)
+            left, right, top, bottom = min(xs), max(xs), min(ys), max(ys)
+            dx, dy = margin * (right - left), margin * (bottom - top)
             # Where it is if it stays, and if it goes on as it did.
-            step = (corners - self._before.get(i, corners)).mean(axis=0).tolist()
-            x0, x1 = min(x0, left - dx + min(step[0], 0.0)), max(x1, right + dx + max(step[0], 0.0))
-            y0, y1 = min(y0, top - dy + min(step[1], 0.0)), max(y1, bottom + dy + max(step[1], 0.0))
+            step_x, step_y = 0.25 * (sum(xs) - sum(old_xs)), 0.25 * (sum(ys) - sum(old_ys))
+            x0, x1 = min(x0, left - dx + min(step_x, 0.0)), max(x1, right + dx + max(step_x, 0.0))
+            y0, y1 = min(y0, top - dy + min(step_y, 0.0)), max(y1, bottom + dy + max(step_y, 0.0))
         if not self._last:
             return None
         left, right = max(math.floor(x0), 0), min(math.ceil(x1) + 1, width)
@@ -66,5 +65,5 @@ class SearchWindow:
     def remember(self, found: Sequence[Detection], *, whole: bool = False) -> None:
         """Takes in what was found; ``whole``: in all of the picture."""
         self._since_whole = 0 if whole else self._since_whole + 1
-        self._before, self._last = self._last, {d.id: d.corners for d in found}
-        self.side = min((shortest_side(c) for c in self._last.values()), default=0.0)
+        self._before, self._last = self._last, {d.id: tuple(d.corners.T.tolist()) for d in found}
+        self.side = min((shortest_side(d.corners) for d in found), default=0.0)

@@ -6,7 +6,7 @@ Seen small or from the front, a flat thing and its mirror image behind the plane
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.opencv import square_poses
-from robot_ik.camera.pose.corner_fit import CornerData, Fit, covariance_of, fit_starts
+from robot_ik.camera.pose.corner_fit import CornerData, Fit, covariance_of, fit_rows, pose_row
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -70,29 +70,51 @@ class Branches:
         return self.poses[1 - chosen] if len(self.poses) > 1 else None
 
 
-def fitted(data: CornerData, starts: Sequence[Pose]) -> Branches | None:
-    """Fits from each start and keeps what differs, in front of the camera; None when nothing fits."""
-    found = [
-        (cost, pose) for pose, cost in fit_starts(data, starts) if pose.apply(data.points)[:, 2].min() > 0
-    ]
-    found.sort(key=lambda item: item[0])
-    kept = found[:1]
-    kept += [f for f in found[1:] if f[1].distance(kept[0][1])[1] >= SAME_ANGLE][:1]
-    if not kept:
+def fitted(data: CornerData, starts: Array) -> Branches | None:
+    """Fits from each start (k, 7) and keeps what differs, in front of the camera; None when nothing fits."""
+    rows, costs = fit_rows(data, starts)
+    found = sorted(
+        (cost, k) for k, cost in enumerate(costs.tolist()) if _in_front(data.points, rows[k], cost)
+    )
+    if not found:
         return None
-    return Branches(data, tuple(pose for _, pose in kept), tuple(cost for cost, _ in kept))
+    kept = found[:1]
+    kept += [f for f in found[1:] if _angle(rows[f[1]], rows[found[0][1]]) >= SAME_ANGLE][:1]
+    return Branches(data, tuple(Pose(rows[k, :3], rows[k, 3:]) for _, k in kept), tuple(c for c, _ in kept))
+
+
+def _in_front(points: Array, row: Array, cost: float) -> bool:
+    """Whether a fit came to an end with all points before the camera."""
+    if not math.isfinite(cost):
+        return False
+    _, _, z, qw, qx, qy, qz = row.tolist()
+    depth = points @ (2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy))
+    return bool(depth.min() + z > 0)
+
+
+def _angle(one: Array, other: Array) -> float:
+    """Between two poses (7,), rad."""
+    return 2.0 * math.acos(min(1.0, abs(float(one[3:] @ other[3:]))))
 
 
 def square_branches(points: Array, data: CornerData) -> Branches | None:
     """Both poses of one square; ``points`` (4, 3) in the square's own frame, which is that of the result."""
-    starts = [Pose.from_rotation(r, p) for r, p in square_poses(points, data.ideal) if p[2] > 0]
-    return fitted(data, starts)
+    starts = [p + _quaternion(turn) for turn, p in square_poses(points, data.ideal) if p[2] > 0]
+    return fitted(data, np.array(starts)) if starts else None
+
+
+def _quaternion(turn: list[float]) -> list[float]:
+    """(4,) wxyz of a rotation vector."""
+    half = 0.5 * math.hypot(*turn)
+    scale = math.sin(half) / (2.0 * half) if half > 0.0 else 0.5
+    return [math.cos(half), *(scale * v for v in turn)]
 
 
 def with_mirror_image(data: CornerData, pose: Pose) -> Branches | None:
     """The branches of a body near ``pose``: with the mirrored one where its points lie in a plane."""
     normal = flat_normal(data.points)
-    return fitted(data, [pose] if normal is None else [pose, mirrored(pose, data.points, normal)])
+    starts = [pose] if normal is None else [pose, mirrored(pose, data.points, normal)]
+    return fitted(data, np.array([pose_row(start) for start in starts]))
 
 
 def flat_normal(points: Array) -> Array | None:

@@ -106,7 +106,7 @@ class CornerData:
         m, b, _ = self.blocks.shape
         result = Fit(np.empty(m * b), np.empty((m * b, 6)), np.empty(m), np.empty(m))
         evaluate(
-            self.points, self.ideal, self.to_pixels, self.blocks, _row(pose),
+            self.points, self.ideal, self.to_pixels, self.blocks, pose_row(pose),
             result.residual, result.jacobian, result.pixels, result.costs,
         )  # fmt: skip
         return result
@@ -128,26 +128,24 @@ def _row(pose: Pose) -> Array:
     return np.concatenate([pose.position, pose.wxyz])
 
 
-def fit_starts(corners: CornerData, starts: Sequence[Pose]) -> list[tuple[Pose, float]]:
-    """Levenberg-Marquardt from each start: poses and costs, in the order of the starts.
+def pose_row(pose: Pose) -> Array:
+    """(7,) position and quaternion wxyz, as compiled code wants them."""
+    return np.concatenate([pose.position, pose.wxyz])
 
-    A start from which no finite pose was found is left out.
-    """
-    if not len(starts):
-        return []
-    poses, costs = np.array([_row(s) for s in starts]), np.empty(len(starts))
+
+def fit_rows(corners: CornerData, starts: Array) -> tuple[Array, Array]:
+    """Levenberg-Marquardt from each start (k, 7): poses (k, 7) and costs (k,), not finite where it failed."""
+    poses, costs = starts.copy(), np.empty(len(starts))
     fit_poses(corners.points, corners.ideal, corners.blocks, poses, costs)
-    return [
-        (Pose(row[:3], row[3:]), float(cost))
-        for row, cost in zip(poses, costs, strict=True)
-        if np.isfinite(cost) and np.isfinite(row).all()
-    ]
+    return poses, costs
 
 
 def fit_pose(corners: CornerData, start: Pose) -> tuple[Pose, float]:
     """Levenberg-Marquardt from ``start``: pose and cost; the start with infinite cost when there is none."""
-    found = fit_starts(corners, [start])
-    return found[0] if found else (start, float("inf"))
+    (row,), (cost,) = fit_rows(corners, pose_row(start)[None])
+    if not (np.isfinite(cost) and np.isfinite(row).all()):
+        return start, float("inf")
+    return Pose(row[:3], row[3:]), float(cost)
 
 
 def pose_covariance(corners: CornerData, pose: Pose, cost: float) -> Array:

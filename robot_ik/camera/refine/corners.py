@@ -95,13 +95,14 @@ def refine_markers(
         return []
     announce(refine_corners_of, "the refinement of marker corners")
     gray = np.ascontiguousarray(to_gray(image))
-    corners = np.array([np.asarray(m, dtype=float).reshape(4, 2) for m in markers])
+    corners = np.array(markers, dtype=float).reshape(-1, 4, 2)
     ideal, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
     good = np.zeros(len(corners), np.int64)
     lens = lens_vector(intrinsics)
     if origin != (0, 0):
         lens = lens.copy()
-        lens[[CX, CY]] -= origin
+        lens[CX] -= origin[0]
+        lens[CY] -= origin[1]
         corners -= origin
     refine_corners_of(gray, lens, cells, corners, ideal, covariance, good)
     corners += origin

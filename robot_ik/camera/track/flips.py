@@ -8,15 +8,11 @@ is left only for one that is clearly better.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.pose.branches import Branches
 from robot_ik.geometry import Pose
-
-Array = NDArray[np.float64]
 
 # What is left of the evidence of one picture in the next: ten pictures count, nearly.
 _KEPT = 0.85
@@ -48,8 +44,8 @@ class BranchMemory:
     """The two hypotheses about one marker or board."""
 
     _poses: tuple[Pose, ...] = ()
-    _odds: Array = field(default_factory=lambda: np.zeros(0))
-    _spread: Array = field(default_factory=lambda: np.zeros(0))
+    _odds: list[float] = field(default_factory=list)
+    _spread: list[float] = field(default_factory=list)
     _chosen: int = 0
     _time: float = float("nan")
 
@@ -61,41 +57,52 @@ class BranchMemory:
             time: When it was taken, s; NaN when unknown.
         """
         gap = time - self._time
-        gap = _USUAL_S if not np.isfinite(gap) or gap == 0.0 else gap
+        gap = _USUAL_S if not math.isfinite(gap) or gap == 0.0 else gap
         if not 0.0 < gap <= _FORGET_S:
             self._poses = ()
         # Errors that the corners' covariance does not explain are in both branches: they prove less.
         scale = max(1.0, branches.costs[0] / branches.expected)
-        alone = -0.5 * (np.array(branches.costs) - branches.costs[0]) / scale
-        odds = np.maximum(alone, -_MOST_BY_PICTURE)
-        spread = np.array([covariance[3:, 3:].trace() for covariance in branches.covariances])
+        alone = [-0.5 * (cost - branches.costs[0]) / scale for cost in branches.costs]
+        odds = [max(value, -_MOST_BY_PICTURE) for value in alone]
+        spread = [float(c[3, 3] + c[4, 4] + c[5, 5]) for c in branches.covariances]
         index = 0
         if self._poses:
-            cosines = [[abs(p.wxyz @ q.wxyz) for q in branches.poses] for p in self._poses]
-            turns = 2.0 * np.arccos(np.minimum(cosines, 1.0))
-            variance = self._spread[:, None] + spread + (_TURN_RATE * gap) ** 2
-            plausible = np.maximum(-0.5 * turns**2 / variance, -_MOST_BY_TURN)
-            odds = odds + np.logaddexp.reduce(_KEPT * self._odds[:, None] + plausible, axis=0)
+            moved = (_TURN_RATE * gap) ** 2
+            plausible = [
+                [_plausible(p, q, a + b + moved) for q, b in zip(branches.poses, spread, strict=True)]
+                for p, a in zip(self._poses, self._spread, strict=True)
+            ]
+            for k in range(len(odds)):
+                ways = [_KEPT * old + row[k] for old, row in zip(self._odds, plausible, strict=True)]
+                odds[k] += max(ways) + math.log(sum(math.exp(way - max(ways)) for way in ways))
             index = self._stay(odds, plausible[self._chosen])
-        odds -= odds.max()
+        odds = [value - max(odds) for value in odds]
         self._poses, self._odds, self._spread = branches.poses, odds, spread
         self._chosen, self._time = index, time
         return Choice(index, self._ambiguity(branches, alone, odds, index, scale))
 
     @staticmethod
-    def _stay(odds: Array, plausible: Array) -> int:
+    def _stay(odds: list[float], plausible: list[float]) -> int:
         """The continuation of the branch in use, unless another one is clearly better."""
-        same, best = int(np.argmax(plausible)), int(np.argmax(odds))
+        same, best = plausible.index(max(plausible)), odds.index(max(odds))
         return best if odds[best] > odds[same] + _HYSTERESIS else same
 
     @staticmethod
-    def _ambiguity(branches: Branches, alone: Array, odds: Array, index: int, scale: float) -> float:
+    def _ambiguity(
+        branches: Branches, alone: list[float], odds: list[float], index: int, scale: float
+    ) -> float:
         """The ratio of errors that one picture with as much evidence would have.
 
         That of this picture or, where it is more, half of it and half of all: pictures in a row share errors.
         """
         if len(odds) < 2:
             return 0.0
-        lead = [values[index] - values[1 - index] for values in (alone, 0.5 * (alone + odds))]
-        more = 2.0 * scale * max(*lead, 0.0) / (branches.costs[0] + branches.expected)
-        return float(1.0 / np.sqrt(1.0 + more))
+        now = alone[index] - alone[1 - index]
+        more = 2.0 * scale * max(now, 0.5 * (now + odds[index] - odds[1 - index]), 0.0)
+        return 1.0 / math.sqrt(1.0 + more / (branches.costs[0] + branches.expected))
+
+
+def _plausible(one: Pose, other: Pose, variance: float) -> float:
+    """How well (log odds) the turn from one pose to the other fits what is expected of it, rad^2."""
+    turn = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
+    return max(-0.5 * turn * turn / variance, -_MOST_BY_TURN)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-import numpy as np
-
 from robot_ik.camera.detect import Detection, Image, MarkerDetector, to_gray
 from robot_ik.camera.detect.search_window import SearchWindow
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -173,7 +171,7 @@ class MarkerTracker:
                 if box is None:
                     break
                 x0, y0, x1, y1 = box
-                part = to_gray(np.ascontiguousarray(image[y0:y1, x0:x1]))
+                part = to_gray(image[y0:y1, x0:x1])
                 found = self.detector.detect_part(part, window.side, origin=(x0, y0), thorough=wide)
                 if window.holds(found):
                     window.remember(found)
