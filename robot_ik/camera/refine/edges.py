@@ -19,53 +19,73 @@ import math
 
 from robot_ik.kernels.jit import outlined
 
-# Parameters: offset at both ends, ln blur, middle at both ends, contrast at both ends.
+# What is known of an edge.  Fitted: offset at both ends, ln blur, middle at both ends, contrast at both ends;
+# then the variances of the two offsets and their covariance (px^2), and the noise (grey levels).
+FIRST, LAST, LOG_BLUR, CONTRAST = 0, 1, 2, 5
 PARAMETERS = 7
+VAR_FIRST, VAR_LAST, COVARIANCE, NOISE = 7, 8, 9, 10
+EDGE_NUMBERS = 11
 # Blur in px.  The pixel's own width alone gives 0.29, but a model sharper than a third has a minimum between
 # any two pixels (sharpened pictures show it); beyond 4 px no cell of a marker could be read.
 BLUR_START = 0.8
 _LOG_SHARPEST, _LOG_SOFTEST = math.log(0.33), math.log(4.0)
+# ln(blur) differs between the sides of a marker by about this (motion blur), and from BLUR_START by that.
+_BLUR_ALIKE, _BLUR_UNKNOWN = 0.3, 0.6
+# Gauss-Newton steps at most, to find an edge and to measure it; a step of offsets (px) and ln blur that is
+# smaller than this is the last one.
+_FIND_STEPS, _FIT_STEPS = 5, 3
+_FOUND, _FITTED = 0.02, 2e-3
 # Residuals beyond this many standard deviations lose weight (Cauchy's function): dirt, glare, occlusion.
 _CAUCHY = 2.4
 # Keeps weights meaningful in pictures without noise: quantisation to whole grey levels.
 _LEAST_NOISE = 0.3
 _BELL = -2.0 / math.sqrt(math.pi)
 
-# Rows of the table of pixels.
-DISTANCE, VALUE, WEIGHT, RESIDUAL, RISE, BELL, SHIFTED, SIZE = 0, 1, 2, 3, 4, 5, 6, 7
-PIXEL_ROWS = 8
+# Rows of the table of pixels; SHARE is the fraction of the way along the edge.
+DISTANCE, VALUE, WEIGHT, SHARE, RESIDUAL, RISE, BELL, SCALED, SPARE = 0, 1, 2, 3, 4, 5, 6, 7, 8
+PIXEL_ROWS = 9
 # Rows of the work space: system and right side, a copy of the system, sums over a column, its factors.
 SYSTEM, RIGHT, KEPT, GRAM, FACTOR = 0, 7, 8, 15, 19
 WORK_ROWS = 20
 # Which of (bell, bell z, 1, erf) each parameter's derivative has.
 _BASIS = (0, 0, 1, 2, 2, 3, 3)
+# The error function to 3e-7 without an exponential: Abramowitz and Stegun 7.1.28.
+_A1, _A2, _A3, _A4, _A5, _A6 = 0.0705230784, 0.0422820123, 0.0092705272, 1.520143e-4, 2.765672e-4, 4.30638e-5
+_BELL_SCALE = 8.0 * math.sqrt(math.pi)
 
 
 @outlined
-def linearise(pixels, columns, along, used, x):
-    """Fills RISE, BELL, SHIFTED (erf, its slope, slope times place) and RESIDUAL of every pixel at ``x``."""
+def linearise(pixels, count, x):
+    """Fills SCALED (z), RISE (erf z), BELL (its slope, to 1e-5) and RESIDUAL of every pixel at ``x``.
+
+    Loop by loop, so that the compiler can do four pixels at a time.
+    """
     root = math.exp(-x[2]) / math.sqrt(2.0)
-    for i in range(used):
-        t = along[i]
-        offset = x[0] + (x[1] - x[0]) * t
-        middle, contrast = x[3] + (x[4] - x[3]) * t, x[5] + (x[6] - x[5]) * t
-        for p in range(columns[i], columns[i + 1]):
-            z = (pixels[DISTANCE, p] - offset) * root
-            # The error function to 1.5e-7: Abramowitz and Stegun 7.1.26.
-            r = 1.0 / (1.0 + 0.3275911 * abs(z))
-            bell = math.exp(-z * z)
-            series = r * (-0.284496736 + r * (1.421413741 + r * (-1.453152027 + r * 1.061405429)))
-            rise = math.copysign(1.0 - r * (0.254829592 + series) * bell, z)
-            pixels[RISE, p] = rise
-            pixels[BELL, p] = bell
-            pixels[SHIFTED, p] = bell * z
-            pixels[RESIDUAL, p] = pixels[VALUE, p] - middle - contrast * rise
+    offset, offset_slope = x[0], x[1] - x[0]
+    middle, middle_slope, contrast, contrast_slope = x[3], x[4] - x[3], x[5], x[6] - x[5]
+    for p in range(count):
+        pixels[SCALED, p] = (pixels[DISTANCE, p] - offset - offset_slope * pixels[SHARE, p]) * root
+    for p in range(count):
+        z = abs(pixels[SCALED, p])
+        series = 1.0 + z * (_A1 + z * (_A2 + z * (_A3 + z * (_A4 + z * (_A5 + z * _A6)))))
+        slope = _A1 + z * (2.0 * _A2 + z * (3.0 * _A3 + z * (4.0 * _A4 + z * (5.0 * _A5 + z * 6.0 * _A6))))
+        inverse = 1.0 / series
+        power = inverse * inverse
+        power *= power
+        power *= power
+        power *= power
+        pixels[RISE, p] = math.copysign(1.0 - power, pixels[SCALED, p])
+        pixels[BELL, p] = _BELL_SCALE * slope * power * inverse
+    for p in range(count):
+        t = pixels[SHARE, p]
+        model = middle + middle_slope * t + (contrast + contrast_slope * t) * pixels[RISE, p]
+        pixels[RESIDUAL, p] = pixels[VALUE, p] - model
 
 
 @outlined
 def spread(pixels, count):
     """Robust standard deviation: median of the residuals' sizes, corrected for the parameters used up."""
-    values = pixels[SIZE]
+    values = pixels[SPARE]
     for p in range(count):
         values[p] = abs(pixels[RESIDUAL, p])
     # The median by Hoare's selection (1961): the part that holds it is parted again.
@@ -88,7 +108,7 @@ def spread(pixels, count):
 
 
 @outlined
-def normal_equations(pixels, columns, along, used, x, noise, work):
+def normal_equations(pixels, columns, used, x, noise, work):
     """SYSTEM: lower triangle of JᵀWJ, and RIGHT: JᵀWr, with Cauchy's weights (``noise`` 0: without)."""
     gram, factor = work[GRAM : GRAM + 4], work[FACTOR]
     for i in range(SYSTEM, RIGHT + 1):
@@ -96,11 +116,15 @@ def normal_equations(pixels, columns, along, used, x, noise, work):
             work[i, j] = 0.0
     root = math.exp(-x[2]) / math.sqrt(2.0)
     cauchy = 1.0 / (_CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
+    for p in range(columns[used]):
+        pixels[SPARE, p] = pixels[WEIGHT, p] / (1.0 + cauchy * pixels[RESIDUAL, p] * pixels[RESIDUAL, p])
     for i in range(used):
+        if columns[i] == columns[i + 1]:
+            continue
         bb = bq = b1 = bs = qq = q1 = qs = one = s1 = ss = br = qr = r1 = sr = 0.0
         for p in range(columns[i], columns[i + 1]):
-            r, s, b, q = pixels[RESIDUAL, p], pixels[RISE, p], pixels[BELL, p], pixels[SHIFTED, p]
-            w = pixels[WEIGHT, p] / (1.0 + cauchy * r * r)
+            w, r, s, b = pixels[SPARE, p], pixels[RESIDUAL, p], pixels[RISE, p], pixels[BELL, p]
+            q = b * pixels[SCALED, p]
             wb, wq, ws = w * b, w * q, w * s
             bb, bq, b1, bs, br = bb + wb * b, bq + wb * q, b1 + wb, bs + wb * s, br + wb * r
             qq, q1, qs, qr = qq + wq * q, q1 + wq, qs + wq * s, qr + wq * r
@@ -108,7 +132,7 @@ def normal_equations(pixels, columns, along, used, x, noise, work):
         gram[0, 0], gram[1, 0], gram[2, 0], gram[3, 0], gram[0, 4] = bb, bq, b1, bs, br
         gram[1, 1], gram[2, 1], gram[3, 1], gram[1, 4] = qq, q1, qs, qr
         gram[2, 2], gram[3, 2], gram[3, 3], gram[2, 4], gram[3, 4] = one, s1, ss, r1, sr
-        t = along[i]
+        t = pixels[SHARE, columns[i]]
         slope = _BELL * (x[5] + (x[6] - x[5]) * t)
         # The derivative by each parameter is one of (bell, bell z, 1, erf) times a factor of the column.
         factor[0], factor[1], factor[2] = slope * root * (1.0 - t), slope * root * t, slope
@@ -142,70 +166,71 @@ def solve(work):
 
 
 @outlined
-def fit_edge(pixels, columns, along, used, x, expected_blur, blur_spread, steps, arrived, work, result):
+def fit_edge(pixels, columns, used, edge, blur, find, work):
     """Fits one edge by Gauss-Newton with Cauchy weights.
 
     Args:
-        pixels: (8, n) DISTANCE, VALUE, WEIGHT of the pixels; the other rows are work space.
+        pixels: (9, n) DISTANCE, VALUE, WEIGHT, SHARE of the pixels; the other rows are work space.
         columns: (used + 1,) where each column's pixels begin.
-        along: (used,) fraction of the way along the edge.
         used: Number of columns.
-        x: (7,) offsets to start from in the first two places; the fitted parameters afterwards.
-        expected_blur: Blur to start from and to believe in where the pixels do not say, px.
-        blur_spread: How far ln(blur) is believed to be from that.
-        steps: Gauss-Newton steps at most.
-        arrived: A step of the offsets (px) and of ln(blur) smaller than this is the last one.
+        edge: (EDGE_NUMBERS,) offsets to start from, and levels unless ``find``; the fit afterwards.
+        blur: To start from and to believe in where the pixels do not say, px.
+        find: Roughly, from offsets that are known roughly.
         work: (WORK_ROWS, 7) work space.
-        result: (4,) variance of the offset at the first end, at the second, their covariance (px^2), noise
-            (grey levels).
 
     Returns:
         False when there is nothing to fit.
     """
-    count, log_blur = columns[used], math.log(expected_blur)
-    noise = 0.0
-    x[2] = log_blur
-    x[3] = x[4] = x[5] = x[6] = 0.0
+    count, log_blur, noise = columns[used], math.log(blur), 0.0
+    steps, arrived = (_FIND_STEPS, _FOUND) if find else (_FIT_STEPS, _FITTED)
+    blur_spread = _BLUR_UNKNOWN if find else _BLUR_ALIKE
+    edge[2] = log_blur
+    if find:
+        edge[3] = edge[4] = edge[5] = edge[6] = 0.0
     # First the levels alone, which are linear: with no contrast the rows of offset and blur are empty.
-    for step in range(-1, steps + 1):
-        linearise(pixels, columns, along, used, x)
+    for step in range(-1 if find else 0, steps + 1):
+        linearise(pixels, count, edge)
         noise = spread(pixels, count) if step >= 0 else 0.0
-        normal_equations(pixels, columns, along, used, x, noise, work)
-        work[2, 2] += (noise / blur_spread) ** 2
-        work[RIGHT, 2] += (noise / blur_spread) ** 2 * (log_blur - x[2])
-        # A trace of damping: an edge without contrast must not make the system singular.
-        trace = 0.0
-        for k in range(PARAMETERS):
-            trace += work[k, k]
-        for k in range(PARAMETERS):
-            work[k, k] += 1e-9 * trace + (1e-9 if step >= 0 else (1.0 if k < 3 else 1e-6))
-            for j in range(k + 1):
-                work[KEPT + k, j] = work[k, j]
-        if step == steps or not solve(work):
+        normal_equations(pixels, columns, used, edge, noise, work)
+        trust = (noise / blur_spread) ** 2
+        work[2, 2] += trust
+        work[RIGHT, 2] += trust * (log_blur - edge[2])
+        keep_system(work, step < 0)
+        if step == steps or not solve(work) or take_step(edge, work[RIGHT], step < 0) < arrived:
             break
-        if step >= 0 and take_step(x, work[RIGHT]) < arrived:
-            break
-        for k in range(3 if step < 0 else PARAMETERS, PARAMETERS):
-            x[k] = work[RIGHT, k]
-    result[3] = noise
-    return noise > 0.0 and variances(work, noise * noise, result)
+    edge[NOISE] = noise
+    return noise > 0.0 and variances(work, noise * noise, edge)
 
 
 @outlined
-def take_step(x, move):
-    """Moves the parameters; how far at most (offsets and ln blur)."""
+def keep_system(work, levels):
+    """Copies the system, with a trace of damping: an edge without contrast must not make it singular."""
+    trace = 0.0
+    for k in range(PARAMETERS):
+        trace += work[k, k]
+    for k in range(PARAMETERS):
+        work[k, k] += 1e-9 * trace + (1e-9 if not levels else (1.0 if k < 3 else 1e-6))
+        for j in range(k + 1):
+            work[KEPT + k, j] = work[k, j]
+
+
+@outlined
+def take_step(x, move, levels):
+    """Moves the parameters, or the levels alone; how far at most (offsets and ln blur)."""
     # Far from the edge the model is flat and a step can be anything: keep it in sight.
-    for k in range(2):
-        move[k] = min(max(move[k], -1.5), 1.5)
-    move[2] = min(max(move[2], -0.5), 0.5)
+    most = 0.0
+    for k in range(3):
+        limit = 0.5 if k == 2 else 1.5
+        move[k] = 0.0 if levels else min(max(move[k], -limit), limit)
+        most = max(most, abs(move[k]))
     for k in range(PARAMETERS):
         x[k] += move[k]
     x[2] = min(max(x[2], _LOG_SHARPEST), _LOG_SOFTEST)
-    return max(abs(move[0]), abs(move[1]), abs(move[2]))
+    return math.inf if levels else most
 
 
 @outlined
-def variances(work, variance, result):
+def variances(work, variance, edge):
     """Variances of the two offsets and their covariance: the corner of the inverse; False: singular."""
     for k in range(2):
         for i in range(PARAMETERS):
@@ -214,6 +239,6 @@ def variances(work, variance, result):
                 work[i, j] = work[KEPT + i, j]
         if not solve(work):
             return False
-        result[k] = work[RIGHT, k]
-        result[2] = work[RIGHT, 1 - k]
+        edge[VAR_FIRST + k] = work[RIGHT, k]
+        edge[COVARIANCE] = work[RIGHT, 1 - k]
     return True

@@ -10,10 +10,19 @@ import numpy as np
 from robot_ik.camera.lens_kernels import from_pixel
 from robot_ik.camera.refine.edges import (
     BLUR_START,
+    CONTRAST,
+    COVARIANCE,
     DISTANCE,
+    EDGE_NUMBERS,
+    FIRST,
+    LAST,
+    LOG_BLUR,
+    NOISE,
     PARAMETERS,
     PIXEL_ROWS,
     VALUE,
+    VAR_FIRST,
+    VAR_LAST,
     WEIGHT,
     WORK_ROWS,
     fit_edge,
@@ -50,21 +59,14 @@ _LEAST_PASSES, _MOST_PASSES = 2, 6
 _STILL = 0.05
 # A fit that after all passes still moves by this much has not found an edge.
 _RESTLESS = 0.3
-# Gauss-Newton steps at most: when searching, when measuring.
-_FIND_STEPS, _FIT_STEPS = 5, 3
-# A step so small (px, ln px) is the last one; the noise leaves more.
-_FOUND, _FITTED = 0.02, 1e-3
-# ln(blur) differs between the sides of a marker by about this (motion blur), and from BLUR_START by that.
-_BLUR_ALIKE, _BLUR_UNKNOWN = 0.3, 0.6
-# Of an edge that can be believed: contrast and blur in grey levels and px, sum of the pixels' weights.
-_LEAST_CONTRAST, _LARGEST_BLUR, _LEAST_WEIGHT = 5.0, 3.9, 24.0
+# Of an edge that can be believed: contrast in grey levels, ln of the blur in px, sum of the pixels' weights.
+_LEAST_CONTRAST, _LARGEST_LOG_BLUR, _LEAST_WEIGHT = 5.0, math.log(3.9), 24.0
 # Two sides that meet at less than three degrees do not tell where.
 _LEAST_SINE = 0.05
 
-# What a fit leaves for each side: variances of its two offsets and their covariance, noise, the offsets,
-# blur, and how its corner and the next one follow it (x, y each).
-_VAR_FIRST, _VAR_LAST, _COVARIANCE, _NOISE, _FIRST, _LAST, _BLUR, _OWN, _NEXT = 0, 1, 2, 3, 4, 5, 6, 7, 9
-_FIT_NUMBERS = 11
+# Beside its edge is written of each side how its corner and the next one follow it (x, y each).
+_OWN, _NEXT = EDGE_NUMBERS, EDGE_NUMBERS + 2
+_FIT_NUMBERS = EDGE_NUMBERS + 4
 
 
 @kernel
@@ -83,8 +85,7 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
     pixels, columns = np.empty((PIXEL_ROWS, _ROOM)), np.empty(COLUMNS + 1, np.int64)
     table, curve = np.empty((COLUMN_ROWS, COLUMNS)), np.empty((STATIONS, 3))
     sides, fits = np.empty((4, SIDE_NUMBERS)), np.empty((4, _FIT_NUMBERS))
-    work, x = np.empty((WORK_ROWS, PARAMETERS)), np.empty(PARAMETERS)
-    rough, shift = np.empty((4, 2)), np.empty((4, 2))
+    work, rough, shift = np.empty((WORK_ROWS, PARAMETERS)), np.empty((4, 2)), np.empty((4, 2))
     for m in range(len(corners)):
         one = corners[m]
         for k in range(8):  # number by number: assigning whole arrays costs three seconds of compiling
@@ -99,7 +100,10 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
                     break
                 n = cross_columns(curve, sides[k], _FIND_COLUMNS if find else COLUMNS, table)
                 take_pixels(gray, sides[k], table, n, pixels, columns)
-                fine = fit_side(pixels, columns, table, n, x, blur, find, work, sides[k], fits[k])
+                rough_offsets(pixels, columns, table, n if find else 0, fits[k])
+                fine = fit_edge(pixels, columns, n, fits[k], blur, find, work) and believable(
+                    pixels, columns[n], sides[k], fits[k]
+                )
             if not fine:
                 break
             blur = common_blur(fits, sides)
@@ -151,24 +155,15 @@ def move_corners(corners, rough, shift, sides, step):
 
 
 @outlined
-def fit_side(pixels, columns, table, n, x, blur, find, work, side, fit):
-    """Fits one side, ``fit`` out; False when the result cannot be believed."""
-    x[0] = x[1] = 0.0
-    if find:
-        find_edge(pixels, columns, table, n, x)
-    spread = _BLUR_UNKNOWN if find else _BLUR_ALIKE
-    steps = _FIND_STEPS if find else _FIT_STEPS
-    arrived = _FOUND if find else _FITTED
-    if not fit_edge(pixels, columns, table[ALONG], n, x, blur, spread, steps, arrived, work, fit):
-        return False
-    fit[_FIRST], fit[_LAST], fit[_BLUR] = x[0], x[1], math.exp(x[2])
+def believable(pixels, count, side, fit):
+    """Whether a fit has seen an edge, and where it was looked for."""
     weight = 0.0
-    for p in range(columns[n]):
+    for p in range(count):
         weight += pixels[WEIGHT, p]
     return (
-        max(abs(x[0]), abs(x[1])) < side[BAND] + 1.0
-        and 0.5 * (x[5] + x[6]) > max(_LEAST_CONTRAST, 1.5 * fit[_NOISE])
-        and fit[_BLUR] < _LARGEST_BLUR
+        max(abs(fit[FIRST]), abs(fit[LAST])) < side[BAND] + 1.0
+        and 0.5 * (fit[CONTRAST] + fit[CONTRAST + 1]) > max(_LEAST_CONTRAST, 1.5 * fit[NOISE])
+        and fit[LOG_BLUR] < _LARGEST_LOG_BLUR
         and weight >= _LEAST_WEIGHT
     )
 
@@ -179,14 +174,16 @@ def common_blur(fits, sides):
     total, weight = 0.0, 0.0
     for k in range(4):
         w = sides[k, BAND] ** 4
-        total += w * math.log(fits[k, _BLUR])
+        total += w * fits[k, LOG_BLUR]
         weight += w
     return math.exp(total / weight)
 
 
 @outlined
-def find_edge(pixels, columns, table, n, x):
+def rough_offsets(pixels, columns, table, n, x):
     """Rough offsets into ``x[:2]``: in each column the steepest rise, then a robust line through them.
+
+    Without columns, zero: where the corners are is known well enough.
 
     The rises and their places are kept in the table's rows USE and MAIN, which nobody needs any more.
     """
@@ -237,19 +234,20 @@ def corner_shifts(fits, sides, shift, covariance):
         fits[k, _OWN], fits[k, _OWN + 1] = by / determinant, -bx / determinant
         fits[j, _NEXT], fits[j, _NEXT + 1] = -ay / determinant, ax / determinant
         for i in range(2):
-            shift[k, i] = fits[k, _OWN + i] * fits[k, _FIRST] + fits[j, _NEXT + i] * fits[j, _LAST]
+            shift[k, i] = fits[k, _OWN + i] * fits[k, FIRST] + fits[j, _NEXT + i] * fits[j, LAST]
             moved = max(moved, abs(shift[k, i]))
     for k in range(4):
         n, fit = 2 * ((k + 1) % 4), fits[k]
         # Light of the next cell leaks over the border when that is hardly wider than the blur: the tail of a
         # Gaussian at one border width, px.
-        leak = fit[_BLUR] * math.exp(-0.5 * (sides[k, CELL] / fit[_BLUR]) ** 2)
+        blur = math.exp(fit[LOG_BLUR])
+        leak = blur * math.exp(-0.5 * (sides[k, CELL] / blur) ** 2)
         for i in range(2):
             for j in range(2):
                 own, following = fit[_OWN + i], fit[_NEXT + i]
-                covariance[2 * k + i, 2 * k + j] += (fit[_VAR_FIRST] + leak * leak) * own * fit[_OWN + j]
-                covariance[n + i, n + j] += (fit[_VAR_LAST] + leak * leak) * following * fit[_NEXT + j]
+                covariance[2 * k + i, 2 * k + j] += (fit[VAR_FIRST] + leak * leak) * own * fit[_OWN + j]
+                covariance[n + i, n + j] += (fit[VAR_LAST] + leak * leak) * following * fit[_NEXT + j]
                 # Both corners lie on this side.
-                covariance[2 * k + i, n + j] += fit[_COVARIANCE] * own * fit[_NEXT + j]
-                covariance[n + i, 2 * k + j] += fit[_COVARIANCE] * following * fit[_OWN + j]
+                covariance[2 * k + i, n + j] += fit[COVARIANCE] * own * fit[_NEXT + j]
+                covariance[n + i, 2 * k + j] += fit[COVARIANCE] * following * fit[_OWN + j]
     return moved

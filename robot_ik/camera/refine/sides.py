@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from robot_ik.camera.lens_kernels import CX, CY, FX, FY, bend_point, from_pixel
-from robot_ik.camera.refine.edges import DISTANCE, VALUE, WEIGHT
+from robot_ik.camera.refine.edges import DISTANCE, SHARE, VALUE, WEIGHT
 from robot_ik.kernels.jit import outlined
 
 # Pixels per edge are limited by taking at most this many columns (or rows) across it.
@@ -137,6 +137,7 @@ def take_pixels(gray, side, table, n, pixels, columns):
                     pixels[DISTANCE, count] = distance * side[SIGN]
                     pixels[VALUE, count] = gray[main, j] if steep else gray[j, main]
                     pixels[WEIGHT, count] = weight
+                    pixels[SHARE, count] = table[ALONG, i]
                     count += 1
         columns[i + 1] = count
     return count
