@@ -79,13 +79,9 @@ def from_pixel(lens, px, py):
     NaN where the lens has no inverse.
     """
     bx, by = (px - lens[CX]) / lens[FX], (py - lens[CY]) / lens[FY]
-    x, y = bx, by
-    tx, ty, xx, xy, yy = bend_point(lens, x, y)
-    ex, ey = tx - bx, ty - by
-    size, scale = math.hypot(ex, ey), 1.0
+    x, y, ex, ey, xx, xy, yy = bx, by, 0.0, 0.0, 1.0, 0.0, 1.0
+    size, scale = math.inf, 0.0
     for _ in range(_INVERSE_STEPS):
-        if size < _INVERSE_RESIDUAL:
-            break
         determinant = xx * yy - xy * xy
         if abs(determinant) < 1e-12:
             determinant = 1e-12
@@ -95,9 +91,11 @@ def from_pixel(lens, px, py):
         size1 = math.hypot(tx - bx, ty - by)
         if size1 < size:
             x, y, ex, ey, size, xx, xy, yy = x1, y1, tx - bx, ty - by, size1, xx1, xy1, yy1
-            scale = min(1.0, 2.0 * scale)
+            scale = min(1.0, 2.0 * scale) if scale > 0.0 else 1.0
         else:
             scale *= 0.5
+        if size < _INVERSE_RESIDUAL:
+            break
     if not size < _STALLED or x * x + y * y > lens[_LIMIT] * lens[_LIMIT]:
         return math.nan, math.nan
     return x, y

@@ -1,7 +1,7 @@
 """Finds square markers in a picture: ids and rough corners.
 
 The corners are OpenCV's unrefined ones, good to about a pixel; ``robot_ik.camera.refine`` makes them good to
-a tenth.  OpenCV's own refinement is off: it pulls corners inwards by up to a pixel.
+a tenth.  OpenCV's own refinement pulls them inwards by up to a pixel: it only makes up for a reduced picture.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ _CELL_SAMPLES = 8
 # pixels, which is too coarse for such cells.
 _SMALL_CELL, _ENLARGE = 4.0, 2.0
 # A part with cells larger than this (px) is searched in half its size: a fifth of the work, most of which is
-# outlines of noise, and the corners are still good enough to be refined.
+# outlines of noise.  OpenCV's refinement, in a window of this half width, gives the lost half pixel back.
 _LARGE_CELL, _REDUCE = 8.0, 0.5
+_CORNER_WINDOW, _CORNER_STEPS = 3, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +115,7 @@ class MarkerDetector:
             gray = _zoomed(gray, zoom)
         detector = self._detector
         if not thorough:
-            self._expect(4.0 * zoom * side, gray.shape)
+            self._expect(4.0 * zoom * side, gray.shape, reduced=zoom < 1.0)
             detector = self._quick
         shift = np.array(origin, dtype=float)
         return self._wanted(
@@ -130,14 +131,16 @@ class MarkerDetector:
         self._expect(0.0, image.shape[:2])
         return self._wanted(detect_markers(self._quick, to_gray(image)))
 
-    def _expect(self, perimeter: float, shape: tuple[int, ...]) -> None:
+    def _expect(self, perimeter: float, shape: tuple[int, ...], *, reduced: bool = False) -> None:
         """Tells the quick detector how small a marker may be in a picture of this shape."""
+        how = cv2.aruco.CORNER_REFINE_SUBPIX if reduced else cv2.aruco.CORNER_REFINE_NONE
         least = max(4 * _LEAST_CELL * self.cells, _SHRINK * perimeter)
         # In steps of a fifth, so that the detector is not told something new with every picture.
         rate = 1.2 ** math.floor(math.log(least / max(shape)) / math.log(1.2))
-        if rate != self._quick_parameters.minMarkerPerimeterRate:
-            self._quick_parameters.minMarkerPerimeterRate = rate
-            self._quick.setDetectorParameters(self._quick_parameters)
+        p = self._quick_parameters
+        if (rate, how) != (p.minMarkerPerimeterRate, p.cornerRefinementMethod):
+            p.minMarkerPerimeterRate, p.cornerRefinementMethod = rate, how
+            self._quick.setDetectorParameters(p)
 
     def _wanted(self, found: list[tuple[int, Array]]) -> list[Detection]:
         least = _LEAST_CELL * self.cells
@@ -167,6 +170,7 @@ def _parameters() -> cv2.aruco.DetectorParameters:
     """All that matters is set, because the defaults differ between OpenCV releases."""
     p = cv2.aruco.DetectorParameters()
     p.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    p.cornerRefinementWinSize, p.cornerRefinementMaxIterations = _CORNER_WINDOW, _CORNER_STEPS
     # Three windows: fine for small and blurred markers, coarse for uneven light.
     p.adaptiveThreshWinSizeMin, p.adaptiveThreshWinSizeMax, p.adaptiveThreshWinSizeStep = 3, 23, 10
     # 3 % of the picture's longer side round the marker: cells of one pixel at 640 px.

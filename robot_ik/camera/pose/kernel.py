@@ -64,31 +64,29 @@ def fit_poses(points, ideal, blocks, poses, costs):
     rows = 2 * len(points)
     residual, jacobian = np.empty(rows), np.empty((rows, _FREEDOMS))
     raw, slope = np.empty(rows), np.empty((rows, _FREEDOMS))
-    normal, step, trial = np.empty((_FREEDOMS, _FREEDOMS)), np.empty(_FREEDOMS), np.empty(7)
+    normal, damped, step, trial = np.empty((7, 6)), np.empty((7, 6)), np.zeros(_FREEDOMS), np.empty(7)
     for k in range(len(poses)):
         pose = poses[k]
-        cost = whitened(points, ideal, blocks, pose, raw, slope, residual, jacobian)
-        damping, growth = 1e-4, 2.0
-        for _ in range(_STEPS):
-            if not lm_step(residual, jacobian, damping, normal, step):
-                break
-            moved(pose, step, trial)
+        cost, damping, growth = math.inf, 1e-3, 2.0
+        for i in range(7):
+            trial[i] = pose[i]
+        for _ in range(_STEPS + 1):  # the first one is the start
             trial_cost = whitened(points, ideal, blocks, trial, raw, slope, residual, jacobian)
             if trial_cost < cost:
-                done = cost - trial_cost < _DONE * (1.0 + cost)
+                done = cost - trial_cost < _DONE * (1.0 + trial_cost)
                 for i in range(7):
                     pose[i] = trial[i]
                 cost, damping, growth = trial_cost, max(0.1 * damping, 1e-9), 2.0
-                if done:
-                    break
+                normal_equations(residual, jacobian, normal)
             else:
                 damping, growth = damping * growth, 2.0 * growth
                 largest = 0.0
                 for i in range(_FREEDOMS):
                     largest = max(largest, abs(step[i]))
-                if damping > 1e8 or not largest >= 1e-13:
-                    break
-                whitened(points, ideal, blocks, pose, raw, slope, residual, jacobian)
+                done = damping > 1e8 or not largest >= 1e-13
+            if done or not lm_step(normal, damping, damped, step):
+                break
+            moved(pose, step, trial)
         costs[k] = cost
 
 
@@ -156,30 +154,41 @@ def whitened(points, ideal, blocks, pose, raw, slope, residual, jacobian):
 
 
 @outlined
-def lm_step(residual, jacobian, damping, normal, step):
-    """The damped step, by L D Lᵀ; False when the system is singular."""
-    for i in range(_FREEDOMS):
+def normal_equations(residual, jacobian, normal):
+    """Lower triangle of JᵀJ, and in a last row Jᵀr."""
+    n = jacobian.shape[1]  # no constant: loops that are unrolled take longer to compile than to run
+    for i in range(n):
         for j in range(i + 1):
             total = 0.0
             for row in range(len(residual)):
                 total += jacobian[row, i] * jacobian[row, j]
             normal[i, j] = total
-        normal[i, i] += damping * (normal[i, i] + 1e-12)
-        step[i] = 0.0
+        normal[n, i] = 0.0
         for row in range(len(residual)):
-            step[i] -= jacobian[row, i] * residual[row]
-    for k in range(_FREEDOMS):
-        if not normal[k, k] > 0.0:
+            normal[n, i] += jacobian[row, i] * residual[row]
+
+
+@outlined
+def lm_step(normal, damping, damped, step):
+    """The damped step, by L D Lᵀ; False when the system is singular."""
+    n = len(step)
+    for i in range(n):
+        for j in range(i + 1):
+            damped[i, j] = normal[i, j]
+        damped[i, i] += damping * (normal[i, i] + 1e-12)
+        step[i] = -normal[n, i]
+    for k in range(n):
+        if not damped[k, k] > 0.0:
             return False
-        for i in range(k + 1, _FREEDOMS):
-            share = normal[i, k] / normal[k, k]
+        for i in range(k + 1, n):
+            share = damped[i, k] / damped[k, k]
             for j in range(k + 1, i + 1):
-                normal[i, j] -= share * normal[j, k]
+                damped[i, j] -= share * damped[j, k]
             step[i] -= share * step[k]
-    for k in range(_FREEDOMS - 1, -1, -1):
-        step[k] /= normal[k, k]
+    for k in range(n - 1, -1, -1):
+        step[k] /= damped[k, k]
         for i in range(k):
-            step[i] -= normal[k, i] * step[k]
+            step[i] -= damped[k, i] * step[k]
     return True
 
 

@@ -90,12 +90,13 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
         one = corners[m]
         for k in range(8):  # number by number: assigning whole arrays costs three seconds of compiling
             rough[k // 2, k % 2] = one[k // 2, k % 2]
+        unbend(lens, one, ideal[m])
         fine, blur, moved = sides_ok(one, gray), BLUR_START, math.inf
         for step in range(_MOST_PASSES):
             find = step == 0
             band = _FIND_BAND if find else _FIT_BAND
             for k in range(4):
-                fine = fine and bent_side(lens, one, k, cells, band, curve, sides[k])
+                fine = fine and bent_side(lens, one, ideal[m], k, cells, band, curve, sides[k])
                 if not fine:
                     break
                 n = cross_columns(curve, sides[k], _FIND_COLUMNS if find else COLUMNS, table)
@@ -109,6 +110,7 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
             blur = common_blur(fits, sides)
             moved = corner_shifts(fits, sides, shift, covariance[m])
             fine = move_corners(one, rough, shift, sides, step) and sides_ok(one, gray)
+            unbend(lens, one, ideal[m])
             if not fine or (step + 1 >= _LEAST_PASSES and moved < _STILL):
                 break
         fine = fine and moved < _RESTLESS
@@ -116,10 +118,17 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
             # Where it has not come to rest, the range it still covers is part of the uncertainty.
             covariance[m, k, k] += (0.0 if moved < _STILL else min(moved, 1.0) ** 2) + _LEAST_SIGMA**2
         good[m] = 1 if fine else 0
-        for k in range(4):
-            if not fine:
+        if not fine:
+            for k in range(4):
                 one[k, 0], one[k, 1] = rough[k, 0], rough[k, 1]
-            ideal[m, k, 0], ideal[m, k, 1] = from_pixel(lens, one[k, 0], one[k, 1])
+            unbend(lens, one, ideal[m])
+
+
+@outlined
+def unbend(lens, corners, ideal):
+    """Undistorted normalised coordinates (4, 2) of four corners."""
+    for k in range(4):
+        ideal[k, 0], ideal[k, 1] = from_pixel(lens, corners[k, 0], corners[k, 1])
 
 
 @outlined

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from robot_ik.camera.lens_kernels import CX, CY, FX, FY, bend_point, from_pixel
+from robot_ik.camera.lens_kernels import CX, CY, FX, FY, bend_point
 from robot_ik.camera.refine.edges import DISTANCE, SHARE, VALUE, WEIGHT
 from robot_ik.kernels.jit import outlined
 
@@ -36,12 +36,13 @@ SIDE_NUMBERS = 9
 
 
 @outlined
-def bent_side(lens, corners, k, cells, band, curve, side):
+def bent_side(lens, corners, ideal, k, cells, band, curve, side):
     """Fills ``curve`` and ``side``: the side from corner k to the next, straight without the lens.
 
     Args:
         lens: ``lens_vector``.
         corners: (4, 2) pixels.
+        ideal: (4, 2) the same without the lens.
         k: Which side.
         cells: Cells along a side with the black border.
         band: Half width of the band of pixels at most, px.
@@ -52,8 +53,7 @@ def bent_side(lens, corners, k, cells, band, curve, side):
         False when the lens has no inverse there.
     """
     n, last = (k + 1) % 4, STATIONS - 1
-    x0, y0 = from_pixel(lens, corners[k, 0], corners[k, 1])
-    x1, y1 = from_pixel(lens, corners[n, 0], corners[n, 1])
+    x0, y0, x1, y1 = ideal[k, 0], ideal[k, 1], ideal[n, 0], ideal[n, 1]
     if not abs(x0 + x1) < math.inf:
         return False
     ax, ay = corners[n, 0] - corners[k, 0], corners[n, 1] - corners[k, 1]
