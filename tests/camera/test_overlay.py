@@ -26,7 +26,7 @@ def test_nothing_is_drawn_of_what_is_behind_the_camera(model_of: Callable[..., m
         assert (overlay.draw_robot(picture, model, [], LENS, Pose(), style=style) == picture).all()
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(st.tuples(*[st.floats(-0.8, 0.8)] * 3), st.tuples(*[st.floats(-3, 3)] * 3))
 def test_a_camera_anywhere_even_inside_the_robot_draws_without_error(
     place: tuple[float, float, float], turn: tuple[float, float, float]
@@ -92,7 +92,7 @@ def test_axes_and_paths_behind_the_camera_are_left_out() -> None:
 
 
 @given(st.floats(-500, 2000), st.floats(-500, 2000), st.text("abc \n°µ→", min_size=1, max_size=40))
-@settings(max_examples=30)
+@settings(max_examples=12)
 def test_a_label_stays_in_the_picture(x: float, y: float, caption: str) -> None:
     picture = np.full((200, 700, 3), 250, np.uint8)
     drawn = overlay.put_label(picture, caption, (x, y), accent=overlay.GREEN)

@@ -1,6 +1,7 @@
 """The painter against OpenCV's projection and MuJoCo's own rays."""
 
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import mujoco
@@ -32,11 +33,9 @@ SHAPES = {
 }
 
 
-def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:
-    """Geom id of every pixel (h, w), -1 for none: OpenCV undoes the lens, MuJoCo intersects."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
+@cache
+def _rays_through(lens: CameraIntrinsics) -> np.ndarray:
+    """Directions (h w, 3) of the rays through every pixel, in the camera's frame."""
     pixels = (
         np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1)
         .reshape(-1, 1, 2)
@@ -49,7 +48,15 @@ def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics
         if hasattr(cv2, "undistortPointsIter")
         else cv2.undistortPoints(pixels, lens.matrix, coefficients, criteria=stop)
     )
-    rays = np.concatenate([ideal.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1) @ camera.rotation.T
+    return np.concatenate([ideal.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
+
+
+def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:
+    """Geom id of every pixel (h, w), -1 for none: OpenCV undoes the lens, MuJoCo intersects."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    rays = _rays_through(lens) @ camera.rotation.T
     geom, depth = np.full(len(rays), -1, np.int32), np.zeros(len(rays))
     groups = np.array([1, 1, 1, 0, 0, 0], np.uint8)
     mujoco.mj_multiRay(

@@ -90,7 +90,7 @@ def test_corners_with_noise_have_no_bias() -> None:
 
 def test_a_sheet_is_painted_like_an_average_of_very_many_samples() -> None:
     field = ray_field(LENS)
-    pose = Pose((0.02, -0.03, 0.5), rotation_exp([2.6, 0.3, 0.4]))
+    pose = Pose((0.02, -0.03, 0.8), rotation_exp([2.6, 0.3, 0.4]))
     sheet = make_sheet("DICT_5X5_50", 7, 1.0, "printed")
     painted = paint_marker(sheet, 0.05, 0.05 / 7, pose, field, None)
     assert painted is not None
