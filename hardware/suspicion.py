@@ -23,7 +23,7 @@ def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     return MotorFaultError(
         servo.name,
         hardware_error_names(value) or ("hardware_error",),
-        hint="the other joints hold; remove the cause, then reset_fault() or power-cycle it",
+        hint="the others hold; remove the cause, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
 
@@ -79,7 +79,8 @@ def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> 
             port=bus.port,
             joint=servo.name,
             last_good=age if math.isfinite(age) else None,
-            hint="no servo answers any more: check their power and the cable",
+            everyone=True,
+            hint="check their power, the cable and the adapter; torque stays as it was",
         )
     hint = f"no good answer of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
     raise MotorFaultError(servo.name, (status,), hint=hint)

@@ -242,9 +242,7 @@ def model_limits(config: ArmConfig) -> Limits:
 def left(arm: Arm) -> str:
     """How an arm was left, in words."""
     report = arm.exit_report
-    if report is None:
+    if report is None or not report.ok:  # who did not confirm it was told when that was found
         return ""
-    if not report.ok:
-        return f"{report.done} NOT confirmed by {', '.join(report.unverified)}: cut the power"
     words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
     return words[report.done] + (" (parked first)" if report.parked else "")
