@@ -119,10 +119,16 @@ def _kept_on_interrupt(gatherer: ViewGatherer) -> Iterator[None]:
 
 def _gather(text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions) -> None:
     from robot_ik.camera.sources import FolderSource, ImageSource, open_source
+    from robot_ik.errors import CameraNotFoundError
 
     with open_source(text, size=options.size) as source:
         if isinstance(source, FolderSource):
-            for path, frame in zip(source.files, source, strict=True):
+            for path in source.files:
+                try:
+                    frame = source.read()
+                except CameraNotFoundError as error:
+                    gatherer.notices.append(f"left out: {error.args[0]}")
+                    continue
                 gatherer.offer(frame, path.name, choosy=False)
         elif isinstance(source, ImageSource):
             gatherer.offer(source.read(), Path(text).name, choosy=False)

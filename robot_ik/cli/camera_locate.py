@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.poses import pose_option, pose_words
-from robot_ik.errors import ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.errors import CameraNotFoundError, ConfigError, FrameTimeoutError, MarkerNotFoundError
 
 if TYPE_CHECKING:
     from robot_ik.camera.boards.board import Board
@@ -102,6 +102,9 @@ def _look(
                 frame = source.read()
             except FrameTimeoutError:
                 break
+            except CameraNotFoundError as error:  # one file of a folder
+                console.say(f"left out: {error.args[0]}", "yellow")
+                continue
             looked += 1
             view = board.see(frame, intrinsics)
             if view is not None:

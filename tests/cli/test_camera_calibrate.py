@@ -25,6 +25,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for frame in open_moving("synthetic:charuco?frames=19&seed=7"):
         if frame.sequence % 3 == 0:  # it is held for three pictures
             cv2.imwrite(str(folder / f"view{frame.sequence}.png"), frame.image)
+    (folder / "view7.png").write_text("no picture")
     return folder
 
 
@@ -32,6 +33,7 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
     out = tmp_path / "desk.yaml"
     run = robot_ik("camera", "calibrate", pictures, "--out", out, "--name", "desk", "--json")
     assert run.code == 0, run.err
+    assert "left out:" in run.err and "view7.png is not a picture" in run.err
     said, camera = json.loads(run.out), CameraIntrinsics.load(out)
     assert said["digest"] == camera.digest and said["f"] == [camera.fx, camera.fy]
     assert camera.fx == pytest.approx(STANDARD_CAMERA.fx, rel=0.005)
