@@ -12,8 +12,8 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SHOWN_ROBOT
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
     from robot_ik.jobs.ar import ArReport, ArRequest
@@ -65,8 +65,8 @@ class ArOptions:
     """Seconds by which tracking lags behind recorded pictures (for --sync latest)."""
     alpha: float = 1.0
     """1 hides what is behind the robot, 0 the robot."""
-    no_shadow: bool = False
-    """Draw no shadow."""
+    shadow: bool = True
+    """Draw the shadow on the board's plane."""
     out: Annotated[str, arg(metavar="FILE.mp4|FILE.png|DIR")] = "ar.mp4"
     """A film (extra `video`), the last picture, or a folder of pictures."""
     seconds: Annotated[float, arg(help_behavior_hint="(default: all; 4 for synthetic)")] = 0.0
@@ -143,16 +143,16 @@ def make_request(options: ArOptions) -> ArRequest:
     from robot_ik.jobs.ar import ArRequest
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
-        raise _wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
+        raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
     if len(options.size) not in (0, 2) or any(v < 16 for v in options.size):
-        raise _wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
+        raise wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
     if not 0.0 <= options.alpha <= 1.0:
-        raise _wrong("--alpha", f"{options.alpha:g}", "0 to 1")
+        raise wrong("--alpha", f"{options.alpha:g}", "0 to 1")
     for name in ("scale", "delay", "seconds"):
         if not 0.0 <= getattr(options, name) < np.inf:
-            raise _wrong(f"--{name}", f"{getattr(options, name):g}", "0 or more")
+            raise wrong(f"--{name}", f"{getattr(options, name):g}", "0 or more")
     if options.sync == "tracked" and (options.predict or options.shift or options.delay):
-        raise _wrong(
+        raise wrong(
             "--sync", "the picture that was tracked has no delay to make up for",
             "--sync latest with --predict, --shift or --delay",
         )  # fmt: skip
@@ -174,13 +174,9 @@ def make_request(options: ArOptions) -> ArRequest:
         remedies=Remedies(options.sync, options.predict, options.shift),
         delay=options.delay,
         alpha=options.alpha,
-        shadow=not options.no_shadow,
+        shadow=options.shadow,
         out=Path(options.out),
         seconds=options.seconds,
         size=(options.size[0], options.size[1]) if options.size else None,
         seed=options.seed,
     )
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)

@@ -34,7 +34,7 @@ class CameraCalibrateOptions:
     what there is. The lens must not be focused or zoomed afterwards.
     """
 
-    sources: Positional[tuple[str, ...]]
+    sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE …", help_behavior_hint="")]
     """Pictures, folders, films, a camera's index, URLs; one after the other."""
     pattern: Literal["charuco", "chessboard"] = "charuco"
     """What is shown. Both layouts of a ChArUco board are tried."""

@@ -38,19 +38,21 @@ class CameraDetectOptions:
     named, and the others are done. 2 when none could.
     """
 
-    images: Annotated[Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …")] = ()
+    images: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …", help_behavior_hint="")
+    ] = ()
     """Files or folders; a camera's index or URL gives one picture."""
     dictionary: str = "DICT_5X5_50"
     """Of the markers, as OpenCV names it: DICT_4X4_50, DICT_APRILTAG_36H11, …"""
     ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: all)")] = ()
     """Only these markers."""
-    size: Annotated[float | None, arg(metavar="M")] = None
+    size: Annotated[float | None, arg(metavar="M", help_behavior_hint="")] = None
     """Side of the black squares, metres."""
-    intrinsics: Annotated[Path | None, arg(metavar="FILE")] = None
+    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Calibration of the camera; without it there are corners but no poses."""
-    bodies: Annotated[Path | None, arg(metavar="FILE.toml")] = None
+    bodies: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
     """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
-    draw: Annotated[Path | None, arg(metavar="DIR")] = None
+    draw: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Write each picture there with what was found drawn over it."""
     json: bool = False
     """Print one JSON object instead of a table."""

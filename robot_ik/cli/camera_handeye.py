@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.bus_argument import bus_argument, robot_meant
 from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
     from robot_ik.jobs.handeye import HandEyeReport, HandEyeRequest
@@ -134,27 +134,21 @@ def make_request(options: CameraHandeyeOptions) -> HandEyeRequest:
     Raises:
         ConfigError, CameraError, InvalidGoalError: A malformed option.
     """
-    from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
     from robot_ik.jobs.handeye import HandEyeRequest
 
     if not 4 <= options.views <= 100:
-        raise _wrong("--views", f"{options.views} views", "4 to 100")
+        raise wrong("--views", f"{options.views} views", "4 to 100")
     if not (math.isfinite(options.speed) and 0.0 < options.speed <= 1.0):
-        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+        raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
     if options.bus == "none":
-        raise _wrong("--bus", "an arm without servos has no angles to read", "sim, pty or a serial port")
-    robot = options.robot or (SHOWN_ROBOT if options.bus in ("pty", "sim") else SERVO_ROBOT)
-    if options.arm and not options.robot:
-        from robot_ik.hardware.config import ArmConfig
-
-        robot = ArmConfig.load(options.arm).robot
+        raise wrong("--bus", "an arm without servos has no angles to read", "sim, pty or a serial port")
     board = None
     if options.board:
         from robot_ik.camera.boards.board import parse_board
 
         board = parse_board(options.board, options.dictionary)
     return HandEyeRequest(
-        robot=robot,
+        robot=options.robot or robot_meant(options.arm, options.bus),
         mounting="eye_in_hand" if options.mounting == "eye-in-hand" else "eye_to_hand",
         bus=options.bus,
         arm_file=Path(options.arm) if options.arm else None,
@@ -168,10 +162,6 @@ def make_request(options: CameraHandeyeOptions) -> HandEyeRequest:
         speed=options.speed,
         seed=options.seed,
     )
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)
 
 
 def _print(report: HandEyeReport) -> None:

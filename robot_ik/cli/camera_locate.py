@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.poses import pose_option, pose_words
-from robot_ik.errors import CameraNotFoundError, ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError
 
 if TYPE_CHECKING:
     from robot_ik.camera.boards.board import Board
@@ -59,9 +60,7 @@ def run(options: CameraLocateOptions) -> int:
     from robot_ik.geometry import Pose
 
     if not 1 <= options.frames <= 10_000:
-        raise ConfigError(
-            f"{options.frames} pictures", file="command line", key="--frames", allowed="1 to 10000"
-        )
+        raise wrong("--frames", f"{options.frames} pictures", "1 to 10000")
     board = parse_board(options.board, options.dictionary)
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
     intrinsics = CameraIntrinsics.load(options.intrinsics)

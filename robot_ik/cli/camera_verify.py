@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.bus_argument import bus_argument, robot_meant
 from robot_ik.cli.poses import pose_option
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
     from robot_ik.jobs.verify import VerifyReport, VerifyRequest
@@ -156,22 +156,16 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     Raises:
         ConfigError, CameraError, InvalidGoalError: A malformed option.
     """
-    from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
     from robot_ik.jobs.verify_request import VerifyRequest
 
     _check(options)
-    robot = options.robot or (SHOWN_ROBOT if options.bus in ("pty", "sim") else SERVO_ROBOT)
-    if options.arm and not options.robot:
-        from robot_ik.hardware.config import ArmConfig
-
-        robot = ArmConfig.load(options.arm).robot
     board = None
     if options.board:
         from robot_ik.camera.boards.board import parse_board
 
         board = parse_board(options.board, options.dictionary)
     return VerifyRequest(
-        robot=robot,
+        robot=options.robot or robot_meant(options.arm, options.bus),
         bus=options.bus,
         arm_file=Path(options.arm) if options.arm else None,
         frame=options.frame or None,
@@ -191,17 +185,17 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
 
 def _check(options: CameraVerifyOptions) -> None:
     if not 4 <= options.views <= 100:
-        raise _wrong("--views", f"{options.views} views", "4 to 100")
+        raise wrong("--views", f"{options.views} views", "4 to 100")
     if not (math.isfinite(options.speed) and 0.0 < options.speed <= 1.0):
-        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+        raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
     if not (math.isfinite(options.allowed_mm) and options.allowed_mm > 0.0):
-        raise _wrong("--allowed-mm", f"{options.allowed_mm:g} mm", "above 0")
+        raise wrong("--allowed-mm", f"{options.allowed_mm:g} mm", "above 0")
     if not all(math.isfinite(one) and one > 0.0 for one in options.board_sigma):
-        raise _wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
+        raise wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
     if options.bus == "none":
-        raise _wrong("--bus", "an arm without servos has no zeros", "sim, pty or a serial port")
+        raise wrong("--bus", "an arm without servos has no zeros", "sim, pty or a serial port")
     if options.yes and not (options.fit and options.arm):
-        raise _wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
+        raise wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
 
 
 def _offsets(items: tuple[str, ...]) -> dict[str, float]:
@@ -213,9 +207,5 @@ def _offsets(items: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             found[joint] = math.nan
         if not math.isfinite(found[joint]):
-            raise _wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
+            raise wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     return found
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)

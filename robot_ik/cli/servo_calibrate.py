@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_backup import new_file
-from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, load_arm, model_limits, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, load_arm, model_limits, tried
 from robot_ik.cli.servo_move import parse_angles
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ArmStateError

@@ -14,6 +14,7 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.errors import (
     BusNotOpenError,
@@ -115,11 +116,6 @@ def load_arm(name: str) -> ArmConfig:
     elif not path.suffix and not path.exists() and path.name == name:
         raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
     return ArmConfig.load(path)
-
-
-def wrong(key: str, problem: str, allowed: str, hint: str = "") -> ConfigError:
-    """A wrong option."""
-    return ConfigError(problem, file="command line", key=key, allowed=allowed, hint=hint)
 
 
 def tried(action: Callable[[], int]) -> int:

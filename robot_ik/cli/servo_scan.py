@@ -10,7 +10,8 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, served_or_real, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, served_or_real
 
 if TYPE_CHECKING:
     from robot_ik.hardware.scan import FoundServo
