@@ -39,6 +39,9 @@ class VerifySamples:
     true_offsets: Array | None = None
     servos: tuple[dict[str, Any], ...] = ()
 
+    def __len__(self) -> int:
+        return len(self.samples)
+
     def save(self, path: Path) -> None:
         """Writes JSON, whole or not at all.
 
