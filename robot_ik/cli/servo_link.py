@@ -105,6 +105,8 @@ def load_arm(name: str) -> ArmConfig:
     from robot_ik.catalogue import catalogue
     from robot_ik.hardware.config import ArmConfig
 
+    if not name:
+        raise wrong("--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
     known = catalogue()
     path = Path(name).expanduser()
     if name in known:

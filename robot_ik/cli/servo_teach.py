@@ -150,6 +150,8 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
         text = read_text(path, "the recording")
         try:
             content = json.loads(text)
+            if not isinstance(content, dict):
+                raise ValueError("it is not one JSON object")
             motion = Trajectory(content["time_s"], content["q_rad"], content["joints"])
         except (ValueError, KeyError, TypeError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else error
