@@ -63,13 +63,13 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     with joint_named(config):
         for joint in config.servos:
             _answer_everything(bus, joint)
-    for joint, value in _by_joint(config, read_all(bus, config, "hardware_error_status")):
-        if value:
-            raise MotorFaultError(
-                joint.name,
-                hardware_error_names(value),
-                hint="remove the cause, support the arm, then: robot-ik servo reset-fault",
-            )
+    faulty = [row for row in _by_joint(config, read_all(bus, config, "hardware_error_status")) if row[1]]
+    if faulty:
+        joint, value = faulty[0]
+        others = [f"{other.name} ({', '.join(hardware_error_names(more))})" for other, more in faulty[1:]]
+        hint = "remove the cause, support the arm, then: robot-ik servo reset-fault"
+        also = f"likewise {', '.join(others)}; " if others else ""
+        raise MotorFaultError(joint.name, hardware_error_names(value), hint=also + hint)
     _check_voltage(bus, config)
     with joint_named(config):
         for joint in config.servos:

@@ -41,6 +41,12 @@ def test_row_14(lab):
             assert arm.reset_fault() == ("joint6",) and arm.state is ArmState.CONNECTED
 
 
+def test_every_servo_in_fault_is_named_at_connect(lab):
+    with pytest.raises(MotorFaultError, match="joint2") as caught:
+        lab.arm(Fault("overload", id=2), Fault("overheating", id=5)).connect()
+    assert "likewise joint5 (overheating)" in caught.value.hint
+
+
 def test_row_15(lab):
     """a servo that answers only some instructions"""
     faults = Fault("status_level", id=2, value=0), Fault("status_level", id=3, value=1)
