@@ -27,7 +27,9 @@ class ArOptions:
     needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH")] = SHOWN_ROBOT
+    robot: Annotated[
+        str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: the motion's, else {SHOWN_ROBOT})")
+    ] = ""
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
@@ -43,8 +45,9 @@ class ArOptions:
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
     scale: Annotated[float, arg(help_behavior_hint="(default: 1; what fits the synthetic table)")] = 0.0
     """Drawn size over true size."""
-    motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|ARM.toml@PORT")] = "wave"
-    """What the robot does: follow reaches for --marker; a trajectory is replayed; a live arm is mirrored."""
+    motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|SCRIPT|ARM.toml@PORT")] = "wave"
+    """What the robot does: follow reaches for --marker; a trajectory is replayed; a script (as for
+    robot-ik run) is played on simulated servos; a live arm is mirrored."""
     marker: int = 9
     """Id of the marker to follow."""
     marker_size: float = 0.05
@@ -69,7 +72,7 @@ class ArOptions:
     """Draw the shadow on the board's plane."""
     out: Annotated[str, arg(metavar="FILE.mp4|FILE.png|DIR")] = "ar.mp4"
     """A film (extra `video`), the last picture, or a folder of pictures."""
-    seconds: Annotated[float, arg(help_behavior_hint="(default: all; 4 for synthetic)")] = 0.0
+    seconds: Annotated[float, arg(help_behavior_hint="(default: all; synthetic: the motion, or 4)")] = 0.0
     """How long."""
     size: Annotated[tuple[int, ...], arg(metavar="W H", help_behavior_hint="(default: the camera's)")] = ()
     """Size of synthetic and live pictures."""
@@ -141,6 +144,7 @@ def make_request(options: ArOptions) -> ArRequest:
     """
     from robot_ik.camera.ar.registrar import Remedies
     from robot_ik.jobs.ar import ArRequest
+    from robot_ik.jobs.ar_script import robot_of
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
         raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
@@ -158,7 +162,7 @@ def make_request(options: ArOptions) -> ArRequest:
         )  # fmt: skip
     x, y, z, yaw = (*options.base, *(0.0,) * (4 - len(options.base)))
     return ArRequest(
-        robot=options.robot,
+        robot=options.robot or robot_of(options.motion) or SHOWN_ROBOT,
         camera=options.camera,
         intrinsics=Path(options.intrinsics) if options.intrinsics else None,
         board=options.board,

@@ -38,7 +38,7 @@ def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixt
         (["--scale", "-1"], "--scale"),
         (["--predict"], "--sync latest"),
         (["--backend", "vulkan"], "vulkan"),
-        (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "nowhere.png"),
+        (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "none.yaml"),
         (["--board", "plate:3"], "plate:3"),
         (["--phantoms", "none.toml"], "none.toml"),
         (["--robot", "puma56"], "puma560"),
