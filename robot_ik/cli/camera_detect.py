@@ -70,6 +70,7 @@ class _Row:
     size: tuple[int, int] | None
     values: dict[str, Any]
     error: CameraError | None = None
+    in_film: bool = False
 
     def as_values(self) -> dict[str, Any]:
         """For JSON."""
@@ -176,7 +177,7 @@ def _looked(
                     continue
                 if not sighting.markers:
                     blank.append(frame.image)
-                yield _Row(file, number, frame.size, as_values(sighting))
+                yield _Row(file, number, frame.size, as_values(sighting), in_film=in_film)
                 if options.draw is not None:
                     _save(options.draw, file, number if in_film else None, drawn(sighting, intrinsics))
             bar.remove_task(task)
@@ -260,7 +261,7 @@ def _show(shown: Table, *, posed: bool) -> None:
 
 
 def _place(row: _Row) -> str:
-    return f"{Path(row.file).name} #{row.frame}" if row.frame else Path(row.file).name
+    return f"{Path(row.file).name} #{row.frame}" if row.in_film else Path(row.file).name
 
 
 def _pose_cells(values: dict[str, Any]) -> list[Text]:

@@ -104,6 +104,8 @@ def test_films_and_folders_picture_by_picture(robot_ik: Any, tmp_path: Path) -> 
     assert [i["frame"] for i in images] == [0, 1, 2, 3] * 2
     assert [Path(i["file"]).name for i in images[3:6]] == ["film.avi", "view0.png", "view1.png"]
     assert [len(i["markers"]) for i in images] == [4, 4, 0, 4] * 2
+    table = robot_ik("camera", "detect", film, folder).out
+    assert "film.avi #0" in table and "film.avi #3" in table and "view3.png #" not in table
     assert (tmp_path / "drawn" / "film-00003.png").exists() and (tmp_path / "drawn" / "view3.png").exists()
 
 
