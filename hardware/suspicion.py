@@ -36,6 +36,20 @@ def torque_lost(servo: JointMap) -> MotorFaultError:
     )
 
 
+def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
+    """The fault of a servo whose position changed by more than it can have moved, in ticks.
+
+    It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
+    """
+    there, here = (math.degrees(servo.to_radians(ticks)) for ticks in (before, now))
+    return MotorFaultError(
+        servo.name,
+        ("position_jump",),
+        hint=f"it read {there:.1f} deg, then {here:.1f}: it has lost count of its turns, or its horn or magnet "
+        "is loose; all hold. Check it, then robot-ik servo reset-fault, or Arm.reset_fault()",
+    )
+
+
 def has_torque(bus: ServoBus, servo: JointMap) -> bool:
     """Whether a servo says so itself; False where it cannot be heard.
 

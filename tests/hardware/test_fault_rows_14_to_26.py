@@ -157,6 +157,34 @@ def test_row_22(lab):
         assert not any(lab.torque(arm))
 
 
+@pytest.mark.parametrize("turns", [1, -1, 3])
+def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
+    """The servo itself goes where its goal seems to be: the arm must not let it."""
+    with lab.arm() as arm:
+        before = arm.virtual_bus.true_angles(lab.config)
+        fault = lab.fault(arm, MotorFaultError, Fault("lost_turns", id=2, value=turns))
+        assert (fault.joint, fault.status) == ("joint2", ("position_jump",))
+        arm.clock.sleep_until(arm.clock.now() + 3.0)
+        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        with pytest.raises(HardwareError, match="joint 'joint2' was at"):
+            arm.reset_fault()  # the angle is still wrong
+        arm.virtual_bus.servo(2).shaft.lose_turns(-turns)
+        arm.reset_fault()
+        arm.enable()
+        lab.stream(arm, lab.smooth(arm.read().q, lab.start, 1.0))
+        assert np.abs(arm.virtual_bus.true_angles(lab.config) - lab.start).max() < 0.05
+
+
+def test_an_arm_turned_by_hand_without_torque_has_not_jumped(lab):
+    with lab.arm() as arm:
+        arm.read()
+        arm.virtual_bus.servo(1).turn_by_hand(-2100)
+        arm.read()
+        arm.virtual_bus.servo(1).turn_by_hand(2100)
+        arm.enable()
+        lab.drive(arm)
+
+
 def test_row_23(lab):
     """FF FF FD within data"""
     for on in ("sim", "pty"):
