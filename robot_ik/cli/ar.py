@@ -113,7 +113,7 @@ def run(options: ArOptions) -> int:
 def summary(report: ArReport) -> dict[str, object]:
     """The report as JSON holds it."""
     return {
-        "file": str(report.file),
+        "file": None if report.file is None else str(report.file),
         "pictures": report.pictures,
         "drawn": report.drawn,
         "scale": report.scale,
@@ -125,13 +125,17 @@ def summary(report: ArReport) -> dict[str, object]:
 
 
 def _print(report: ArReport) -> None:
+    if report.file is None:
+        console.say("there was no picture: nothing is written", "yellow")
+        return
     lines = console.table("", "")
     lines.show_header = False
     lines.add_row("pictures", f"{report.pictures}, the robot in {report.drawn}")
     lines.add_row("drawn", f"by {report.backend} at {report.scale:.3g} of its size")
     if np.isfinite(report.reprojection_px):
         lines.add_row("board", f"corners fit to {report.reprojection_px:.2f} px")
-    lines.add_row("speed", f"{report.rate_hz:.0f} pictures/s tracked and drawn")
+    speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
+    lines.add_row("speed", f"{speed} pictures/s tracked and drawn")
     console.out().print(lines)
     console.out().print(Text(f"written: {report.file}"), soft_wrap=True)
 

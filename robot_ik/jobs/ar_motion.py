@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from robot_ik.camera.ar.draw import Figure
 from robot_ik.camera.ar.registrar import Seen
 from robot_ik.errors import ConfigError
+from robot_ik.files import read_text
 from robot_ik.goals import PositionGoal
 from robot_ik.jobs.ar_script import is_script, play_script
 from robot_ik.jobs.script import shipped
@@ -152,6 +153,7 @@ def make_motion(text: str, robot: Robot, figure: Figure, stack: contextlib.ExitS
             )  # fmt: skip
         return Replay(trajectory)
     if path.suffix == ".toml":
+        read_text(path, "the script or arm file")
         return Mirroring(_live_arm(path, bus or "sim", robot, stack))
     raise ConfigError(
         f"{text!r} is no motion", file="command line", key="--motion",

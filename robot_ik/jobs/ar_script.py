@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError
+from robot_ik.files import read_text
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 from robot_ik.jobs.script.run import seen_from
 from robot_ik.motion.record import RecorderSink
@@ -58,6 +59,7 @@ def robot_of(text: str) -> str:
     path = Path(text.partition("@")[0])
     if path.suffix != ".toml":
         return ""
+    read_text(path, "the script or arm file")
     from robot_ik.hardware.config import ArmConfig
 
     return ArmConfig.load(path).robot
