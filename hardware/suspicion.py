@@ -45,8 +45,8 @@ def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
     return MotorFaultError(
         servo.name,
         ("position_jump",),
-        hint=f"it read {there:.1f} deg, then {here:.1f}: it has lost count of its turns, or its horn or magnet "
-        "is loose; all hold. Check it, then robot-ik servo reset-fault, or Arm.reset_fault()",
+        hint=f"it read {there:.1f} deg, then {here:.1f}: it has lost count of its turns, or its horn is loose; "
+        "all hold. Check it, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
 
