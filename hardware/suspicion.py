@@ -45,7 +45,7 @@ def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
     return MotorFaultError(
         servo.name,
         ("position_jump",),
-        hint=f"it read {there:.1f} deg, then {here:.1f}: it has lost count of its turns, or its horn is loose; "
+        hint=f"it read {there:.1f} deg, now {here:.1f}: it lost count of its turns, or a horn is loose: "
         "all hold. Check it, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
