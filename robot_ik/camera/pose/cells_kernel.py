@@ -29,8 +29,8 @@ PIXEL_ROWS = 7
 # Beyond so many standard deviations an edge is no longer felt.
 _FAR = 3.2
 _BELL, _ROOT_HALF = 1.0 / math.sqrt(2.0 * math.pi), math.sqrt(0.5)
-# As for the edges: residuals beyond this many standard deviations lose weight (Cauchy's function).
-_CAUCHY = 2.4
+# Residuals beyond this many standard deviations lose weight (Cauchy's function).
+_CAUCHY = 4.0
 # Where hardly anything changes (parts of the contrast a pixel), light is all there is to see: of such pixels
 # one in so many is enough.
 _FLAT, _SLOPE = 6, 0.02
