@@ -104,7 +104,7 @@ ROWS: tuple[Row, ...] = (
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
     Row(
         "offsets",
-        "joint zeros from pictures of a board in the hand",
+        "joint zeros from 30 pictures of a board in the hand",
         _HERE + "camera_arm:offsets",
         needs=("robot_ik.camera.arm_zeros",),
     ),

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import GoalError, InvalidGoalError, UnsupportedJointError
+from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.files import folder_for_results, write_atomically
 
 if TYPE_CHECKING:
@@ -100,7 +101,9 @@ def _solvers(options: BenchOptions) -> list[Solver]:
     from robot_ik.solvers import SOLVERS, make_solver
 
     if options.count < 1:
-        raise InvalidGoalError(f"--count is one or more, not {options.count}")
+        raise wrong("--count", f"{options.count} problems", "1 or more")
+    if not options.seconds > 0.0:
+        raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
     # `combined` with its default options is `auto`.
     names = options.solvers or tuple(name for name in SOLVERS if name != "combined")
     return [make_solver(name) for name in dict.fromkeys(names)]

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm

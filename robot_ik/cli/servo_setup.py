@@ -8,7 +8,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, load_arm, served_or_real, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, load_arm, served_or_real
 from robot_ik.cli.servo_scan import checked_rates, print_found, scanned
 
 

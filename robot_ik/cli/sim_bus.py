@@ -15,7 +15,8 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import load_arm, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import load_arm
 from robot_ik.errors import RobotIkError
 
 if TYPE_CHECKING:

@@ -19,7 +19,6 @@ from robot_ik.errors import MarkerNotFoundError
 from robot_ik.jobs.handeye_samples import SampleSet
 from robot_ik.jobs.handeye_scene import HandEyeRequest, HandEyeScene, open_scene
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
-from robot_ik.jobs.reach_request import ReachRequest
 from robot_ik.jobs.stops import visit_stops
 from robot_ik.jobs.views import plan_views
 
@@ -90,12 +89,7 @@ def run_handeye(
         RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
     """
     with contextlib.ExitStack() as stack:
-        limbs = prepare_limbs(
-            ReachRequest(
-                robot=request.robot, frame=request.frame, bus=request.bus, arm_file=request.arm_file,
-                speed=request.speed, seed=request.seed,
-            )
-        )  # fmt: skip
+        limbs = prepare_limbs(request.limbs())
         scene = open_scene(request, limbs, stack)
         task = scene.task
         samples = SampleSet(request.robot, limbs.robot.joints, task.frame, request.mounting, task.intrinsics)

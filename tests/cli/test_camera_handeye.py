@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +68,8 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
 def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(request: Any, *, keep: Any, **rest: Any) -> None:
         keep(samples)
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
 
     monkeypatch.setattr(handeye, "run_handeye", interrupted)
     run = robot_ik("camera", "handeye", "--out", "mine.toml")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,7 +70,10 @@ class Photographer:
         self._view.robot.place(qpos)
         lit = self._stage_visibility(quality)
         stage = self._view.stage
-        picture = stage.ambient + stage.lamp * lit[..., :1] + stage.ceiling * lit[..., 1:]
+        lamp, ceiling = (cv2.merge([share] * 3) for share in cv2.split(lit))
+        picture = np.asarray(cv2.multiply(stage.lamp, lamp, dst=lamp), dtype=np.float32)
+        picture += stage.ambient
+        picture += cv2.multiply(stage.ceiling, ceiling, dst=ceiling)
         empty = picture.copy() if sheets else picture
         layer = self._renderer.render(qpos, quality)
         if layer is not None:

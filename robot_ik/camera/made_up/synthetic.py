@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.made_up.grain import Grain
 from robot_ik.camera.made_up.lights import Lights
 from robot_ik.camera.made_up.photograph import Photographer, PlacedSheet
 from robot_ik.camera.made_up.printed import Condition, PaintedMarker, make_sheet
@@ -196,11 +197,12 @@ class SyntheticSource(ClosingSource):
             raise CameraError(f"unknown quality {quality!r}", hint=f"known: {', '.join(QUALITIES)}")
         self.scene = scene
         self.size = scene.intrinsics.size
-        self._true_q, self._seed, self._blur, self._noise = true_q, seed, blur, noise
+        self._true_q, self._blur, self._noise = true_q, blur, noise
         self._clock, self._quality = clock, QUALITIES[quality]
         self._sequence = 0
         self._photographer: Photographer | None = None
         self._vignette: NDArray[np.float32] | None = None
+        self._grain = Grain(self.size, seed, self._quality.same_grain)
 
     def read(self) -> Frame:
         """Takes the next picture; its ``truth`` is a dict.
@@ -209,12 +211,14 @@ class SyntheticSource(ClosingSource):
         * ``pose_camera_marker`` and ``pose_world_marker``: by id, of the markers that are seen,
         * ``corners``: by id (4, 2) pixels in OpenCV's order, ``visible``: by id the part seen, 0..1.
         """
+        # Before the clock is asked: a sensor has its noise in no time.
+        grain = self._grain.of(self._sequence) if self._noise > 0 else None
         now = time.monotonic() if self._clock is None else self._clock.now()
         scene, q = self.scene, np.array(self._true_q(), dtype=float)
         poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
         light, painted = self._camera().expose(scene.robot.qpos(q), sheets, self._quality)
-        frame = Frame(self._develop(light), now, self._sequence, self._truth(q, poses, painted))
+        frame = Frame(self._develop(light, grain), now, self._sequence, self._truth(q, poses, painted))
         self._sequence += 1
         return frame
 
@@ -230,20 +234,19 @@ class SyntheticSource(ClosingSource):
             )
         return self._photographer
 
-    def _develop(self, light: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def _develop(self, light: NDArray[np.float32], grain: NDArray[np.float32] | None) -> NDArray[np.uint8]:
         """Lens and sensor: vignette, blur, noise, 8 bit."""
         if self._vignette is None:
             w, h = self.size
             x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)
-            self._vignette = (255.0 * (1 - _VIGNETTE * 0.5 * (x[None, :] ** 2 + y[:, None] ** 2)))[..., None]
-        picture = light * self._vignette
+            plain = 255.0 * (1 - _VIGNETTE * 0.5 * (x[None, :] ** 2 + y[:, None] ** 2))
+            self._vignette = np.dstack([plain, plain, plain])
+        picture = cv2.multiply(light, self._vignette)
         if self._blur > 0:
-            picture = cv2.GaussianBlur(picture, (0, 0), self._blur).astype(np.float32, copy=False)
-        if self._noise > 0:
-            rng = np.random.default_rng([self._seed, self._sequence])
-            picture += np.float32(self._noise) * rng.standard_normal(picture.shape, dtype=np.float32)
-        # rounding, not cutting: half a grey level of bias would shift every edge
-        return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+            picture = cv2.GaussianBlur(picture, (0, 0), self._blur)
+        # to 8 bit by rounding, not by cutting: half a grey level of bias would shift every edge
+        other, sigma = (picture, 0.0) if grain is None else (grain, self._noise)
+        return np.asarray(cv2.addWeighted(picture, 1.0, other, sigma, 0.0, dtype=cv2.CV_8U), dtype=np.uint8)
 
     def _truth(self, q: Array, poses: list[Pose], painted: list[PaintedMarker | None]) -> dict[str, object]:
         scene = self.scene

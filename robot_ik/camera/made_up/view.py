@@ -30,6 +30,7 @@ class Quality:
         stride: Robot rays every so many pixels; markers are exact always.
         self_stride, self_spots: Shadows on the robot: every so many pixels, so many points of each light.
         stage_stride, stage_spots: The same for shadows of the robot on table and floor.
+        same_grain: Pictures share their noise, each moved to another place.
     """
 
     stride: int
@@ -37,9 +38,10 @@ class Quality:
     self_spots: int
     stage_stride: int
     stage_spots: int
+    same_grain: bool = False
 
 
-QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1)}
+QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1, same_grain=True)}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -13,8 +13,9 @@ from robot_ik.camera.boards.pattern_guess import describe
 from robot_ik.camera.boards.pattern_kinds import PatternWish
 from robot_ik.camera.boards.patterns import CharucoPattern, Pattern
 from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.sheets.cube import cube_net
+from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
 from robot_ik.camera.sheets.page import Words
+from robot_ik.errors import CameraError
 
 Array = NDArray[np.float64]
 Room = tuple[float, float]
@@ -23,6 +24,8 @@ SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
 #: White round a marker that its detection needs, in markers: a cell, of six to ten in a marker with border.
 QUIET = 1.0 / 6.0
+# White round the marker on a face of a cube, in markers, on each side.
+_LEAST_WHITE = 0.1
 # What finds a board or cube as one body, with the file that --body writes.
 _BODY_USE = "robot-ik camera detect 0 --intrinsics camera.yaml --bodies body.toml"
 # Height of the letters under a marker, mm.
@@ -97,6 +100,7 @@ class Block:
         about: What it is.
         use: The command that uses it.
         board: What other commands call it behind ``--board``; empty where it has no such name.
+        lines: (m, 4) to cut or fold along, as in ``Page``.
     """
 
     width: float
@@ -106,6 +110,7 @@ class Block:
     about: str
     use: str
     board: str = ""
+    lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 def marker_boxes(dictionary: str, marker: int, size: float, turns: int = 0) -> Array:
@@ -171,33 +176,29 @@ def _board(wish: SheetWish, room: Room) -> Block:
 
 def _cube(wish: SheetWish, room: Room) -> Block:
     ids = wish.marker_ids
-    faces = cube_net(ids, wish.size, wish.edge)
-    low = np.min([face.centre for face in faces], axis=0) - wish.edge / 2
-    high = np.max([face.centre for face in faces], axis=0) + wish.edge / 2
-    boxes = []
-    for face in faces:
-        x, y = face.centre - low
-        corner = (x - wish.size / 2, y - wish.size / 2)
-        boxes.append(moved(marker_boxes(wish.dictionary, face.marker, wish.size, face.turns), *corner))
-        boxes.append(moved(_outline(wish.edge), x - wish.edge / 2, y - wish.edge / 2))
+    white = (wish.edge - wish.size) / 2
+    if white < _LEAST_WHITE * wish.size - 1e-9:
+        raise CameraError(
+            f"a cube of {wish.edge:g} mm leaves {white:g} mm of white round markers of {wish.size:g} mm",
+            hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * wish.size:g} at least",
+        )
+    faces, net = cube_net(ids, wish.size, wish.edge), cube_paper(wish.edge)
+    corners = np.vstack([net.cuts.reshape(-1, 2), net.folds.reshape(-1, 2)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    boxes = [
+        moved(
+            marker_boxes(wish.dictionary, face.marker, wish.size, face.turns),
+            *(face.centre - low - wish.size / 2),
+        )
+        for face in faces
+    ]
+    lines = np.vstack([net.cuts, dashed(net.folds)]) - np.tile(low, 2)
     about = (
         f"cube of {wish.edge:g} mm with markers {_names(ids)} of {wish.dictionary}, {wish.size:g} mm "
-        "(cut out, glue onto the cube)"
+        "(cut along the lines, fold the dashed ones back, glue the tabs inside)"
     )
     width, height = (float(v) for v in high - low)
-    return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE)
-
-
-def _outline(edge: float, line: float = 0.15) -> Array:
-    """Thin grey lines along a square's rim, inside it."""
-    inner = edge - 2 * line
-    rows = [
-        (0, 0, edge, line),
-        (0, edge - line, edge, line),
-        (0, line, line, inner),
-        (edge - line, line, line, inner),
-    ]
-    return np.array([(*row, 0.35) for row in rows])
+    return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE, lines=lines)
 
 
 def _pattern(wish: SheetWish, room: Room) -> Block:

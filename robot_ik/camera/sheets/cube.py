@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,3 +79,83 @@ def cube_net(ids: Sequence[int], size: float, edge: float) -> list[NetFace]:
 
     body = cube_body(ids, size / 1e3, edge / 1e3)
     return unfold({marker: pose for marker, (_, pose) in body.markers.items()}, edge)
+
+
+# ------------------------------------------------------------------------------------- the paper
+
+# Depth of a tab in edges, and at most, mm.
+_TAB, _TAB_MOST = 0.2, 10.0
+# A dash and the gap after it, mm.
+_DASH, _GAP = 2.0, 1.5
+# Middles of the six faces, in edges, y down: front, right, back, left, top, bottom.
+_FACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
+# Their sides that have a tab (face, way to the side); each is glued behind a side that has none.
+_TABBED = (
+    ((0, -1), (1, 0)), ((0, -1), (-1, 0)), ((0, -1), (0, -1)),
+    ((0, 1), (1, 0)), ((0, 1), (-1, 0)), ((0, 1), (0, 1)),
+    ((-1, 0), (-1, 0)),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class CubePaper:
+    """What is cut and folded; x right, y down, from the centre of the first face, in the unit of the edge.
+
+    Attributes:
+        cuts: (n, 4) from x, y to x, y.
+        folds: (12, 4) between the faces, and between a face and its tab.
+        tabs: (7, 4, 2) corners; the first and the last are on the face.
+    """
+
+    cuts: Array
+    folds: Array
+    tabs: Array
+
+
+def cube_paper(edge: float) -> CubePaper:
+    """The outline of a cube's net with all six faces, and tabs that hold it together.
+
+    Args:
+        edge: Of the cube, mm.
+    """
+    depth = min(_TAB * edge, _TAB_MOST)
+    cuts, folds, tabs = [], [], []
+    for face in _FACES:
+        for way in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            start, end = _side(face, way, edge)
+            if (face, way) in _TABBED:
+                along = (end - start) / edge
+                out = np.array(way, dtype=float)
+                # Its ends are cut back at 45 degrees: two tabs in one corner then do not meet.
+                tab = [start, start + depth * (along + out), end + depth * (out - along), end]
+                tabs.append(tab)
+                folds.append([start, end])
+                cuts += [[a, b] for a, b in pairwise(tab)]
+            elif (face[0] + way[0], face[1] + way[1]) not in _FACES:
+                cuts.append([start, end])
+            elif way in ((1, 0), (0, 1)):  # a fold has two sides
+                folds.append([start, end])
+    return CubePaper(
+        np.array(cuts).reshape(-1, 4), np.array(folds).reshape(-1, 4), np.array(tabs, dtype=float)
+    )
+
+
+def _side(face: tuple[int, int], way: tuple[int, int], edge: float) -> tuple[Array, Array]:
+    """The two ends of a face's side."""
+    out = np.array(way, dtype=float)
+    middle, half = edge * (np.array(face) + 0.5 * out), 0.5 * edge * np.array([-out[1], out[0]])
+    return middle - half, middle + half
+
+
+def dashed(lines: Array) -> Array:
+    """The dashes (m, 4) of lines (n, 4) in mm; each line begins and ends with half a dash."""
+    dashes = []
+    for line in np.asarray(lines, dtype=float):
+        start, end = line[:2], line[2:]
+        length = float(np.linalg.norm(end - start))
+        count = max(1, round(length / (_DASH + _GAP)))
+        share = _DASH / (_DASH + _GAP)
+        at = (np.arange(count + 1)[:, None] + 0.5 * share * np.array([-1.0, 1.0])) / count
+        for low, high in np.clip(at, 0.0, 1.0):
+            dashes.append([*(start + low * (end - start)), *(start + high * (end - start))])
+    return np.array(dashes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -22,6 +22,10 @@ MM_PER_INCH = 25.4
 _POINTS_PER_MM = 72.0 / MM_PER_INCH
 #: Width of a letter of Courier, in heights of the letters: what text takes can be told without a font.
 LETTER_WIDTH = 0.6
+# Width, mm, and ink of the strokes: enough to cut along, too light for a corner of a marker.
+_STROKE, _STROKE_INK = 0.2, 0.4
+# Bits of a pixel in OpenCV's drawing.
+_SUBPIXEL = 4
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ class Page:
         boxes: (n, 5) x, y, width, height in mm from the upper left corner, and ink from 0 to 1; none overlap.
         words: Lines of text.
         about: What it is, for people.
+        lines: (m, 4) thin grey strokes from x, y to x, y, mm.
     """
 
     width: float
@@ -56,6 +61,7 @@ class Page:
     boxes: Array
     words: tuple[Words, ...]
     about: str
+    lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 def write_sheet(page: Page, path: Path, *, dpi: int = 300) -> None:
@@ -97,6 +103,9 @@ def pdf_bytes(page: Page) -> bytes:
         some = page.boxes[page.boxes[:, 4] == ink]
         lines += [" ".join(_number(v) for v in box[:4]) + " re" for box in some]
         lines.append("f")
+    if len(page.lines):
+        lines.append(f"{_STROKE} w {_number(1.0 - _STROKE_INK)} G")
+        lines += ["{} {} m {} {} l S".format(*map(_number, line)) for line in page.lines]
     lines.append("0 g")
     for word in page.words:
         text = word.text.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
@@ -135,9 +144,17 @@ def rasterize(page: Page, dpi: float) -> Image:
     scale = dpi / MM_PER_INCH
     width, height = round(page.width * scale), round(page.height * scale)
     image = paint_boxes(page.boxes[:, :4] * scale, width, height, page.boxes[:, 4])
+    _draw_lines(image, page.lines * scale, max(1, round(_STROKE * scale)))
     for word in page.words:
         _draw_words(image, word, scale)
     return image
+
+
+def _draw_lines(image: Image, lines: Array, thickness: int) -> None:
+    """Strokes in pixels, the upper left corner of the page at 0; OpenCV counts from the first centre."""
+    ink = round(255 * (1.0 - _STROKE_INK))
+    for line in np.rint((lines - 0.5) * (1 << _SUBPIXEL)).astype(int).tolist():
+        cv2.line(image, tuple(line[:2]), tuple(line[2:]), ink, thickness, cv2.LINE_AA, _SUBPIXEL)
 
 
 def _draw_words(image: Image, word: Words, scale: float) -> None:

@@ -97,10 +97,11 @@ def _on_page(block: Block, paper: Room, wish: SheetWish) -> Page:
     scale += f"  --board {block.board}" if block.board else ""
     beside = _MARGIN + _BAR + 3.0
     words.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
-    lines = [block.about, _command(wish), *([block.use] if block.use else [])]
-    for k, text in enumerate(lines):
+    for k, text in enumerate([block.about, _command(wish), *([block.use] if block.use else [])]):
         words.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
-    return Page(paper[0], paper[1], np.concatenate(boxes), tuple(words), f"{block.about} on {wish.page}")
+    lines = block.lines + np.array([x, y, x, y])
+    about = f"{block.about} on {wish.page}"
+    return Page(paper[0], paper[1], np.concatenate(boxes), tuple(words), about, lines)
 
 
 def _line(x: float, y: float, room: float, text: str) -> Words:

@@ -22,6 +22,7 @@ from robot_ik.camera.sources.picture_files import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,
     Image,
+    first_size,
     natural_sort,
     neighbours,
     read_image,
@@ -137,7 +138,7 @@ class ImageSource(ClosingSource):
 
 
 class FolderSource(ClosingSource):
-    """The pictures of a folder in natural order (frame2 before frame10), one per ``read``.
+    """The pictures of a folder in natural order (frame2 before frame10); one that is none raises in its turn.
 
     Args:
         path: The folder.
@@ -152,8 +153,7 @@ class FolderSource(ClosingSource):
         if not self.files:
             kinds = f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
             raise CameraNotFoundError(f"the folder {self.path} holds no pictures", hint=kinds)
-        first = read_image(self.files[0])
-        self.size = (int(first.shape[1]), int(first.shape[0]))
+        self.size = first_size(self.files)
         self._next = 0
         self._start = time.monotonic()
         self._period = 1.0 / rate_hz
@@ -165,8 +165,8 @@ class FolderSource(ClosingSource):
     def read(self) -> Frame:
         if self.exhausted:
             raise FrameTimeoutError(f"all {len(self.files)} pictures of {self.path} have been read")
-        index = self._next
         self._next += 1
+        index = self._next - 1
         return Frame(read_image(self.files[index]), self._start + index * self._period, index)
 
 
@@ -293,7 +293,7 @@ def _open_file(
     if not path.exists():
         raise CameraNotFoundError(
             f"there is no camera, file or folder {text!r}",
-            hint=f"give a camera index (0), picture, film, folder of pictures or URL; {neighbours(path)}",
+            hint=f"give a camera's index (0), picture, film, folder or URL; {neighbours(path)}",
         )
     film = path.suffix.lower() in VIDEO_SUFFIXES
     return VideoSource(path, real_time=real_time) if film else ImageSource(path)

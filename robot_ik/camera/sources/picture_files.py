@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -37,13 +38,31 @@ def read_image(path: Path | str) -> Image:
         ) from None
     image = None
     if data.size:
-        with quiet():
+        # It raises where the header of a file says more pixels than a picture may have.
+        with quiet(), contextlib.suppress(cv2.error):
             image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise CameraNotFoundError(
             f"{path} is not a picture that OpenCV can read", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
         )
     return np.asarray(image, dtype=np.uint8)
+
+
+def first_size(files: Sequence[Path]) -> tuple[int, int]:
+    """(width, height) of the first picture that can be read.
+
+    Raises:
+        CameraNotFoundError: None can; it is of the first one.
+    """
+    trouble: CameraNotFoundError | None = None
+    for file in files:
+        try:
+            height, width = read_image(file).shape[:2]
+        except CameraNotFoundError as error:
+            trouble = trouble or error
+        else:
+            return width, height
+    raise trouble or CameraNotFoundError("there are no pictures")
 
 
 def natural_sort(paths: Iterable[Path]) -> list[Path]:

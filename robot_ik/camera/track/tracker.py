@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from robot_ik.camera.detect import Detection, Image, MarkerDetector, to_gray
 from robot_ik.camera.detect.search_window import SearchWindow
@@ -11,6 +12,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.pose import BodyObservation, body_branches
 from robot_ik.camera.pose.bodies import MarkerBody
 from robot_ik.camera.pose.branches import Branches
+from robot_ik.camera.pose.cells import fit_print
 from robot_ik.camera.pose.marker import MarkerObservation, marker_branches, marker_observation, marker_points
 from robot_ik.camera.refine import RefinedCorners, refine_markers
 from robot_ik.camera.sources import Frame
@@ -125,7 +127,12 @@ class MarkerTracker:
         if fitting is None:
             return None
         choice = self._choose(frozenset(layout), fitting.branches, frame.time)
-        return fitting.observation(choice.index, choice.ambiguity, frame.time)
+        seen = fitting.observation(choice.index, choice.ambiguity, frame.time)
+        better = fit_print(
+            to_gray(frame.image), layout, seen.ids, self.detector.dictionary, self.intrinsics,
+            seen.pose_camera_body, seen.covariance,
+        )  # fmt: skip
+        return seen if better is None else replace(seen, pose_camera_body=better[0], covariance=better[1])
 
     def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
         """Corners of the wanted markers in the frame, by id; those that come twice are left out.
