@@ -220,22 +220,33 @@ def bounding_box(faces: Faces, width: int, height: int, margin: int = 3) -> Box:
     return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else EMPTY
 
 
+@lru_cache(maxsize=8)
+def _rows_of_samples(count: int, width: int) -> tuple[Float32, Float32]:
+    """Columns (width count,) of the samples in a row of pixels, and their rows off its middle."""
+    places = SAMPLES[count].astype(np.float32)
+    across = np.arange(width, dtype=np.float32)[:, None] + places[:, 0]
+    return across.reshape(-1), np.tile(places[:, 1], width)
+
+
 class Samples:
     """The nearest surface at each sample of the pixels of ``box``; fill it with things, then look.
 
     Attributes:
         box: (x0, y0, x1, y1) pixels, half open.
-        depth: (n, h, w) float32 one over depth, 0 where nothing is.
+        depth: (h, w, n) float32 one over depth, 0 where nothing is.
     """
 
     def __init__(self, box: Box, count: int = 4) -> None:
-        self.box, self._places = box, SAMPLES[count]
-        shape = (count, box[3] - box[1], box[2] - box[0])
-        self.depth = np.zeros(shape, dtype=np.float32)
-        self._whose = np.empty(shape, dtype=np.int32)
-        self._light = np.zeros((0, 6))
+        self.box, self._count = box, count
+        height, width = box[3] - box[1], box[2] - box[0]
+        padded = -(-width // scanline.LANES) * scanline.LANES
+        self._places = _rows_of_samples(count, padded)
+        self._depth = np.zeros((height, padded * count), dtype=np.float32)
+        self._whose = np.zeros((height, padded * count), dtype=np.int32)
+        self.depth = self._depth.reshape(height, padded, count)[:, :width]
+        self._light = np.zeros((1, 6))
         self._owner = np.zeros(0, dtype=np.int64)
-        self._extent = np.tile(np.array([shape[2], 0]), (shape[1], 1))
+        self._extent = np.tile(np.array([width, 0]), (height, 1))
 
     def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
         """Adds faces; ``phantoms`` (ngeom,) or all: they hide what is behind them and are not drawn.
@@ -245,27 +256,25 @@ class Samples:
         hidden = phantoms[faces.geom] if isinstance(phantoms, np.ndarray) else phantoms
         before = len(self._owner)
         self._owner = np.concatenate([self._owner, np.where(hidden, -1, faces.geom)])
-        light = np.zeros((2 * len(faces.faces), 6))
+        light = np.zeros((2 * len(faces.faces) + 1, 6))
         if len(faces.chosen):
             scanline.fill_faces(
-                faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, self._places,
-                self.box[0], self.box[1], self.depth, self._whose, light, self._extent,
+                faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, *self._places,
+                self._count, self.box[0], self.box[1], self._depth, self._whose, light, self._extent,
             )  # fmt: skip
-        self._light = np.concatenate([self._light, light]) if before else light
+        self._light = np.concatenate([self._light, light[1:]]) if before else light
 
     def geoms(self) -> Index:
-        """Geom id at each sample (n, h, w); -1 where nothing is, or a phantom."""
-        found = np.full(self.depth.shape, -1, dtype=np.int64)
-        on = self.depth > 0
-        found[on] = self._owner[self._whose[on] // 2]
-        return found
+        """Geom id at each sample (h, w, n); -1 where nothing is, or a phantom."""
+        whose = self._whose.reshape(len(self._whose), -1, self._count)[:, : self.depth.shape[1]]
+        return np.append(-1, np.repeat(self._owner, 2))[whose]
 
     def layer(self, base: Array) -> Layer:
         """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
-        shape = self.depth.shape[1:]
+        shape = self.depth.shape[:2]
         colour, coverage = np.zeros((*shape, 3), dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         scanline.resolve(
-            self.depth, self._whose, self._light, self._extent, self._owner, base, _GLOSS,
+            self._whose, self._count, self._light, self._extent, self._owner, base, _GLOSS,
             self.box[0], self.box[1], colour, coverage,
         )  # fmt: skip
         return Layer(self.box, colour, coverage)
@@ -293,4 +302,4 @@ def paint_mask(
     """Silhouette (h, w), 255 inside, smooth; its pixel (0, 0) is ``corner`` of the picture."""
     samples = Samples((corner[0], corner[1], corner[0] + shape[1], corner[1] + shape[0]), count)
     samples.fill(faces)
-    return np.rint((samples.depth > 0).mean(axis=0) * 255).astype(np.uint8)
+    return np.rint((samples.depth > 0).mean(axis=2) * 255).astype(np.uint8)

@@ -13,6 +13,13 @@ import numpy as np
 
 from robot_ik.kernels.jit import kernel, pure
 
+# Samples are looked at so many at a time: what fits into the registers of common processors.
+LANES = 8
+# Faces are drawn wider by this, pixels, so that rounding leaves no cracks between neighbours.
+_SEAM = 2e-4
+# Beyond every picture, pixels.
+_FAR = 1e9
+
 
 @kernel
 def place_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
@@ -49,69 +56,94 @@ def light_corners(normals: Any, owner: Any, light: Any, half: Any, ambient: floa
 
 
 @pure
-def _fill(
-    p: Any, inverse: Any, lit: Any, corners: Any, face: int, half: int,
-    offset: int, samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
-) -> None:  # fmt: skip
-    """Half a face into the buffers: its corners 0 1 2 or 0 2 3."""
-    a, b, c = corners[0], corners[1 + half], corners[2 + half]
-    ax, ay, bx, by, cx, cy = p[a, 0], p[a, 1], p[b, 0], p[b, 1], p[c, 0], p[c, 1]
-    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    # seen from outside a face runs counter-clockwise, which is negative with y down
-    if not area < 0.0:
-        return
-    height, width = depth.shape[1], depth.shape[2]
-    first = max(math.floor(min(ay, by, cy)) - top, 0)
-    last = min(math.ceil(max(ay, by, cy)) - top, height - 1)
-    low, high = min(ax, bx, cx), max(ax, bx, cx)
-    if first > last or high < left - 1 or low > left + width:
-        return
-    # gradients in the picture of one over depth and of the light
-    ux, uy, vx, vy = (cy - ay) / area, (ax - cx) / area, (ay - by) / area, (bx - ax) / area
-    wb, wc = inverse[b] - inverse[a], inverse[c] - inverse[a]
-    wx, wy = ux * wb + vx * wc, uy * wb + vy * wc
-    mark = 2 * face + half
+def _light(p: Any, lit: Any, a: int, b: int, c: int, face: int, half: int, area: float, plane: Any) -> None:
+    """``plane`` (6,): diffuse light and highlight of half a face as functions 1, x, y of the picture."""
+    ux, uy = (p[c, 1] - p[a, 1]) / area, (p[a, 0] - p[c, 0]) / area
+    vx, vy = (p[a, 1] - p[b, 1]) / area, (p[b, 0] - p[a, 0]) / area
     for k in range(2):
         lb, lc = lit[face, 1 + half, k] - lit[face, 0, k], lit[face, 2 + half, k] - lit[face, 0, k]
         gx, gy = ux * lb + vx * lc, uy * lb + vy * lc
-        planes[mark, 3 * k] = lit[face, 0, k] - gx * ax - gy * ay
-        planes[mark, 3 * k + 1], planes[mark, 3 * k + 2] = gx, gy
-    # corners from the uppermost to the lowest: an edge has the same numbers in both its faces, so no cracks
-    x0, y0, x1, y1, x2, y2 = ax, ay, bx, by, cx, cy
-    if y1 < y0:
-        x0, y0, x1, y1 = x1, y1, x0, y0
-    if y2 < y0:
-        x0, y0, x2, y2 = x2, y2, x0, y0
-    if y2 < y1:
-        x1, y1, x2, y2 = x2, y2, x1, y1
-    long = (x2 - x0) / (y2 - y0)
-    upper = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
-    lower = (x2 - x1) / (y2 - y1) if y2 > y1 else 0.0
-    slope, owned = np.float32(wx), np.int32(mark + 2 * offset)
-    for k in range(len(samples)):
-        shift, drop = left + samples[k, 0], top + samples[k, 1]
-        for row in range(max(first, math.ceil(y0 - drop)), min(last + 1, math.ceil(y2 - drop))):
-            y = row + drop
-            one = x0 + (y - y0) * long
-            two = x0 + (y - y0) * upper if y < y1 else x1 + (y - y1) * lower
-            start = max(math.ceil(min(one, two) - shift), 0)
-            stop = min(math.ceil(max(one, two) - shift), width)
-            if start >= stop:
-                continue
-            extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
-            w = np.float32(inverse[a] + wx * (start + shift - ax) + wy * (y - ay))
-            near, owner = depth[k, row, start:stop], whose[k, row, start:stop]
-            for column in range(len(near)):  # without branches, so that it runs eight at a time
-                here = w + np.float32(column) * slope
-                nearer = here > near[column]
-                owner[column] = owned if nearer else owner[column]
-                near[column] = here if nearer else near[column]
+        plane[3 * k] = lit[face, 0, k] - gx * p[a, 0] - gy * p[a, 1]
+        plane[3 * k + 1], plane[3 * k + 2] = gx, gy
+
+
+@pure
+def _side(ax: float, ay: float, bx: float, by: float) -> Any:
+    """Distance inwards from the line a b times its length: value at (0, 0), its gradient.
+
+    And where the line is at row 0, columns a row, when it bounds its rows from the left; when from the right.
+    """
+    gx, gy = by - ay, ax - bx
+    value = _SEAM * (abs(gx) + abs(gy)) - gx * ax - gy * ay
+    slope = -gy / gx if gx != 0.0 else 0.0
+    reach = ax - slope * ay, 0.5 * abs(slope) + _SEAM
+    low = reach[0] - reach[1] if gx > 0.0 else -_FAR
+    high = reach[0] + reach[1] if gx < 0.0 else _FAR
+    return value, gx, gy, slope, low, high
+
+
+@pure
+def _fill(
+    p: Any, inverse: Any, a: int, b: int, c: int, area: float, mark: int,
+    across: Any, down: Any, count: int, left: int, top: int, depth: Any, whose: Any, extent: Any,
+) -> None:  # fmt: skip
+    """A triangle into the buffers."""
+    ax, ay, bx, by, cx, cy = (
+        p[a, 0] - left,
+        p[a, 1] - top,
+        p[b, 0] - left,
+        p[b, 1] - top,
+        p[c, 0] - left,
+        p[c, 1] - top,
+    )
+    width = depth.shape[1] // count
+    first, last = (
+        max(math.ceil(min(ay, by, cy) - 0.5), 0),
+        min(math.floor(max(ay, by, cy) + 0.5), len(depth) - 1),
+    )
+    least, most = max(min(ax, bx, cx), -0.5), min(max(ax, bx, cx), width - 0.6)
+    # one over depth, and the distances from the three sides
+    wb, wc = (inverse[b] - inverse[a]) / area, (inverse[c] - inverse[a]) / area
+    wx, wy = (cy - ay) * wb + (ay - by) * wc, (ax - cx) * wb + (bx - ax) * wc
+    w0 = inverse[a] - wx * ax - wy * ay
+    e0, x0, y0, s0, l0, h0 = _side(ax, ay, bx, by)
+    e1, x1, y1, s1, l1, h1 = _side(bx, by, cx, cy)
+    e2, x2, y2, s2, l2, h2 = _side(cx, cy, ax, ay)
+    gwx, gwy, gx0, gy0 = np.float32(wx), np.float32(wy), np.float32(x0), np.float32(y0)
+    gx1, gy1, gx2, gy2 = np.float32(x1), np.float32(y1), np.float32(x2), np.float32(y2)
+    zero, owned = np.float32(0.0), np.int32(mark)
+    block = max(LANES // count, 1)
+    for row in range(first, last + 1):
+        low = max(least, l0 + s0 * row, l1 + s1 * row, l2 + s2 * row)
+        high = min(most, h0 + s0 * row, h1 + s1 * row, h2 + s2 * row)
+        start, stop = math.ceil(low - 0.5), math.floor(high + 0.5) + 1
+        if start >= stop:
+            continue
+        start -= start % block
+        eights = ((stop - start) * count + LANES - 1) // LANES
+        extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
+        d0 = np.float32(e0 + x0 * start + y0 * row)
+        d1 = np.float32(e1 + x1 * start + y1 * row)
+        d2 = np.float32(e2 + x2 * start + y2 * row)
+        w = np.float32(w0 + wx * start + wy * row)
+        near, owner = depth[row, start * count :], whose[row, start * count :]
+        for i in range(LANES * eights):  # without branches, so that it runs eight at a time
+            x, y = across[i], down[i]
+            here = w + x * gwx + y * gwy
+            on = (
+                (d0 + x * gx0 + y * gy0 >= zero)
+                & (d1 + x * gx1 + y * gy1 >= zero)
+                & (d2 + x * gx2 + y * gy2 >= zero)
+                & (here > near[i])
+            )
+            owner[i] = owned if on else owner[i]
+            near[i] = here if on else near[i]
 
 
 @kernel
 def fill_faces(
     pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int,
-    samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
+    across: Any, down: Any, count: int, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
@@ -122,27 +154,37 @@ def fill_faces(
         faces: (f, 4) vertices; ``chosen`` (k,) which faces to fill.
         chosen: See ``faces``.
         offset: Number of the first face, where others are in the buffers already.
-        samples: (n, 2) places in a pixel, its centre is 0.
+        across: (w n,) float32 columns of the samples of a row, ``down`` (w n,) their rows off the row's middle.
+        down: See ``across``.
+        count: n, samples of a pixel.
         left: Pixel column of the buffers' first, ``top`` the row.
         top: See ``left``.
-        depth: (n, h, w) float32, 0 where nothing is; ``whose`` (n, h, w) int32: 2 f, or 2 f + 1 for the
-            second triangle of a face; f counts from ``offset``.
+        depth: (h, w n) float32, 0 where nothing is; ``whose`` (h, w n) int32: 0 where nothing is, 2 f + 1, or
+            2 f + 2 for the second triangle of a face; f counts from ``offset``.
         whose: See ``depth``.
-        planes: (2 f, 6) gets diffuse light and highlight as functions 1, x, y of the picture.
+        planes: (2 f + 1, 6) gets diffuse light and highlight as functions 1, x, y of the picture.
         extent: (h, 2) first column of each row that is touched, and the one after the last.
     """
     for i in range(len(chosen)):
         f = chosen[i]
         for half in range(2 if faces[f, 3] != faces[f, 2] else 1):
-            _fill(
-                pixels, inverse, lit, faces[f], f, half, offset, samples, left, top, depth, whose, planes,
-                extent,
-            )  # fmt: skip
+            a, b, c = faces[f, 0], faces[f, 1 + half], faces[f, 2 + half]
+            area = (pixels[b, 0] - pixels[a, 0]) * (pixels[c, 1] - pixels[a, 1]) - (
+                pixels[c, 0] - pixels[a, 0]
+            ) * (pixels[b, 1] - pixels[a, 1])
+            # seen from outside a face runs counter-clockwise, which is negative with y down
+            if area < 0.0:
+                mark = 2 * f + half + 1
+                _light(pixels, lit, a, b, c, f, half, area, planes[mark])
+                _fill(
+                    pixels, inverse, a, b, c, area, mark + 2 * offset, across, down, count, left, top, depth,
+                    whose, extent,
+                )  # fmt: skip
 
 
 @kernel
 def resolve(
-    depth: Any, whose: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
+    whose: Any, count: int, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
     left: int, top: int, colour: Any, coverage: Any,
 ) -> None:  # fmt: skip
     """Samples into pixels: ``colour`` (h, w, 3) times coverage and ``coverage`` (h, w), uint8, 0 before.
@@ -150,24 +192,23 @@ def resolve(
     ``owner`` (f,) row of each face in ``base`` (m, 3), colours 0..255; a phantom has a row below 0 and covers
     nothing.
     """
-    count, height = depth.shape[:2]
     scale = 1.0 / count
-    last, who = -1, -1  # whose light and colour are at hand: neighbours are mostly of one face
+    last, who = 0, -1  # whose light and colour are at hand: neighbours are mostly of one face
     a0 = ax = ay = s0 = sx = sy = blue = green = red = 0.0
-    for row in range(height):
+    for row in range(len(whose)):
         y = row + top
         for column in range(extent[row, 0], extent[row, 1]):
-            b, g, r, seen = 0.0, 0.0, 0.0, 0
-            k = 0
+            b, g, r, seen, k = 0.0, 0.0, 0.0, 0, 0
+            marks = whose[row, column * count : (column + 1) * count]
             while k < count:
-                if not depth[k, row, column] > 0.0:
-                    k += 1
-                    continue
-                mark, run = whose[k, row, column], 0
-                while k < count and whose[k, row, column] == mark and depth[k, row, column] > 0.0:
+                mark, run = marks[k], 1
+                k += 1
+                while k < count and marks[k] == mark:
                     k, run = k + 1, run + 1
+                if mark == 0:
+                    continue
                 if mark != last:
-                    last, who = mark, owner[mark // 2]
+                    last, who = mark, owner[(mark - 1) // 2]
                     if who >= 0:
                         a0, ax, ay = planes[mark, 0], planes[mark, 1], planes[mark, 2]
                         s0, sx, sy = planes[mark, 3], planes[mark, 4], planes[mark, 5]
@@ -214,12 +255,12 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
 
     A point on an outline is seen if one of the nine pixels around it lets it through.
     """
-    height, width = depth.shape[1], depth.shape[2]
+    height, width = depth.shape[:2]
     for i in range(len(points)):
         column = math.floor(points[i, 0] + 0.5) - left
         row = math.floor(points[i, 1] + 0.5) - top
         seen[i] = False
         for y in range(max(row - 1, 0), min(row + 2, height)):
             for x in range(max(column - 1, 0), min(column + 2, width)):
-                if depth[0, y, x] <= inverse[i] * (1.0 + slack):
+                if depth[y, x, 0] <= inverse[i] * (1.0 + slack):
                     seen[i] = True

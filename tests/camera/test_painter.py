@@ -166,7 +166,7 @@ def test_the_arm_is_painted_where_rays_see_it_and_nearer_parts_hide_farther_ones
         samples = Samples((0, 0, 1280, 720), 1)
         samples.fill(faces)
         both = cv2.erode(((geom >= 0) & mask).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        assert (samples.geoms()[0][both] == geom[both]).mean() > 0.985
+        assert (samples.geoms()[..., 0][both] == geom[both]).mean() > 0.985
 
 
 @pytest.mark.parametrize(("lens", "rms", "worst"), [(PINHOLE, 0.05, 0.15), (LENS, 0.08, 0.20)])
