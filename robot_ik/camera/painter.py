@@ -260,7 +260,7 @@ class Samples:
         if len(faces.chosen):
             scanline.fill_faces(
                 faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, *self._places,
-                self._count, self.box[0], self.box[1], self._depth, self._whose, light, self._extent,
+                self._count, self.box[0], self.box[1], self._depth.view(np.int32), self._whose, light, self._extent,
             )  # fmt: skip
         self._light = np.concatenate([self._light, light[1:]]) if before else light
 

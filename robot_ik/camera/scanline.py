@@ -128,16 +128,15 @@ def _fill(
         w = np.float32(w0 + wx * start + wy * row)
         near, owner = depth[row, start * count :], whose[row, start * count :]
         for i in range(LANES * eights):  # without branches, so that it runs eight at a time
-            x, y = across[i], down[i]
-            here = w + x * gwx + y * gwy
-            on = (
+            x, y, behind, close = across[i], down[i], owner[i], near[i]
+            inside = (
                 (d0 + x * gx0 + y * gy0 >= zero)
                 & (d1 + x * gx1 + y * gy1 >= zero)
                 & (d2 + x * gx2 + y * gy2 >= zero)
-                & (here > near[i])
             )
-            owner[i] = owned if on else owner[i]
-            near[i] = here if on else near[i]
+            here = np.float32(w + x * gwx + y * gwy if inside else zero).view(np.int32)
+            near[i] = max(close, here)
+            owner[i] = owned if here > close else behind
 
 
 @kernel
