@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -221,11 +222,16 @@ def bounding_box(faces: Faces, width: int, height: int, margin: int = 3) -> Box:
 
 
 @lru_cache(maxsize=8)
-def _rows_of_samples(count: int, width: int) -> tuple[Float32, Float32]:
-    """Columns (width count,) of the samples in a row of pixels, and their rows off its middle."""
-    places = SAMPLES[count].astype(np.float32)
-    across = np.arange(width, dtype=np.float32)[:, None] + places[:, 0]
-    return across.reshape(-1), np.tile(places[:, 1], width)
+def _cells(count: int, width: int) -> tuple[Float32, Float32, int]:
+    """A row of cells, each of one column and so many rows of pixels that samples fill ``scanline.LANES``.
+
+    Returns columns (width lanes,) of the samples, their rows off the cell's middle, and rows in a cell.
+    """
+    tall = max(scanline.LANES // count, 1)
+    below = np.arange(tall) - 0.5 * (tall - 1)
+    down = (below[:, None] + SAMPLES[count][:, 1]).reshape(-1)
+    across = np.arange(width)[:, None] + np.tile(SAMPLES[count][:, 0], tall)
+    return across.reshape(-1).astype(np.float32), np.tile(down, width).astype(np.float32), tall
 
 
 class Samples:
@@ -233,20 +239,18 @@ class Samples:
 
     Attributes:
         box: (x0, y0, x1, y1) pixels, half open.
-        depth: (h, w, n) float32 one over depth, 0 where nothing is.
     """
 
     def __init__(self, box: Box, count: int = 4) -> None:
         self.box, self._count = box, count
         height, width = box[3] - box[1], box[2] - box[0]
-        padded = -(-width // scanline.LANES) * scanline.LANES
-        self._places = _rows_of_samples(count, padded)
-        self._depth = np.zeros((height, padded * count), dtype=np.float32)
-        self._whose = np.zeros((height, padded * count), dtype=np.int32)
-        self.depth = self._depth.reshape(height, padded, count)[:, :width]
+        self._across, self._down, self._tall = _cells(count, width)
+        shape = (-(-height // self._tall), len(self._across))
+        self._depth = np.zeros(shape, dtype=np.float32)
+        self._whose = np.zeros(shape, dtype=np.int32)
         self._light = np.zeros((1, 6))
         self._owner = np.zeros(0, dtype=np.int64)
-        self._extent = np.tile(np.array([width, 0]), (height, 1))
+        self._extent = np.tile(np.array([width, 0]), (shape[0], 1))
 
     def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
         """Adds faces; ``phantoms`` (ngeom,) or all: they hide what is behind them and are not drawn.
@@ -259,22 +263,33 @@ class Samples:
         light = np.zeros((2 * len(faces.faces) + 1, 6))
         if len(faces.chosen):
             scanline.fill_faces(
-                faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, *self._places,
-                self._count, self.box[0], self.box[1], self._depth.view(np.int32), self._whose, light, self._extent,
+                faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, self._across,
+                self._down, self._tall, self._count, self.box[0], self.box[1], self._depth.view(np.int32),
+                self._whose, light, self._extent,
             )  # fmt: skip
         self._light = np.concatenate([self._light, light[1:]]) if before else light
 
+    def _pixels(self, cells: NDArray[Any]) -> NDArray[Any]:
+        """Cells as (h, w, n): each pixel's samples; no copy for one sample of them."""
+        x0, y0, x1, y1 = self.box
+        each = cells.reshape(len(cells), x1 - x0, self._tall, self._count)
+        return each.transpose(0, 2, 1, 3).reshape(-1, x1 - x0, self._count)[: y1 - y0]
+
+    @property
+    def depth(self) -> Float32:
+        """(h, w, n) one over depth at each sample, 0 where nothing is."""
+        return self._pixels(self._depth)
+
     def geoms(self) -> Index:
         """Geom id at each sample (h, w, n); -1 where nothing is, or a phantom."""
-        whose = self._whose.reshape(len(self._whose), -1, self._count)[:, : self.depth.shape[1]]
-        return np.append(-1, np.repeat(self._owner, 2))[whose]
+        return np.append(-1, np.repeat(self._owner, 2))[self._pixels(self._whose)]
 
     def layer(self, base: Array) -> Layer:
         """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
-        shape = self.depth.shape[:2]
+        shape = (self.box[3] - self.box[1], self.box[2] - self.box[0])
         colour, coverage = np.zeros((*shape, 3), dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         scanline.resolve(
-            self._whose, self._count, self._light, self._extent, self._owner, base, _GLOSS,
+            self._whose, self._tall, self._count, self._light, self._extent, self._owner, base, _GLOSS,
             self.box[0], self.box[1], colour, coverage,
         )  # fmt: skip
         return Layer(self.box, colour, coverage)

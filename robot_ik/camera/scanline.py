@@ -68,7 +68,7 @@ def _light(p: Any, lit: Any, a: int, b: int, c: int, face: int, half: int, area:
 
 
 @pure
-def _side(ax: float, ay: float, bx: float, by: float) -> Any:
+def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
     """Distance inwards from the line a b times its length: value at (0, 0), its gradient.
 
     And where the line is at row 0, columns a row, when it bounds its rows from the left; when from the right.
@@ -76,58 +76,47 @@ def _side(ax: float, ay: float, bx: float, by: float) -> Any:
     gx, gy = by - ay, ax - bx
     value = _SEAM * (abs(gx) + abs(gy)) - gx * ax - gy * ay
     slope = -gy / gx if gx != 0.0 else 0.0
-    reach = ax - slope * ay, 0.5 * abs(slope) + _SEAM
-    low = reach[0] - reach[1] if gx > 0.0 else -_FAR
-    high = reach[0] + reach[1] if gx < 0.0 else _FAR
+    at, reach = ax - slope * ay, half * abs(slope) + _SEAM
+    low = at - reach if gx > 0.0 else -_FAR
+    high = at + reach if gx < 0.0 else _FAR
     return value, gx, gy, slope, low, high
 
 
 @pure
 def _fill(
-    p: Any, inverse: Any, a: int, b: int, c: int, area: float, mark: int,
-    across: Any, down: Any, count: int, left: int, top: int, depth: Any, whose: Any, extent: Any,
+    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, wa: float, wb: float, wc: float, mark: int,
+    across: Any, down: Any, tall: int, lanes: int, half: float, depth: Any, whose: Any, extent: Any,
 ) -> None:  # fmt: skip
-    """A triangle into the buffers."""
-    ax, ay, bx, by, cx, cy = (
-        p[a, 0] - left,
-        p[a, 1] - top,
-        p[b, 0] - left,
-        p[b, 1] - top,
-        p[c, 0] - left,
-        p[c, 1] - top,
-    )
-    width = depth.shape[1] // count
-    first, last = (
-        max(math.ceil(min(ay, by, cy) - 0.5), 0),
-        min(math.floor(max(ay, by, cy) + 0.5), len(depth) - 1),
-    )
-    least, most = max(min(ax, bx, cx), -0.5), min(max(ax, bx, cx), width - 0.6)
+    """A triangle into the buffers: its corners off the middle of the first cell, one over their depths."""
+    side = 0.5
+    first = max(math.ceil((min(ay, by, cy) - half) / tall), 0)
+    last = min(math.floor((max(ay, by, cy) + half) / tall), len(depth) - 1)
+    least, most = max(min(ax, bx, cx) - side, 0.0), min(max(ax, bx, cx) + side, depth.shape[1] // lanes - 1.0)
     # one over depth, and the distances from the three sides
-    wb, wc = (inverse[b] - inverse[a]) / area, (inverse[c] - inverse[a]) / area
-    wx, wy = (cy - ay) * wb + (ay - by) * wc, (ax - cx) * wb + (bx - ax) * wc
-    w0 = inverse[a] - wx * ax - wy * ay
-    e0, x0, y0, s0, l0, h0 = _side(ax, ay, bx, by)
-    e1, x1, y1, s1, l1, h1 = _side(bx, by, cx, cy)
-    e2, x2, y2, s2, l2, h2 = _side(cx, cy, ax, ay)
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    ub, uc = (wb - wa) / area, (wc - wa) / area
+    wx, wy = (cy - ay) * ub + (ay - by) * uc, (ax - cx) * ub + (bx - ax) * uc
+    w0 = wa - wx * ax - wy * ay
+    e0, x0, y0, s0, l0, h0 = _side(ax, ay, bx, by, half)
+    e1, x1, y1, s1, l1, h1 = _side(bx, by, cx, cy, half)
+    e2, x2, y2, s2, l2, h2 = _side(cx, cy, ax, ay, half)
     gwx, gwy, gx0, gy0 = np.float32(wx), np.float32(wy), np.float32(x0), np.float32(y0)
     gx1, gy1, gx2, gy2 = np.float32(x1), np.float32(y1), np.float32(x2), np.float32(y2)
     zero, owned = np.float32(0.0), np.int32(mark)
-    block = max(LANES // count, 1)
     for row in range(first, last + 1):
-        low = max(least, l0 + s0 * row, l1 + s1 * row, l2 + s2 * row)
-        high = min(most, h0 + s0 * row, h1 + s1 * row, h2 + s2 * row)
-        start, stop = math.ceil(low - 0.5), math.floor(high + 0.5) + 1
+        middle = tall * row
+        low = max(l0 + s0 * middle, l1 + s1 * middle, l2 + s2 * middle) - side
+        high = min(h0 + s0 * middle, h1 + s1 * middle, h2 + s2 * middle) + side
+        start, stop = math.ceil(max(low, least)), math.floor(min(high, most)) + 1
         if start >= stop:
             continue
-        start -= start % block
-        eights = ((stop - start) * count + LANES - 1) // LANES
         extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
-        d0 = np.float32(e0 + x0 * start + y0 * row)
-        d1 = np.float32(e1 + x1 * start + y1 * row)
-        d2 = np.float32(e2 + x2 * start + y2 * row)
-        w = np.float32(w0 + wx * start + wy * row)
-        near, owner = depth[row, start * count :], whose[row, start * count :]
-        for i in range(LANES * eights):  # without branches, so that it runs eight at a time
+        d0 = np.float32(e0 + x0 * start + y0 * middle)
+        d1 = np.float32(e1 + x1 * start + y1 * middle)
+        d2 = np.float32(e2 + x2 * start + y2 * middle)
+        w = np.float32(w0 + wx * start + wy * middle)
+        near, owner = depth[row, start * lanes :], whose[row, start * lanes :]
+        for i in range(LANES * ((stop - start) * (lanes // LANES))):  # without branches: eight at a time
             x, y, behind, close = across[i], down[i], owner[i], near[i]
             inside = (
                 (d0 + x * gx0 + y * gy0 >= zero)
@@ -142,7 +131,7 @@ def _fill(
 @kernel
 def fill_faces(
     pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int,
-    across: Any, down: Any, count: int, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
+    across: Any, down: Any, tall: int, count: int, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
@@ -164,26 +153,30 @@ def fill_faces(
         planes: (2 f + 1, 6) gets diffuse light and highlight as functions 1, x, y of the picture.
         extent: (h, 2) first column of each row that is touched, and the one after the last.
     """
+    lanes = tall * count
+    half = 0.5 * tall
+    middle = top + 0.5 * (tall - 1)
     for i in range(len(chosen)):
         f = chosen[i]
-        for half in range(2 if faces[f, 3] != faces[f, 2] else 1):
-            a, b, c = faces[f, 0], faces[f, 1 + half], faces[f, 2 + half]
-            area = (pixels[b, 0] - pixels[a, 0]) * (pixels[c, 1] - pixels[a, 1]) - (
-                pixels[c, 0] - pixels[a, 0]
-            ) * (pixels[b, 1] - pixels[a, 1])
+        for k in range(2 if faces[f, 3] != faces[f, 2] else 1):
+            a, b, c = faces[f, 0], faces[f, 1 + k], faces[f, 2 + k]
+            ax, ay, bx, by = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1]
+            cx, cy = pixels[c, 0], pixels[c, 1]
+            area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
             # seen from outside a face runs counter-clockwise, which is negative with y down
             if area < 0.0:
-                mark = 2 * f + half + 1
-                _light(pixels, lit, a, b, c, f, half, area, planes[mark])
+                mark = 2 * f + k + 1
+                _light(pixels, lit, a, b, c, f, k, area, planes[mark])
                 _fill(
-                    pixels, inverse, a, b, c, area, mark + 2 * offset, across, down, count, left, top, depth,
-                    whose, extent,
+                    ax - left, ay - middle, bx - left, by - middle, cx - left, cy - middle,
+                    inverse[a], inverse[b], inverse[c], mark + 2 * offset,
+                    across, down, tall, lanes, half, depth, whose, extent,
                 )  # fmt: skip
 
 
 @kernel
 def resolve(
-    whose: Any, count: int, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
+    whose: Any, tall: int, count: int, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
     left: int, top: int, colour: Any, coverage: Any,
 ) -> None:  # fmt: skip
     """Samples into pixels: ``colour`` (h, w, 3) times coverage and ``coverage`` (h, w), uint8, 0 before.
@@ -194,11 +187,13 @@ def resolve(
     scale = 1.0 / count
     last, who = 0, -1  # whose light and colour are at hand: neighbours are mostly of one face
     a0 = ax = ay = s0 = sx = sy = blue = green = red = 0.0
-    for row in range(len(whose)):
+    for row in range(len(colour)):
         y = row + top
-        for column in range(extent[row, 0], extent[row, 1]):
+        cells = whose[row // tall]
+        for column in range(extent[row // tall, 0], extent[row // tall, 1]):
             b, g, r, seen, k = 0.0, 0.0, 0.0, 0, 0
-            marks = whose[row, column * count : (column + 1) * count]
+            at = (column * tall + row % tall) * count
+            marks = cells[at : at + count]
             while k < count:
                 mark, run = marks[k], 1
                 k += 1
@@ -261,5 +256,5 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
         seen[i] = False
         for y in range(max(row - 1, 0), min(row + 2, height)):
             for x in range(max(column - 1, 0), min(column + 2, width)):
-                if depth[y, x, 0] <= inverse[i] * (1.0 + slack):
+                if depth[y, x] <= inverse[i] * (1.0 + slack):
                     seen[i] = True
