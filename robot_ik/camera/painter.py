@@ -249,7 +249,7 @@ class Samples:
         self._depth = np.zeros(shape, dtype=np.float32)
         self._whose = np.zeros(shape, dtype=np.int32)
         self._light = np.zeros((1, 6))
-        self._owner = np.zeros(0, dtype=np.int64)
+        self._owner = np.full(1, -1)
         self._extent = np.tile(np.array([width, 0]), (shape[0], 1))
 
     def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
@@ -258,8 +258,8 @@ class Samples:
         Only one model may be there that is not all phantoms: the last.
         """
         hidden = phantoms[faces.geom] if isinstance(phantoms, np.ndarray) else phantoms
-        before = len(self._owner)
-        self._owner = np.concatenate([self._owner, np.where(hidden, -1, faces.geom)])
+        before = len(self._owner) // 2
+        self._owner = np.concatenate([self._owner, np.repeat(np.where(hidden, -1, faces.geom), 2)])
         light = np.zeros((2 * len(faces.faces) + 1, 6))
         if len(faces.chosen):
             scanline.fill_faces(
@@ -282,14 +282,14 @@ class Samples:
 
     def geoms(self) -> Index:
         """Geom id at each sample (h, w, n); -1 where nothing is, or a phantom."""
-        return np.append(-1, np.repeat(self._owner, 2))[self._pixels(self._whose)]
+        return self._owner[self._pixels(self._whose)]
 
     def layer(self, base: Array) -> Layer:
         """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
         shape = (self.box[3] - self.box[1], self.box[2] - self.box[0])
         colour, coverage = np.zeros((*shape, 3), dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
         scanline.resolve(
-            self._whose, self._tall, self._count, self._light, self._extent, self._owner, base, _GLOSS,
+            self._whose, self._tall, (0,) * self._count, self._light, self._extent, self._owner, base, _GLOSS,
             self.box[0], self.box[1], colour, coverage,
         )  # fmt: skip
         return Layer(self.box, colour, coverage)

@@ -174,53 +174,73 @@ def fill_faces(
                 )  # fmt: skip
 
 
+@pure
+def _shaded(plane: Any, base: Any, gloss: float, x: float, y: float) -> Any:
+    """Blue, green and red of a triangle at a pixel; a sample may be where its light would leave 0..1."""
+    shade = min(max(plane[0] + plane[1] * x + plane[2] * y, 0.0), 1.0)
+    shine = gloss * min(max(plane[3] + plane[4] * x + plane[5] * y, 0.0), 1.0)
+    return (
+        min(base[0] * shade + shine, 255.0),
+        min(base[1] * shade + shine, 255.0),
+        min(base[2] * shade + shine, 255.0),
+    )
+
+
+@pure
+def _mixed(
+    marks: Any, places: Any, planes: Any, owner: Any, base: Any, gloss: float, x: float, y: float, pixel: Any
+) -> float:
+    """A pixel of several surfaces: the mean of its samples, and how many show one."""
+    blue, green, red, seen = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(places)):
+        who = owner[marks[k]]
+        weight = 1.0 if who >= 0 else 0.0
+        b, g, r = _shaded(planes[marks[k]], base[max(who, 0)], gloss, x, y)
+        blue, green, red, seen = blue + weight * b, green + weight * g, red + weight * r, seen + weight
+    scale = 1.0 / len(places)
+    pixel[0] = np.uint8(np.int32(blue * scale + 0.5))
+    pixel[1] = np.uint8(np.int32(green * scale + 0.5))
+    pixel[2] = np.uint8(np.int32(red * scale + 0.5))
+    return seen
+
+
 @kernel
 def resolve(
-    whose: Any, tall: int, count: int, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
+    whose: Any, tall: int, places: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
     left: int, top: int, colour: Any, coverage: Any,
 ) -> None:  # fmt: skip
     """Samples into pixels: ``colour`` (h, w, 3) times coverage and ``coverage`` (h, w), uint8, 0 before.
 
-    ``owner`` (f,) row of each face in ``base`` (m, 3), colours 0..255; a phantom has a row below 0 and covers
-    nothing.
+    ``owner`` (2 f + 1,) row of each mark in ``base`` (m, 3), colours 0..255; nothing and phantoms have a row
+    below 0 and cover nothing.
     """
-    scale = 1.0 / count
-    last, who = 0, -1  # whose light and colour are at hand: neighbours are mostly of one face
-    a0 = ax = ay = s0 = sx = sy = blue = green = red = 0.0
+    count = len(places)
     for row in range(len(colour)):
-        y = row + top
-        cells = whose[row // tall]
-        for column in range(extent[row // tall, 0], extent[row // tall, 1]):
-            b, g, r, seen, k = 0.0, 0.0, 0.0, 0, 0
-            at = (column * tall + row % tall) * count
-            marks = cells[at : at + count]
-            while k < count:
-                mark, run = marks[k], 1
-                k += 1
-                while k < count and marks[k] == mark:
-                    k, run = k + 1, run + 1
-                if mark == 0:
-                    continue
-                if mark != last:
-                    last, who = mark, owner[(mark - 1) // 2]
-                    if who >= 0:
-                        a0, ax, ay = planes[mark, 0], planes[mark, 1], planes[mark, 2]
-                        s0, sx, sy = planes[mark, 3], planes[mark, 4], planes[mark, 5]
-                        blue, green, red = base[who, 0], base[who, 1], base[who, 2]
-                if who >= 0:
-                    x = column + left
-                    # a sample beside the pixel's middle may be on a face whose plane bends away there
-                    shade = min(max(a0 + ax * x + ay * y, 0.0), 1.0)
-                    shine = gloss * min(max(s0 + sx * x + sy * y, 0.0), 1.0)
-                    b += run * min(blue * shade + shine, 255.0)
-                    g += run * min(green * shade + shine, 255.0)
-                    r += run * min(red * shade + shine, 255.0)
-                    seen += run
-            if seen > 0:
-                colour[row, column, 0] = np.uint8(np.int32(b * scale + 0.5))
-                colour[row, column, 1] = np.uint8(np.int32(g * scale + 0.5))
-                colour[row, column, 2] = np.uint8(np.int32(r * scale + 0.5))
-                coverage[row, column] = np.uint8(seen * 255 * scale + 0.5)
+        cell, at = row // tall, (row % tall) * count
+        start, stop, y = extent[cell, 0], extent[cell, 1], float(row + top)
+        if start >= stop:
+            continue
+        lanes, line, cover = (
+            whose[cell, start * tall * count + at :],
+            colour[row, start:],
+            coverage[row, start:],
+        )
+        for column in range(stop - start):
+            first, x = column * tall * count, float(start + column + left)
+            mark, mixed = lanes[first], 0
+            for k in range(1, count):
+                mixed |= lanes[first + k] ^ mark
+            if mixed != 0:
+                seen = _mixed(
+                    lanes[first : first + count], places, planes, owner, base, gloss, x, y, line[column]
+                )
+                cover[column] = np.uint8(seen * (255.0 / count) + 0.5)
+            elif owner[mark] >= 0:
+                b, g, r = _shaded(planes[mark], base[owner[mark]], gloss, x, y)
+                line[column, 0] = np.uint8(np.int32(b + 0.5))
+                line[column, 1] = np.uint8(np.int32(g + 0.5))
+                line[column, 2] = np.uint8(np.int32(r + 0.5))
+                cover[column] = 255
 
 
 @kernel
