@@ -51,13 +51,15 @@ class ModelMesh(Part):
 
     Attributes:
         geoms: (g,) geom ids of the model, in the order of ``*_geom``.
-        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,).
+        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,), and ``face_geom_id`` (f,): its id.
         face_geom: See ``vertex_geom``.
+        face_geom_id: See ``vertex_geom``.
     """
 
     geoms: Index
     vertex_geom: Index
     face_geom: Index
+    face_geom_id: NDArray[np.int32]
 
 
 def geom_rgba(model: mujoco.MjModel) -> Array:
@@ -156,6 +158,7 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
         geoms=np.array(geoms, dtype=np.int64),
         vertex_geom=np.repeat(np.arange(len(parts)), vertex_counts),
         face_geom=np.repeat(np.arange(len(parts)), face_counts),
+        face_geom_id=np.repeat(np.array(geoms, dtype=np.int32), face_counts),
     )
 
 

@@ -1,7 +1,10 @@
-"""Compiled: triangles into sample buffers with depth, and samples into pixels.
+"""Compiled: faces into sample buffers with depth.
 
 A pixel has ``n`` samples at given places in it.  Each sample keeps the nearest surface: one over its depth
-and whose it is.  What is nearer wins, in whatever order triangles come.
+and whose it is.  What is nearer wins, in whatever order faces come.
+
+Samples lie in *cells* of one column and so many rows of pixels that a cell has ``LANES`` samples: then all of
+a cell is looked at in one go, and a face is begun anew only once for several rows.
 """
 
 from __future__ import annotations
@@ -19,59 +22,53 @@ LANES = 8
 _SEAM = 2e-4
 # Beyond every picture, pixels.
 _FAR = 1e9
-
-
-@kernel
-def place_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
-    """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
-    for k in range(len(vertices)):
-        g = owner[k]
-        x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
-        for i in range(3):
-            placed[k, i] = (
-                rotation[g, i, 0] * x + rotation[g, i, 1] * y + rotation[g, i, 2] * z + position[g, i]
-            )
-
-
-@kernel
-def light_corners(normals: Any, owner: Any, light: Any, half: Any, ambient: float, lit: Any) -> None:
-    """``lit`` (f, 4, 2): diffuse light and highlight at each corner of each face.
-
-    ``normals`` (f, 4, 3) in geom frames; ``light`` and ``half`` (g, 3) the unit directions to the light and
-    halfway to the viewer in each geom's frame (Blinn 1977).
-    """
-    for f in range(len(normals)):
-        g = owner[f]
-        for c in range(4):
-            n = normals[f, c]
-            diffuse = n[0] * light[g, 0] + n[1] * light[g, 1] + n[2] * light[g, 2]
-            shine = n[0] * half[g, 0] + n[1] * half[g, 1] + n[2] * half[g, 2]
-            # half way round, so that the side away from the light is not flat
-            wrapped = 0.5 + 0.5 * diffuse
-            lit[f, c, 0] = ambient + (1.0 - ambient) * wrapped * wrapped
-            power = max(shine, 0.0)
-            for _ in range(5):
-                power *= power
-            lit[f, c, 1] = power
+_ZERO = np.float32(0.0)
+# What is thinner than this (square pixels, twice) is not seen.
+_THIN = -1e-9
 
 
 @pure
-def _light(p: Any, lit: Any, a: int, b: int, c: int, face: int, half: int, area: float, plane: Any) -> None:
-    """``plane`` (6,): diffuse light and highlight of half a face as functions 1, x, y of the picture."""
-    ux, uy = (p[c, 1] - p[a, 1]) / area, (p[a, 0] - p[c, 0]) / area
-    vx, vy = (p[a, 1] - p[b, 1]) / area, (p[b, 0] - p[a, 0]) / area
+def _turn(p: Any, a: int, b: int, c: int) -> float:
+    """Twice the area of a triangle, which seen from outside runs counter-clockwise: below 0."""
+    return (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[c, 0] - p[a, 0]) * (p[b, 1] - p[a, 1])
+
+
+@pure
+def _light(p: Any, lit: Any, a: int, b: int, c: int, at: Any, left: int, top: int, plane: Any) -> None:
+    """``plane`` (6,): diffuse light and highlight as functions 1, x, y, from corners ``at`` of ``lit``."""
+    ax, ay = p[a, 0] - left, p[a, 1] - top
+    bx, by, cx, cy = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[c, 0] - p[a, 0], p[c, 1] - p[a, 1]
+    area = bx * cy - cx * by
     for k in range(2):
-        lb, lc = lit[face, 1 + half, k] - lit[face, 0, k], lit[face, 2 + half, k] - lit[face, 0, k]
-        gx, gy = ux * lb + vx * lc, uy * lb + vy * lc
-        plane[3 * k] = lit[face, 0, k] - gx * p[a, 0] - gy * p[a, 1]
-        plane[3 * k + 1], plane[3 * k + 2] = gx, gy
+        base, lb, lc = lit[0, k], lit[at, k] - lit[0, k], lit[at + 1, k] - lit[0, k]
+        gx, gy = (cy * lb - by * lc) / area, (bx * lc - cx * lb) / area
+        plane[3 * k], plane[3 * k + 1], plane[3 * k + 2] = base - gx * ax - gy * ay, gx, gy
+
+
+@pure
+def _light_face(
+    p: Any, lit: Any, a: int, b: int, c: int, d: int, left: int, top: int, one: Any, two: Any, plane: Any
+) -> None:  # fmt: skip
+    """``plane`` (11,) of a face of which at least one half is seen; see ``fill_faces``."""
+    plane[6:11] = _ZERO
+    if not one < _THIN:
+        _light(p, lit, a, c, d, 2, left, top, plane)
+        return
+    _light(p, lit, a, b, c, 1, left, top, plane)
+    if two < _THIN:
+        gx, gy = p[a, 1] - p[c, 1], p[c, 0] - p[a, 0]
+        plane[6], plane[7], plane[8] = gx * (left - p[a, 0]) + gy * (top - p[a, 1]), gx, gy
+        x, y = p[d, 0] - left, p[d, 1] - top
+        for k in range(2):
+            bend = lit[3, k] - (plane[3 * k] + plane[3 * k + 1] * x + plane[3 * k + 2] * y)
+            plane[9 + k] = bend / two
 
 
 @pure
 def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
-    """Distance inwards from the line a b times its length: value at (0, 0), its gradient.
+    """Distance inwards from the line a b times its length: value at (0, 0), gradient; columns a row.
 
-    And where the line is at row 0, columns a row, when it bounds its rows from the left; when from the right.
+    And where the line is at row 0 if it bounds rows from the left, and if it does so from the right.
     """
     gx, gy = by - ay, ax - bx
     value = _SEAM * (abs(gx) + abs(gy)) - gx * ax - gy * ay
@@ -84,54 +81,88 @@ def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
 
 @pure
 def _fill(
-    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, wa: float, wb: float, wc: float, mark: int,
-    across: Any, down: Any, tall: int, lanes: int, half: float, depth: Any, whose: Any, extent: Any,
+    p: Any, inverse: Any, a: int, b: int, c: int, d: int, mark: int, left: float, top: float,
+    across: Any, down: Any, tall: int, lanes: int, reach: Any, depth: Any, whose: Any, extent: Any,
 ) -> None:  # fmt: skip
-    """A triangle into the buffers: its corners off the middle of the first cell, one over their depths."""
-    side = 0.5
-    first = max(math.ceil((min(ay, by, cy) - half) / tall), 0)
-    last = min(math.floor((max(ay, by, cy) + half) / tall), len(depth) - 1)
-    least, most = max(min(ax, bx, cx) - side, 0.0), min(max(ax, bx, cx) + side, depth.shape[1] // lanes - 1.0)
-    # one over depth, and the distances from the three sides
-    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    ub, uc = (wb - wa) / area, (wc - wa) / area
-    wx, wy = (cy - ay) * ub + (ay - by) * uc, (ax - cx) * ub + (bx - ax) * uc
-    w0 = wa - wx * ax - wy * ay
+    """A convex face into the buffers; a triangle repeats its last corner, which makes a side of no length."""
+    side, half = reach
+    ax, ay, bx, by = p[a, 0] - left, p[a, 1] - top, p[b, 0] - left, p[b, 1] - top
+    cx, cy, dx, dy = p[c, 0] - left, p[c, 1] - top, p[d, 0] - left, p[d, 1] - top
+    first = max(math.ceil((min(ay, by, cy, dy) - half) / tall), 0)
+    last = min(math.floor((max(ay, by, cy, dy) + half) / tall), len(depth) - 1)
+    least = max(min(ax, bx, cx, dx) - side, 0.0)
+    most = min(max(ax, bx, cx, dx) + side, depth.shape[1] // lanes - 1.0)
+    # one over depth is linear in the picture: its gradient from the diagonals
+    area = (cx - ax) * (dy - by) - (dx - bx) * (cy - ay)
+    one, two = (inverse[c] - inverse[a]) / area, (inverse[d] - inverse[b]) / area
+    wx, wy = (dy - by) * one - (cy - ay) * two, (cx - ax) * two - (dx - bx) * one
+    w0 = 0.25 * (inverse[a] + inverse[b] + inverse[c] + inverse[d])
+    w0 -= 0.25 * (wx * (ax + bx + cx + dx) + wy * (ay + by + cy + dy))
     e0, x0, y0, s0, l0, h0 = _side(ax, ay, bx, by, half)
     e1, x1, y1, s1, l1, h1 = _side(bx, by, cx, cy, half)
-    e2, x2, y2, s2, l2, h2 = _side(cx, cy, ax, ay, half)
+    e2, x2, y2, s2, l2, h2 = _side(cx, cy, dx, dy, half)
+    e3, x3, y3, s3, l3, h3 = _side(dx, dy, ax, ay, half)
     gwx, gwy, gx0, gy0 = np.float32(wx), np.float32(wy), np.float32(x0), np.float32(y0)
     gx1, gy1, gx2, gy2 = np.float32(x1), np.float32(y1), np.float32(x2), np.float32(y2)
-    zero, owned = np.float32(0.0), np.int32(mark)
+    gx3, gy3 = np.float32(x3), np.float32(y3)
+    owned = np.int32(mark)
     for row in range(first, last + 1):
-        middle = tall * row
-        low = max(l0 + s0 * middle, l1 + s1 * middle, l2 + s2 * middle) - side
-        high = min(h0 + s0 * middle, h1 + s1 * middle, h2 + s2 * middle) + side
+        y = tall * row
+        low = max(l0 + s0 * y, l1 + s1 * y, l2 + s2 * y, l3 + s3 * y) - side
+        high = min(h0 + s0 * y, h1 + s1 * y, h2 + s2 * y, h3 + s3 * y) + side
         start, stop = math.ceil(max(low, least)), math.floor(min(high, most)) + 1
         if start >= stop:
             continue
         extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
-        d0 = np.float32(e0 + x0 * start + y0 * middle)
-        d1 = np.float32(e1 + x1 * start + y1 * middle)
-        d2 = np.float32(e2 + x2 * start + y2 * middle)
-        w = np.float32(w0 + wx * start + wy * middle)
+        d0, d1 = np.float32(e0 + x0 * start + y0 * y), np.float32(e1 + x1 * start + y1 * y)
+        d2, d3 = np.float32(e2 + x2 * start + y2 * y), np.float32(e3 + x3 * start + y3 * y)
+        w = np.float32(w0 + wx * start + wy * y)
         near, owner = depth[row, start * lanes :], whose[row, start * lanes :]
-        for i in range(LANES * ((stop - start) * (lanes // LANES))):  # without branches: eight at a time
-            x, y, behind, close = across[i], down[i], owner[i], near[i]
+        for i in range(LANES * ((stop - start) * (lanes // LANES))):  # no branches: eight at a time
+            u, v, close, behind = across[i], down[i], near[i], owner[i]
             inside = (
-                (d0 + x * gx0 + y * gy0 >= zero)
-                & (d1 + x * gx1 + y * gy1 >= zero)
-                & (d2 + x * gx2 + y * gy2 >= zero)
+                (d0 + u * gx0 + v * gy0 >= _ZERO)
+                & (d1 + u * gx1 + v * gy1 >= _ZERO)
+                & (d2 + u * gx2 + v * gy2 >= _ZERO)
+                & (d3 + u * gx3 + v * gy3 >= _ZERO)
             )
-            here = np.float32(w + x * gwx + y * gwy if inside else zero).view(np.int32)
+            here = np.float32(w + u * gwx + v * gwy if inside else _ZERO).view(np.int32)
             near[i] = max(close, here)
             owner[i] = owned if here > close else behind
 
 
+@pure
+def _fill_face(
+    pixels: Any, inverse: Any, lit: Any, faces: Any, f: int, offset: int, left: int, top: int,
+    across: Any, down: Any, tall: int, lanes: int, reach: Any,
+    depth: Any, whose: Any, planes: Any, extent: Any,
+) -> None:  # fmt: skip
+    """One of the faces, with its light; see ``fill_faces``."""
+    a, b, c, d = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
+    one, two = _turn(pixels, a, b, c), _turn(pixels, a, c, d) if c != d else 0.0
+    first, second = one < _THIN, two < _THIN
+    if not (first or second):
+        return
+    _light_face(pixels, lit[f], a, b, c, d, left, top, one, two, planes[f + 1])
+    # a quad that the lens bent too far is drawn as two triangles, where they show their outside
+    convex = second and _turn(pixels, a, b, d) < 0.0 and _turn(pixels, b, c, d) < 0.0
+    whole = first and (c == d or convex)
+    for k in range(2 if first and second and not whole else 1):
+        if first and k == 0 and not whole:
+            d = c
+        elif not whole:
+            b, c, d = faces[f, 2], faces[f, 3], faces[f, 3]
+        _fill(
+            pixels, inverse, a, b, c, d, offset + f + 1, left, top + 0.5 * (tall - 1),
+            across, down, tall, lanes, reach, depth, whose, extent,
+        )  # fmt: skip
+
+
 @kernel
 def fill_faces(
-    pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int,
-    across: Any, down: Any, tall: int, count: int, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
+    pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int, left: int, top: int,
+    across: Any, down: Any, tall: int, lanes: int, reach: Any,
+    depth: Any, whose: Any, planes: Any, extent: Any,
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
@@ -141,126 +172,25 @@ def fill_faces(
         lit: (f, 4, 2) light at the corners.
         faces: (f, 4) vertices; ``chosen`` (k,) which faces to fill.
         chosen: See ``faces``.
-        offset: Number of the first face, where others are in the buffers already.
-        across: (w n,) float32 columns of the samples of a row, ``down`` (w n,) their rows off the row's middle.
-        down: See ``across``.
-        count: n, samples of a pixel.
+        offset: Number of faces that are in the buffers already.
         left: Pixel column of the buffers' first, ``top`` the row.
         top: See ``left``.
-        depth: (h, w n) float32, 0 where nothing is; ``whose`` (h, w n) int32: 0 where nothing is, 2 f + 1, or
-            2 f + 2 for the second triangle of a face; f counts from ``offset``.
-        whose: See ``depth``.
-        planes: (2 f + 1, 6) gets diffuse light and highlight as functions 1, x, y of the picture.
+        across: (w lanes,) float32 columns of the samples in a row of cells, ``down`` rows off its middle.
+        down: See ``across``.
+        tall: Rows of pixels in a cell.
+        lanes: Samples in a cell.
+        reach: Farthest column and row of a sample off the middle of its cell.
+        depth: (h, w lanes) float32 seen as int32, which are in the same order; 0 where nothing is.
+        whose: (h, w lanes) int32: 0 where nothing is, then f + 1, where f counts from ``offset``.
+        planes: (f + 1, 12) gets functions 1, x, y of the buffers' pixels: diffuse light, highlight, and what
+            is below 0 in the second half of a face; and by how much of that the first two change there.
         extent: (h, 2) first column of each row that is touched, and the one after the last.
     """
-    lanes = tall * count
-    half = 0.5 * tall
-    middle = top + 0.5 * (tall - 1)
     for i in range(len(chosen)):
-        f = chosen[i]
-        for k in range(2 if faces[f, 3] != faces[f, 2] else 1):
-            a, b, c = faces[f, 0], faces[f, 1 + k], faces[f, 2 + k]
-            ax, ay, bx, by = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1]
-            cx, cy = pixels[c, 0], pixels[c, 1]
-            area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-            # seen from outside a face runs counter-clockwise, which is negative with y down
-            if area < 0.0:
-                mark = 2 * f + k + 1
-                _light(pixels, lit, a, b, c, f, k, area, planes[mark])
-                _fill(
-                    ax - left, ay - middle, bx - left, by - middle, cx - left, cy - middle,
-                    inverse[a], inverse[b], inverse[c], mark + 2 * offset,
-                    across, down, tall, lanes, half, depth, whose, extent,
-                )  # fmt: skip
-
-
-@pure
-def _shaded(plane: Any, base: Any, gloss: float, x: float, y: float) -> Any:
-    """Blue, green and red of a triangle at a pixel; a sample may be where its light would leave 0..1."""
-    shade = min(max(plane[0] + plane[1] * x + plane[2] * y, 0.0), 1.0)
-    shine = gloss * min(max(plane[3] + plane[4] * x + plane[5] * y, 0.0), 1.0)
-    return (
-        min(base[0] * shade + shine, 255.0),
-        min(base[1] * shade + shine, 255.0),
-        min(base[2] * shade + shine, 255.0),
-    )
-
-
-@pure
-def _mixed(
-    marks: Any, places: Any, planes: Any, owner: Any, base: Any, gloss: float, x: float, y: float, pixel: Any
-) -> float:
-    """A pixel of several surfaces: the mean of its samples, and how many show one."""
-    blue, green, red, seen = 0.0, 0.0, 0.0, 0.0
-    for k in range(len(places)):
-        who = owner[marks[k]]
-        weight = 1.0 if who >= 0 else 0.0
-        b, g, r = _shaded(planes[marks[k]], base[max(who, 0)], gloss, x, y)
-        blue, green, red, seen = blue + weight * b, green + weight * g, red + weight * r, seen + weight
-    scale = 1.0 / len(places)
-    pixel[0] = np.uint8(np.int32(blue * scale + 0.5))
-    pixel[1] = np.uint8(np.int32(green * scale + 0.5))
-    pixel[2] = np.uint8(np.int32(red * scale + 0.5))
-    return seen
-
-
-@kernel
-def resolve(
-    whose: Any, tall: int, places: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
-    left: int, top: int, colour: Any, coverage: Any,
-) -> None:  # fmt: skip
-    """Samples into pixels: ``colour`` (h, w, 3) times coverage and ``coverage`` (h, w), uint8, 0 before.
-
-    ``owner`` (2 f + 1,) row of each mark in ``base`` (m, 3), colours 0..255; nothing and phantoms have a row
-    below 0 and cover nothing.
-    """
-    count = len(places)
-    for row in range(len(colour)):
-        cell, at = row // tall, (row % tall) * count
-        start, stop, y = extent[cell, 0], extent[cell, 1], float(row + top)
-        if start >= stop:
-            continue
-        lanes, line, cover = (
-            whose[cell, start * tall * count + at :],
-            colour[row, start:],
-            coverage[row, start:],
-        )
-        for column in range(stop - start):
-            first, x = column * tall * count, float(start + column + left)
-            mark, mixed = lanes[first], 0
-            for k in range(1, count):
-                mixed |= lanes[first + k] ^ mark
-            if mixed != 0:
-                seen = _mixed(
-                    lanes[first : first + count], places, planes, owner, base, gloss, x, y, line[column]
-                )
-                cover[column] = np.uint8(seen * (255.0 / count) + 0.5)
-            elif owner[mark] >= 0:
-                b, g, r = _shaded(planes[mark], base[owner[mark]], gloss, x, y)
-                line[column, 0] = np.uint8(np.int32(b + 0.5))
-                line[column, 1] = np.uint8(np.int32(g + 0.5))
-                line[column, 2] = np.uint8(np.int32(r + 0.5))
-                cover[column] = 255
-
-
-@kernel
-def lay_over(image: Any, colour: Any, coverage: Any, alpha: float, left: int, top: int) -> None:
-    """Blends a layer (see ``resolve``) into ``image`` (h, w, 3) uint8, in place."""
-    share = round(alpha * 256)
-    for row in range(coverage.shape[0]):
-        for column in range(coverage.shape[1]):
-            c = int(coverage[row, column])
-            if c == 255 and share == 256:
-                for k in range(3):
-                    image[row + top, column + left, k] = colour[row, column, k]
-            elif c > 0:
-                keep = 65280 - c * share  # 255 * 256 is all of it
-                for k in range(3):
-                    old = int(image[row + top, column + left, k])
-                    new = int(colour[row, column, k])
-                    image[row + top, column + left, k] = np.uint8(
-                        min((old * keep + new * share * 255 + 32640) // 65280, 255)
-                    )
+        _fill_face(
+            pixels, inverse, lit, faces, chosen[i], offset, left, top, across, down, tall, lanes, reach,
+            depth, whose, planes, extent,
+        )  # fmt: skip
 
 
 @kernel
