@@ -225,9 +225,10 @@ class Samples:
         self._owner = np.concatenate([self._owner, np.where(hidden, -1, faces.geom)])
         light = np.empty((len(faces.faces) + 1, 12), dtype=np.float32)
         light[0] = 0.0
+        across, down, tall, lanes, reach = self._cells
         scanline.fill_faces(
             faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, *self.box[:2],
-            *self._cells, self._depth.view(np.int32), self._whose, light, self._extent,
+            across, down, tall, lanes, reach, self._depth.view(np.int32), self._whose, light, self._extent,
         )  # fmt: skip
         self._light = np.concatenate([self._light, light[1:]]) if before else light
 

@@ -224,7 +224,7 @@ def round_radius(model: mujoco.MjModel, geom: int) -> float:
 
 
 def outline_error(model: mujoco.MjModel, geom: int) -> float:
-    """Greatest error of a round primitive's outline, of its radius, for a step of one radian; it grows squared."""
+    """Greatest error of a round outline, as part of the radius, over the square of the step in radians."""
     return 1.0 / 16.0 if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER) else 1.0 / 8.0
 
 

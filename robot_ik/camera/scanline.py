@@ -23,7 +23,7 @@ _SEAM = 2e-4
 # Beyond every picture, pixels.
 _FAR = 1e9
 # Of surfaces closer together than this the first is seen: 1.5e-5 to 3e-5 of one over depth, as bits.
-# The lens bends a plane; two that lie in each other shall not show through each other in patches.
+# Two that lie in each other shall not show in patches because of rounding, or of the lens that bends planes.
 _SAME = np.int32(256)
 _ZERO = np.float32(0.0)
 # What is thinner than this (square pixels, twice) is not seen.
@@ -111,9 +111,11 @@ def _fill(
     owned = np.int32(mark)
     for row in range(first, last + 1):
         y = tall * row
-        low = max(l0 + s0 * y, l1 + s1 * y, l2 + s2 * y, l3 + s3 * y) - side
-        high = min(h0 + s0 * y, h1 + s1 * y, h2 + s2 * y, h3 + s3 * y) + side
-        start, stop = math.ceil(max(low, least)), math.floor(min(high, most)) + 1
+        low = max(least, max(l0 + s0 * y, l1 + s1 * y, l2 + s2 * y, l3 + s3 * y) - side)
+        high = min(most, min(h0 + s0 * y, h1 + s1 * y, h2 + s2 * y, h3 + s3 * y) + side)
+        if not low <= high:
+            continue
+        start, stop = math.ceil(low), math.floor(high) + 1
         if start >= stop:
             continue
         extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
