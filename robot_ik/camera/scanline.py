@@ -83,11 +83,27 @@ def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
 
 
 @pure
+def _depth(
+    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float,
+    wa: float, wb: float, wc: float, wd: float,
+) -> Any:  # fmt: skip
+    """One over depth as a function 1, x, y of the picture, with the gradient that the diagonals have."""
+    area = (cx - ax) * (dy - by) - (dx - bx) * (cy - ay)
+    one, two = (wc - wa) / area, (wd - wb) / area
+    gx, gy = (dy - by) * one - (cy - ay) * two, (cx - ax) * two - (dx - bx) * one
+    return 0.25 * (wa + wb + wc + wd - gx * (ax + bx + cx + dx) - gy * (ay + by + cy + dy)), gx, gy
+
+
+@pure
 def _fill(
     p: Any, inverse: Any, a: int, b: int, c: int, d: int, mark: int, left: float, top: float,
     across: Any, down: Any, tall: int, lanes: int, reach: Any, depth: Any, whose: Any, extent: Any,
 ) -> None:  # fmt: skip
-    """A convex face into the buffers; a triangle repeats its last corner, which makes a side of no length."""
+    """A convex face into the buffers; a triangle repeats its last corner, which makes a side of no length.
+
+    The innermost loop has no branches, so that it is done for eight samples at a time.  Depths are compared
+    as integers: floats that are chosen between would be stored through a mask, which is slow.
+    """
     side, half = reach
     ax, ay, bx, by = p[a, 0] - left, p[a, 1] - top, p[b, 0] - left, p[b, 1] - top
     cx, cy, dx, dy = p[c, 0] - left, p[c, 1] - top, p[d, 0] - left, p[d, 1] - top
@@ -95,35 +111,27 @@ def _fill(
     last = min(math.floor((max(ay, by, cy, dy) + half) / tall), len(depth) - 1)
     least = max(min(ax, bx, cx, dx) - side, 0.0)
     most = min(max(ax, bx, cx, dx) + side, depth.shape[1] // lanes - 1.0)
-    # one over depth is linear in the picture: its gradient from the diagonals
-    area = (cx - ax) * (dy - by) - (dx - bx) * (cy - ay)
-    one, two = (inverse[c] - inverse[a]) / area, (inverse[d] - inverse[b]) / area
-    wx, wy = (dy - by) * one - (cy - ay) * two, (cx - ax) * two - (dx - bx) * one
-    w0 = 0.25 * (inverse[a] + inverse[b] + inverse[c] + inverse[d])
-    w0 -= 0.25 * (wx * (ax + bx + cx + dx) + wy * (ay + by + cy + dy))
+    w0, wx, wy = _depth(ax, ay, bx, by, cx, cy, dx, dy, inverse[a], inverse[b], inverse[c], inverse[d])
     e0, x0, y0, s0, l0, h0 = _side(ax, ay, bx, by, half)
     e1, x1, y1, s1, l1, h1 = _side(bx, by, cx, cy, half)
     e2, x2, y2, s2, l2, h2 = _side(cx, cy, dx, dy, half)
     e3, x3, y3, s3, l3, h3 = _side(dx, dy, ax, ay, half)
-    gwx, gwy, gx0, gy0 = np.float32(wx), np.float32(wy), np.float32(x0), np.float32(y0)
-    gx1, gy1, gx2, gy2 = np.float32(x1), np.float32(y1), np.float32(x2), np.float32(y2)
-    gx3, gy3 = np.float32(x3), np.float32(y3)
-    owned = np.int32(mark)
+    gx0, gx1, gx2, gx3 = np.float32(x0), np.float32(x1), np.float32(x2), np.float32(x3)
+    gy0, gy1, gy2, gy3 = np.float32(y0), np.float32(y1), np.float32(y2), np.float32(y3)
+    gwx, gwy, owned = np.float32(wx), np.float32(wy), np.int32(mark)
     for row in range(first, last + 1):
         y = tall * row
         low = max(least, max(l0 + s0 * y, l1 + s1 * y, l2 + s2 * y, l3 + s3 * y) - side)
         high = min(most, min(h0 + s0 * y, h1 + s1 * y, h2 + s2 * y, h3 + s3 * y) + side)
-        if not low <= high:
+        if not low <= high or math.ceil(low) > math.floor(high):
             continue
         start, stop = math.ceil(low), math.floor(high) + 1
-        if start >= stop:
-            continue
         extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
         d0, d1 = np.float32(e0 + x0 * start + y0 * y), np.float32(e1 + x1 * start + y1 * y)
         d2, d3 = np.float32(e2 + x2 * start + y2 * y), np.float32(e3 + x3 * start + y3 * y)
         w = np.float32(w0 + wx * start + wy * y)
         near, owner = depth[row, start * lanes :], whose[row, start * lanes :]
-        for i in range(LANES * ((stop - start) * (lanes // LANES))):  # no branches: eight at a time
+        for i in range(LANES * ((stop - start) * (lanes // LANES))):
             u, v, close, behind = across[i], down[i], near[i], owner[i]
             inside = (
                 (d0 + u * gx0 + v * gy0 >= _ZERO)
