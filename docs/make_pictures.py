@@ -21,16 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.camera.ar import BoardWatcher, Registrar
-from robot_ik.camera.ar_draw import Figure, PainterArtist
-from robot_ik.camera.boards import parse_board
-from robot_ik.camera.coverage import cover, coverage_picture
-from robot_ik.camera.pattern_set import pattern_set
-from robot_ik.camera.patterns import CharucoPattern
-from robot_ik.camera.sheet_blocks import SheetWish
-from robot_ik.camera.sheet_page import rasterize
-from robot_ik.camera.sheets import make_sheet_page
-from robot_ik.camera.standard_set import STANDARD_CAMERA, Look
+from robot_ik.camera.ar.draw import Figure, PainterArtist
+from robot_ik.camera.ar.registrar import BoardWatcher, Registrar
+from robot_ik.camera.boards.board import parse_board
+from robot_ik.camera.boards.patterns import CharucoPattern
+from robot_ik.camera.calibrate.coverage import cover, coverage_picture
+from robot_ik.camera.made_up.pattern_set import pattern_set
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
+from robot_ik.camera.sheets.blocks import SheetWish
+from robot_ik.camera.sheets.page import rasterize
+from robot_ik.camera.sheets.sheet import make_sheet_page
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar import extent
 from robot_ik.jobs.ar_scene import BOARD, Motion, synthetic_stage

@@ -11,7 +11,7 @@ import sys
 
 import robot_ik as rik
 from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig

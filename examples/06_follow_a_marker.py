@@ -13,8 +13,8 @@ import numpy as np
 
 import robot_ik as rik
 from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.latest import LatestGoals
-from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.goals.latest import LatestGoals
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig

@@ -80,7 +80,7 @@ class Arm(Gripping):
         try:
             goals = torque_on(self.bus, self.config)
             self._cycle.stand(goals)
-            self._cycle.samples.take(goals, self.clock.now())
+            self._cycle.samples.begin(goals, self.clock.now())
         except BaseException:
             with self._guard.shield():
                 self.exit_report = torque_off(self.bus, self.config, clock=self.clock)

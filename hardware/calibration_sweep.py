@@ -28,6 +28,10 @@ STILL_TICKS = 12
 _HALF = TICKS_PER_TURN // 2
 
 
+class HandError(HardwareError):
+    """A hand did not do what it was asked for; it can do it again."""
+
+
 class Sweep:
     """Smallest and largest position of every servo, whole turns counted here.
 
@@ -71,7 +75,7 @@ def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
         low, high = sweep.low[joint.id], sweep.high[joint.id]
         if sweep.way(joint) < LEAST_SWEEP * joint.lever:
             which = f" (servo id {joint.id})" if joint.id not in config.ids else ""
-            raise HardwareError(
+            raise HandError(
                 f"joint {joint.name!r}{which} moved by {joint.text(sweep.way(joint))} only",
                 hint="sweep every joint from one stop to the other",
             )
@@ -118,12 +122,12 @@ def wiggled(
     farthest = most.text(abs(ways[most.id]) * most.lever)
     own = ways[joint.id]
     if abs(ways[most.id]) < LEAST_WIGGLE:
-        raise HardwareError(
+        raise HandError(
             f"joint {joint.name!r} did not turn (most: {most.name} by {farthest})",
             hint=f"turn it by about {joint.text(ASKED_WIGGLE * joint.lever, 0)} and leave it there",
         )
     if abs(own) < LEAST_WIGGLE or (most.name != joint.name and abs(ways[most.id]) > 2.0 * abs(own)):
-        raise HardwareError(
+        raise HandError(
             f"{joint.name!r} was to be turned, and {most.name!r} did (by {farthest})",
             hint="are two ids swapped? compare cables and arm file; robot-ik servo setup changes an id",
         )

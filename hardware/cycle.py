@@ -127,8 +127,8 @@ class Cycle:
         """Positions of all, without new goals.
 
         Raises:
-            MotorFaultError: A servo reports a hardware error, has lost its torque, stands apart from the
-                other one of its joint, or is silent for too long.
+            MotorFaultError: A servo reports a hardware error, has lost its torque, jumps further than it can
+                move, stands apart from the other one of its joint, or is silent for too long.
             BusTimeoutError: All are silent.
             BusDisconnectedError: The port went away.
         """
@@ -148,6 +148,9 @@ class Cycle:
                 raise suspicion.shut_down(self._bus, servo)
             if measured[servo.id].torque is False:
                 self._confirm_torque(servo)
+            if servo.id in self.samples.jumped:
+                suspicion.has_torque(self._bus, servo)
+                raise suspicion.jumped(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")

@@ -17,6 +17,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
+from robot_ik.hardware.answer_times import AnswerTimes
 from robot_ik.hardware.bus import Counters, Status
 from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.packets import (
@@ -27,6 +28,7 @@ from robot_ik.hardware.packets import (
     FastParser,
     StatusParser,
     read_request,
+    whole_fast_status,
     write_request,
 )
 from robot_ik.hardware.quiet_port import QuietPortHandler
@@ -40,16 +42,8 @@ CYCLE_TIME = 0.100
 FAST_PATIENCE = 5
 """Fast reads in a row that fail before they are given up until the port is opened again."""
 
-SHORTEST_WAIT = 0.005
-"""s; a servo has at least so long to answer, however quick it used to be: computers pause."""
-
-SLOWNESS = 3.0
-"""A servo has so many times the longest recent answer time."""
-
 PHASES = 4
 """Lengths in turn: an answer is known to be late unless it comes just so many questions after its own."""
-
-_FORGET = 0.98  # share of the longest answer time kept from one cycle to the next
 
 
 class _Plan(NamedTuple):
@@ -104,7 +98,7 @@ class GroupTraffic:
         self._silent: frozenset[int] = frozenset()
         self._fast_misses = 0
         self._phase = 0
-        self._longest: float | None = None
+        self._times = AnswerTimes()
 
     @property
     def fast(self) -> bool:
@@ -178,18 +172,11 @@ class GroupTraffic:
                     break
             if missing:
                 self._wire.missed()
-        self._close_books(registers, missing, found)
-        return {id: found.get(id) or Status(id, None) for id in registers}
-
-    def _close_books(
-        self, registers: Mapping[int, Register], missing: list[int], found: Mapping[int, Status]
-    ) -> None:
-        refused = [status.data for status in found.values()].count(None)
-        self._counters.refused += refused
-        self._counters.answered += len(found) - refused
         self._counters.timeouts += len(missing)
         if missing or self._silent:
             self._silent = self._silent.difference(registers).union(missing)
+            found.update((id, Status(id, None)) for id in missing)
+        return {id: found[id] for id in registers}  # they may have answered in another order
 
     def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _Plan:
         fast = not plain and len(registers) > 1 and self.fast and self.fast_ids.issuperset(registers)
@@ -209,9 +196,7 @@ class GroupTraffic:
 
     def _patience(self, plan: _Plan, port: QuietPortHandler) -> float:
         """s from sending the question to giving up the answers."""
-        wait = self._wire.answer_time
-        if self._longest is not None:
-            wait = min(max(SLOWNESS * self._longest, SHORTEST_WAIT), wait)
+        wait = self._times.patience(self._wire.answer_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
     def _once(self, port: QuietPortHandler, plan: _Plan, before: bytes, wanted: _Wanted) -> None:
@@ -222,11 +207,17 @@ class GroupTraffic:
         # From here on the wire is busy: what is done now costs nothing.
         parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
         deadline = sent + len(before) * port.seconds_per_byte + self._patience(plan, port)
+        bytes_over = sent + (len(before) + len(plan.request) + plan.bytes_back) * port.seconds_per_byte
+        usual = self._times.expected
+        expected = None if usual is None else bytes_over + usual
         waiting = set(wanted.asked)
         # As many damaged packets as servos are missing: nothing more will come, ask again at once.
         damaged = 0
         while len(waiting) > damaged:
-            data = port.receive(deadline)
+            data = port.receive(deadline, expected)
+            if plan.fast and self._take_whole(data, plan, wanted):
+                waiting.clear()
+                break
             damaged += self._take(parser.feed(data, last=not data), wanted, waiting) + parser.damaged
             self._counters.corrupt += parser.damaged
             if not data or (plan.fast and parser.damaged):
@@ -235,10 +226,20 @@ class GroupTraffic:
         if waiting:
             self._wire.missed()
         else:
-            took = self._wire.now() - sent - (len(before) + plan.bytes_back) * port.seconds_per_byte
-            self._longest = max(took, _FORGET * (self._longest or 0.0))
+            self._times.add(self._wire.now() - bytes_over)
         if plan.fast:
             self._judge_fast(failed=bool(waiting))
+
+    def _take_whole(self, data: bytes, plan: _Plan, wanted: _Wanted) -> bool:
+        """Takes the answers of a fast read where nothing is wrong with any of them; else takes nothing."""
+        registers, asked, found = wanted
+        if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:
+            return False
+        for (id, register), value in zip(registers.items(), values, strict=True):
+            found[id] = Status(id, int.from_bytes(value, "little", signed=register.signed))
+        self._wire.last_good.update(dict.fromkeys(registers, self._wire.now()))
+        self._counters.answered += len(values)
+        return True
 
     def _take(self, answers: Iterable[Answer], wanted: _Wanted, waiting: set[int]) -> int:
         """Takes the answers that somebody waits for; how many of them cannot be what was asked."""
@@ -258,8 +259,9 @@ class GroupTraffic:
                     strange += not late
                     continue
                 value = register.decode(data if size == least else data[:least])
-            if alert:
-                self._counters.alerts += 1
+            self._counters.answered += value is not None
+            self._counters.refused += value is None
+            self._counters.alerts += alert
             found[id] = Status(id, value, code, alert)
             last_good[id] = now
             waiting.discard(id)

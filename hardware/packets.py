@@ -175,14 +175,45 @@ def _status(packet: bytes) -> Answer | None:
     return Answer(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
+class _FastLayout(NamedTuple):
+    """Where things are in a fast status in which all servos asked have their part."""
+
+    head: bytes
+    places: tuple[tuple[int, int, int], ...]
+    """Of each servo: its id, the first byte of its data, the first behind them; error and id lie before."""
+    total: int
+
+
 @lru_cache(maxsize=256)
-def _fast_layout(expected: tuple[tuple[int, int], ...]) -> tuple[bytes, list[tuple[int, int]], int]:
-    """Of a fast status: its first bytes; of each servo the first byte and the end of its data; its length."""
+def _fast_layout(expected: tuple[tuple[int, int], ...]) -> _FastLayout:
     places, at = [], FAST_HEAD
-    for _, size in expected:
-        places.append((at, at + 2 + size))
+    for id, size in expected:
+        places.append((id, at + 2, at + 2 + size))
         at += size + FAST_FRAME
-    return HEADER + bytes((BROADCAST_ID,)) + (at - 7).to_bytes(2, "little") + bytes((STATUS,)), places, at
+    head = HEADER + bytes((BROADCAST_ID,)) + (at - 7).to_bytes(2, "little") + _STATUS
+    return _FastLayout(head, tuple(places), at)
+
+
+def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> list[bytes] | None:
+    """Data of each servo where ``data`` are just one fast status with nothing wrong; the usual case, quickly.
+
+    Args:
+        data: All that came in.
+        expected: (id, bytes of data), in the order asked.
+
+    Returns:
+        None where anything is wrong, an error or an alert among it: then ``FastParser`` tells what.
+    """
+    head, places, total = _fast_layout(expected)
+    # The last checksum runs over all bytes before it.
+    if len(data) != total or not data.startswith(head) or crc(data[:-2]) != data[-2] | data[-1] << 8:
+        return None
+    values = []
+    for id, first, end in places:
+        if data[first - 2] or data[first - 1] != id:
+            return None
+        values.append(data[first:end])
+    return values
 
 
 class FastParser:
@@ -200,7 +231,7 @@ class FastParser:
 
     def __init__(self, expected: Sequence[tuple[int, int]]) -> None:
         self._expected = expected
-        self._head_bytes, self._places, self._total = _fast_layout(tuple(expected))
+        self._total = _fast_layout(tuple(expected)).total
         self._buffer = b""
         self._head = -1
         self._next = self._at = self._crc = 0
@@ -208,8 +239,6 @@ class FastParser:
 
     def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
         """Answers that are complete now; ``last``: nothing more will come."""
-        if len(data) == self._total and not self._buffer and (found := self._whole(data)):
-            return found
         buffer = self._buffer = self._buffer + data
         if self._head < 0 and not self._found_head(buffer):
             return []
@@ -228,18 +257,6 @@ class FastParser:
             self._crc = crc(frame[-2:], value)
             self._at = end
             self._next += 1
-        return answers
-
-    def _whole(self, data: bytes) -> list[Answer] | None:
-        """The answers, where ``data`` are just the packet: its last checksum runs over all of it."""
-        if not data.startswith(self._head_bytes) or crc(data[:-2]) != data[-2] | data[-1] << 8:
-            return None
-        answers = [
-            Answer(data[k + 1], data[k] & 127, data[k] > 127, data[k + 2 : e]) for k, e in self._places
-        ]
-        if [answer.id for answer in answers] != [id for id, _ in self._expected]:
-            return None
-        self._head, self._at, self._next, self._buffer = 0, self._total, len(answers), data
         return answers
 
     def _found_head(self, buffer: bytes) -> bool:

@@ -29,6 +29,12 @@ ANSWER_TIME = 0.034
 WRITE_TIMEOUT = 0.5
 """s; a port that takes no bytes for so long is gone."""
 
+WATCH = 1.5e-4
+"""s before and after the moment an answer is expected in which the port is watched without sleeping.
+
+A sleep ends up to 50 µs late by the timer's slack (prctl(2), PR_SET_TIMERSLACK), and waking takes time.
+"""
+
 _POLL = 0.002  # s, only where the operating system cannot wait on a serial port with select()
 
 try:  # what a vanished port raises besides OSError; termios does not exist on Windows
@@ -113,21 +119,38 @@ class QuietPortHandler(PortHandler):
         """Writes all of it, or raises."""
         self.writePort(data)
 
-    def receive(self, deadline: float) -> bytes:
-        """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing."""
+    def receive(self, deadline: float, expected: float | None = None) -> bytes:
+        """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing.
+
+        Args:
+            deadline: On the monotonic clock, s.
+            expected: When the answer usually comes, where that is known: shortly before and after it the
+                port is watched without sleeping, for who sleeps notices an answer late.
+        """
         if not self._posix:
             while not (data := bytes(self.ser.read(self.ser.in_waiting or 1))):
                 if time.monotonic() > deadline:
                     break
         else:
-            wait = deadline - time.monotonic()
-            if not select.select([self._file], [], [], wait if wait > 0.0 else 0.0)[0]:
+            if not self._comes(deadline, expected):
                 return b""
             data = os.read(self._file, 4096)
             if not data:
                 raise serial.SerialException("the port is ready to read and has nothing: it went away")
         self._counters.bytes_received += len(data)
         return data
+
+    def _comes(self, deadline: float, expected: float | None) -> bool:
+        """Whether there is something to read before the deadline."""
+        files, now = [self._file], time.monotonic()
+        if expected is not None:
+            begin, end = min(expected, deadline) - WATCH, min(expected + WATCH, deadline)
+            if now < begin and select.select(files, [], [], begin - now)[0]:
+                return True
+            while (now := time.monotonic()) < end:
+                if select.select(files, [], [], 0.0)[0]:
+                    return True
+        return bool(select.select(files, [], [], max(deadline - now, 0.0))[0])
 
     def clear(self) -> None:
         """Throws away what has come in."""

@@ -200,7 +200,7 @@ def check_turns_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
         HardwareError: A shaft stands more than half a servo turn from where it was last seen.
     """
     for id, ticks in read_all(bus, config, "present_position").items():
-        last = before.ticks.get(id)
+        last = before.jumped.get(id, before.ticks.get(id))
         if last is not None and abs(ticks - last) > TICKS_PER_TURN / 2:
             servo = next(s for s in config.servos if s.id == id)
             there, here = (math.degrees(servo.to_radians(t)) for t in (last, ticks))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import TICKS_PER_TURN
 from robot_ik.ports import Array
 
 SILENCE = 0.13
@@ -27,6 +28,7 @@ class Samples:
         ticks: Servo id -> last present position.
         q: (n,) the same in rad at the joints, by their first servos; NaN before the first sample.
         times: (n,) when each was taken, s on the arm's clock: of two servos the older one.
+        jumped: Servo id -> ticks before it jumped further than it can have moved.
     """
 
     def __init__(self, config: ArmConfig) -> None:
@@ -35,7 +37,11 @@ class Samples:
         self._twins = [
             (k, config.names.index(servo.name)) for k, servo in enumerate(self._servos) if k >= self._joints
         ]
+        self._speeds = [
+            config.velocity[config.names.index(servo.name)] / servo.resolution for servo in self._servos
+        ]
         self.ticks: dict[int, int] = {}
+        self.jumped: dict[int, int] = {}
         self._angles = np.full(len(self._servos), np.nan)
         self._times = np.full(len(self._servos), -np.inf)
         self._missed = [0] * len(self._servos)
@@ -53,6 +59,12 @@ class Samples:
                 times[joint] = min(times[joint], self._times[k])
         return times
 
+    def begin(self, ticks: Mapping[int, int], now: float) -> None:
+        """The arm gets torque here: a hand may have turned it since the last sample."""
+        self.ticks.clear()
+        self.jumped.clear()
+        self.take(ticks, now)
+
     def take(self, ticks: Mapping[int, int | None], now: float) -> None:
         """Takes what a cycle brought (servo id -> ticks); who is missing keeps its old sample."""
         for k, servo in enumerate(self._servos):
@@ -61,6 +73,9 @@ class Samples:
                 self._missed[k] += 1
                 continue
             self._missed[k] = 0
+            before = self.ticks.get(servo.id, value)
+            if abs(value - before) > TICKS_PER_TURN / 2 + self._speeds[k] * (now - self._times[k]):
+                self.jumped.setdefault(servo.id, before)
             self.ticks[servo.id] = value
             self._angles[k] = servo.to_radians(value)
             self._times[k] = now

@@ -152,5 +152,6 @@ def _tolerant(what: str, told: set[str]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        log.log(logging.DEBUG if what in told else logging.WARNING, "%s: %s", what, error)
+        reason = error.args[0] if error.args else error  # the hint is the same for every servo
+        log.log(logging.DEBUG if what in told else logging.WARNING, "%s: %s", what, reason)
         told.add(what)

@@ -63,13 +63,13 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     with joint_named(config):
         for joint in config.servos:
             _answer_everything(bus, joint)
-    for joint, value in _by_joint(config, read_all(bus, config, "hardware_error_status")):
-        if value:
-            raise MotorFaultError(
-                joint.name,
-                hardware_error_names(value),
-                hint="remove the cause, then power-cycle or reboot the servo",
-            )
+    faulty = [row for row in _by_joint(config, read_all(bus, config, "hardware_error_status")) if row[1]]
+    if faulty:
+        joint, value = faulty[0]
+        others = [f"{other.name} ({', '.join(hardware_error_names(more))})" for other, more in faulty[1:]]
+        hint = "remove the cause, support the arm, then: robot-ik servo reset-fault"
+        also = f"likewise {', '.join(others)}; " if others else ""
+        raise MotorFaultError(joint.name, hardware_error_names(value), hint=also + hint)
     _check_voltage(bus, config)
     with joint_named(config):
         for joint in config.servos:
@@ -127,21 +127,35 @@ def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointM
 
 def _check_models(bus: ServoBus, config: ArmConfig) -> None:
     found: dict[int, int] = {}
+    damaged: set[int] = set()
     for joint in config.servos:
         try:
             found[joint.id] = bus.ping(joint.id)
-        except (BusTimeoutError, BusCorruptError) as error:
+        except BusCorruptError:
+            damaged.add(joint.id)
+        except BusTimeoutError as error:
             log.debug("ping %d: %s", joint.id, error)
     if all(found.get(joint.id) == joint.table.number for joint in config.servos):
         return
     if len(found) < len(config.servos):
         found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
     expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.servos}
-    models = {id: _model_name(number) for id, number in found.items()}
-    hint = ""
+    models = dict.fromkeys(damaged, "damaged answers") | {id: _model_name(n) for id, n in found.items()}
+    raise ServoMismatchError(expected, models, port=bus.port, hint=_mismatch_hint(set(found), damaged))
+
+
+def _mismatch_hint(found: set[int], damaged: set[int]) -> str:
+    """What to look at; empty: the error's own words."""
+    if damaged and found:
+        return "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
+    if damaged:
+        return "no answer arrives whole: check the cable, its contacts and the adapter"
     if not found:
-        hint = "nobody answers at all: check the servos' power, the cable and the baud rate of the arm file"
-    raise ServoMismatchError(expected, models, port=bus.port, hint=hint)
+        return (
+            "nobody answers at all: check the servos' power and the cable; "
+            "robot-ik servo scan looks for them at every baud rate"
+        )
+    return ""
 
 
 def _model_name(number: int) -> str:

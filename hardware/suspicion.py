@@ -23,7 +23,7 @@ def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     return MotorFaultError(
         servo.name,
         hardware_error_names(value) or ("hardware_error",),
-        hint="the other joints hold; remove the cause, then reset_fault() or power-cycle it",
+        hint="the others hold; remove the cause, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
 
@@ -33,6 +33,20 @@ def torque_lost(servo: JointMap) -> MotorFaultError:
         servo.name,
         ("torque_lost",),
         hint="the servo has probably restarted: check its supply; the other joints hold",
+    )
+
+
+def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
+    """The fault of a servo whose position changed by more than it can have moved, in ticks.
+
+    It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
+    """
+    there, here = (math.degrees(servo.to_radians(ticks)) for ticks in (before, now))
+    return MotorFaultError(
+        servo.name,
+        ("position_jump",),
+        hint=f"it read {there:.1f} deg, then {here:.1f}: it has lost count of its turns, or its horn or magnet "
+        "is loose; all hold. Check it, then robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
 
@@ -79,7 +93,8 @@ def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> 
             port=bus.port,
             joint=servo.name,
             last_good=age if math.isfinite(age) else None,
-            hint="no servo answers any more: check their power and the cable",
+            everyone=True,
+            hint="check their power, the cable and the adapter; torque stays as it was",
         )
     hint = f"no good answer of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
     raise MotorFaultError(servo.name, (status,), hint=hint)

@@ -28,6 +28,7 @@ from typing import Any
 import pytest
 
 from robot_ik.cli import main as cli
+from robot_ik.cli.commands import find_command
 
 # The helpers lie beside this file; they are nobody's package.
 _spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))
@@ -119,13 +120,14 @@ def run_line(line: str, where: str, beside: list[subprocess.Popen[str]], *, only
 
 
 def check_options(words: list[str], where: str) -> None:
-    import tyro
+    from robot_ik.cli.arguments import parse
+    from robot_ik.errors import ConfigError
 
-    command = cli.COMMANDS[words[0]]
+    name, command, rest = find_command(words)
     kind = getattr(importlib.import_module(command.module), command.options)
     try:
-        tyro.cli(kind, args=words[1:])
-    except SystemExit as error:
+        parse(kind, name, rest)
+    except ConfigError as error:
         pytest.fail(f"{where}: {error}")
 
 
@@ -176,10 +178,8 @@ def helps() -> dict[str, str]:
         return stream.getvalue()
 
     found = {}
-    for name in cli.COMMANDS:
-        text = asked(name)
-        subcommands = re.findall(r"• ([a-z][a-z-]*) ", text)
-        found[name] = " ".join([text, *(asked(name, subcommand) for subcommand in subcommands)])
+    for name, command in cli.COMMANDS.items():
+        found[name] = " ".join([asked(name), *(asked(name, word) for word in command.subcommands)])
     return found
 
 

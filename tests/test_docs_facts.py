@@ -96,13 +96,16 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------- the architecture
 
 
-def test_the_layers_drawn_are_the_layers_checked() -> None:
+@pytest.mark.parametrize(
+    ("contract_id", "house", "first"), [("layers", "", "cli"), ("camera-rooms", "camera", "ar ")]
+)
+def test_the_layers_drawn_are_the_layers_checked(contract_id: str, house: str, first: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    (contract,) = [c for c in project["tool"]["importlinter"]["contracts"] if c["id"] == "layers"]
-    (drawn,) = [b for b in blocks(ROOT / "docs" / "architecture.md") if b.text.startswith("cli")]
+    (contract,) = [c for c in project["tool"]["importlinter"]["contracts"] if c["id"] == contract_id]
+    (drawn,) = [b for b in blocks(ROOT / "docs" / "architecture.md") if b.text.startswith(first)]
     lines = [line.split("   ")[0] for line in drawn.text.splitlines()]
     drawn_names = [re.findall(r"\w+", line) for line in lines]
-    rooms = {p.stem for p in (ROOT / "robot_ik").iterdir()} | {"hardware", "models"}
+    rooms = {p.stem for p in (ROOT / "robot_ik" / house).iterdir()} | {"hardware", "models"}
     checked = [[name for name in re.findall(r"\w+", line) if name in rooms] for line in contract["layers"]]
     assert drawn_names == [names for names in checked if names and names != ["__main__"]]
 

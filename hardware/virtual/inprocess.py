@@ -80,7 +80,7 @@ class InProcessPort(QuietPortHandler):
         self._counters.bytes_received += len(data)
         return data
 
-    def receive(self, deadline: float) -> bytes:
+    def receive(self, deadline: float, expected: float | None = None) -> bytes:
         """All there is."""
         return self.readPort(len(self._buffer))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from robot_ik.bench.camera_rows import Effort, Figure
 from robot_ik.camera.filter import FilterOptions, MotionFilter
-from robot_ik.camera.one_euro import OneEuro
+from robot_ik.camera.goals.one_euro import OneEuro
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]

@@ -104,9 +104,9 @@ ROWS: tuple[Row, ...] = (
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
     Row(
         "offsets",
-        "joint zeros from pictures of a board in the hand",
+        "joint zeros from 30 pictures of a board in the hand",
         _HERE + "camera_arm:offsets",
-        needs=("robot_ik.camera.self_calibration",),
+        needs=("robot_ik.camera.arm_zeros",),
     ),
     Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "camera_motion:prediction"),
     Row("times", "finding and measuring a marker in a picture", _HERE + "camera_speed:times"),

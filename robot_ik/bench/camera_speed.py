@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from robot_ik.bench.camera_accuracy import frame_of
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.ar_draw import Figure as Robot
-from robot_ik.camera.ar_draw import PainterArtist
-from robot_ik.camera.device import DeviceSource
+from robot_ik.camera.ar.draw import Figure as Robot
+from robot_ik.camera.ar.draw import PainterArtist
 from robot_ik.camera.goals import MarkerGoalSource
+from robot_ik.camera.goals.latest import LatestGoals
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.latest import LatestGoals
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_marker
+from robot_ik.camera.made_up.synthetic import look_at
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_marker
-from robot_ik.camera.synthetic import look_at
+from robot_ik.camera.sources.device import DeviceSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import RealClock

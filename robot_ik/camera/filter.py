@@ -77,6 +77,8 @@ class FilterOptions:
 
 # A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
 _SURE = 4.0
+# Square of a speed that no camera tells from rest: keeps the noise of a perfect one from being singular.
+_TINY = 1e-18
 # Of the newest observation in what is known of how well prediction does.
 _NEW_SHARE = 0.3
 
@@ -188,10 +190,11 @@ class MotionFilter:
         """(2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict."""
         shares = np.empty(2)
         for k, part in enumerate((slice(0, 3), slice(3, 6))):
-            speed = float(np.linalg.norm(self._rate[part]))
-            block = self._shaking[6:, 6:][part, part]
-            low = max(self.options.rest[k], _SURE * float(np.sqrt(np.linalg.eigvalsh(block)[-1])))
-            share = min(max(speed / low - 1.0, 0.0), 1.0)
+            rate, shaking = self._rate[part], self._shaking[6:, 6:][part, part]
+            # In its own direction: depth shakes ten times as much as what lies across the view.
+            sure = float(np.sqrt(rate @ np.linalg.solve(shaking + _TINY * np.eye(3), rate)))
+            speed = float(np.linalg.norm(rate))
+            share = min(max(min(speed / self.options.rest[k], sure / _SURE) - 1.0, 0.0), 1.0)
             shares[k] = share * share * (3.0 - 2.0 * share)
         missed, held = np.sqrt(self._misses)
         # Whole where prediction misses by less than half of what holding does, nothing where by as much.

@@ -193,7 +193,10 @@ class CameraIntrinsics:
             return
         try:
             self.scaled(width, height)
-            hint = f"same aspect ratio: use intrinsics.scaled({width}, {height}), or calibrate at this size"
+            hint = (
+                f"same aspect ratio: set the camera to {self.width}x{self.height} px, or calibrate at this "
+                f"size; for pictures that were only resized, in Python: intrinsics.scaled({width}, {height})"
+            )
         except CalibrationError:
             hint = "another aspect ratio: set the camera to the calibrated size, or calibrate at this size"
         raise CalibrationError(

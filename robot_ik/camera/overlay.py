@@ -14,17 +14,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.camera.drawing.layer import EMPTY
+from robot_ik.camera.drawing.painted_lines import visible_lines
+from robot_ik.camera.drawing.painter import NEAR, Samples, base_colours, bounding_box, faces_in_picture
+from robot_ik.camera.drawing.text import text_size, write
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.layer import EMPTY
-from robot_ik.camera.painted_lines import visible_lines
-from robot_ik.camera.painter import (
-    NEAR,
-    Samples,
-    base_colours,
-    bounding_box,
-    faces_in_picture,
-)
-from robot_ik.camera.text import text_size, write
 from robot_ik.geometry import Pose
 
 Image = NDArray[np.uint8]

@@ -12,8 +12,8 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SHOWN_ROBOT
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
     from robot_ik.jobs.ar import ArReport, ArRequest
@@ -27,7 +27,9 @@ class ArOptions:
     needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH")] = SHOWN_ROBOT
+    robot: Annotated[
+        str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: the motion's, else {SHOWN_ROBOT})")
+    ] = ""
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
@@ -43,8 +45,9 @@ class ArOptions:
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
     scale: Annotated[float, arg(help_behavior_hint="(default: 1; what fits the synthetic table)")] = 0.0
     """Drawn size over true size."""
-    motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|ARM.toml@PORT")] = "wave"
-    """What the robot does: follow reaches for --marker; a trajectory is replayed; a live arm is mirrored."""
+    motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|SCRIPT|ARM.toml@PORT")] = "wave"
+    """What the robot does: follow reaches for --marker; a trajectory is replayed; a script (as for
+    robot-ik run) is played on simulated servos; a live arm is mirrored."""
     marker: int = 9
     """Id of the marker to follow."""
     marker_size: float = 0.05
@@ -65,11 +68,11 @@ class ArOptions:
     """Seconds by which tracking lags behind recorded pictures (for --sync latest)."""
     alpha: float = 1.0
     """1 hides what is behind the robot, 0 the robot."""
-    no_shadow: bool = False
-    """Draw no shadow."""
+    shadow: bool = True
+    """Draw the shadow on the board's plane."""
     out: Annotated[str, arg(metavar="FILE.mp4|FILE.png|DIR")] = "ar.mp4"
     """A film (extra `video`), the last picture, or a folder of pictures."""
-    seconds: Annotated[float, arg(help_behavior_hint="(default: all; 4 for synthetic)")] = 0.0
+    seconds: Annotated[float, arg(help_behavior_hint="(default: all; synthetic: the motion, or 4)")] = 0.0
     """How long."""
     size: Annotated[tuple[int, ...], arg(metavar="W H", help_behavior_hint="(default: the camera's)")] = ()
     """Size of synthetic and live pictures."""
@@ -110,7 +113,7 @@ def run(options: ArOptions) -> int:
 def summary(report: ArReport) -> dict[str, object]:
     """The report as JSON holds it."""
     return {
-        "file": str(report.file),
+        "file": None if report.file is None else str(report.file),
         "pictures": report.pictures,
         "drawn": report.drawn,
         "scale": report.scale,
@@ -122,13 +125,17 @@ def summary(report: ArReport) -> dict[str, object]:
 
 
 def _print(report: ArReport) -> None:
+    if report.file is None:
+        console.say("there was no picture: nothing is written", "yellow")
+        return
     lines = console.table("", "")
     lines.show_header = False
     lines.add_row("pictures", f"{report.pictures}, the robot in {report.drawn}")
     lines.add_row("drawn", f"by {report.backend} at {report.scale:.3g} of its size")
     if np.isfinite(report.reprojection_px):
         lines.add_row("board", f"corners fit to {report.reprojection_px:.2f} px")
-    lines.add_row("speed", f"{report.rate_hz:.0f} pictures/s tracked and drawn")
+    speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
+    lines.add_row("speed", f"{speed} pictures/s tracked and drawn")
     console.out().print(lines)
     console.out().print(Text(f"written: {report.file}"), soft_wrap=True)
 
@@ -139,26 +146,27 @@ def make_request(options: ArOptions) -> ArRequest:
     Raises:
         ConfigError: A malformed option.
     """
-    from robot_ik.camera.ar import Remedies
+    from robot_ik.camera.ar.registrar import Remedies
     from robot_ik.jobs.ar import ArRequest
+    from robot_ik.jobs.ar_script import robot_of
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
-        raise _wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
+        raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
     if len(options.size) not in (0, 2) or any(v < 16 for v in options.size):
-        raise _wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
+        raise wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
     if not 0.0 <= options.alpha <= 1.0:
-        raise _wrong("--alpha", f"{options.alpha:g}", "0 to 1")
+        raise wrong("--alpha", f"{options.alpha:g}", "0 to 1")
     for name in ("scale", "delay", "seconds"):
         if not 0.0 <= getattr(options, name) < np.inf:
-            raise _wrong(f"--{name}", f"{getattr(options, name):g}", "0 or more")
+            raise wrong(f"--{name}", f"{getattr(options, name):g}", "0 or more")
     if options.sync == "tracked" and (options.predict or options.shift or options.delay):
-        raise _wrong(
+        raise wrong(
             "--sync", "the picture that was tracked has no delay to make up for",
             "--sync latest with --predict, --shift or --delay",
         )  # fmt: skip
     x, y, z, yaw = (*options.base, *(0.0,) * (4 - len(options.base)))
     return ArRequest(
-        robot=options.robot,
+        robot=options.robot or robot_of(options.motion) or SHOWN_ROBOT,
         camera=options.camera,
         intrinsics=Path(options.intrinsics) if options.intrinsics else None,
         board=options.board,
@@ -174,13 +182,9 @@ def make_request(options: ArOptions) -> ArRequest:
         remedies=Remedies(options.sync, options.predict, options.shift),
         delay=options.delay,
         alpha=options.alpha,
-        shadow=not options.no_shadow,
+        shadow=options.shadow,
         out=Path(options.out),
         seconds=options.seconds,
         size=(options.size[0], options.size[1]) if options.size else None,
         seed=options.seed,
     )
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)

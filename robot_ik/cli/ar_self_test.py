@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from robot_ik.cli import console
 
 if TYPE_CHECKING:
-    from robot_ik.camera.registration import Misses
+    from robot_ik.camera.ar.registration import Misses
 
 # RMS and worst allowed, pixels: spheres without and with lens distortion, a robot on a board.
 _IDENTITY, _BENT, _OVERLAY = (0.05, 0.15), (0.08, 0.20), (0.30, 1.0)
@@ -66,8 +66,8 @@ def run_self_test(*, json: bool = False) -> int:
 
 def measure() -> tuple[list[Row], str]:
     """All figures, and one line where OpenGL is missing."""
-    from robot_ik.camera import registration
-    from robot_ik.camera.gl_draw import make_artist
+    from robot_ik.camera.ar import registration
+    from robot_ik.camera.ar.gl_draw import make_artist
 
     rows, notice = [], ""
     with console.progress() as bar:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, arg, subcommand
+from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.bench_camera import BenchCameraOptions, run_camera
+from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import GoalError, InvalidGoalError, UnsupportedJointError
+from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.files import folder_for_results, write_atomically
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
     from robot_ik.solvers.base import Solver
 
-Subject = Annotated[BenchCameraOptions, subcommand("camera")] | Annotated[None, subcommand("solvers")]
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 _EXTRA = ("kernels", "batch")
 _BATCH = 500  # times as many poses as in the other sets
@@ -38,9 +37,9 @@ class BenchOptions:
     A time is that of the whole Python call: 4×4 matrix in, joint array out, limits obeyed. Kernels are
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
-    Writes bench.json and plots; Ctrl-C keeps what is done.
+    Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera --help
 
-    Example: robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
+        robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
 
     solvers: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
@@ -65,14 +64,10 @@ class BenchOptions:
     """Where bench.json and the plots go."""
     plots: bool = True
     """Draw plots (needs matplotlib)."""
-    subject: Annotated[OmitArgPrefixes[OmitSubcommandPrefixes[Subject]], None] = None
-    """camera: measure that instead of the methods; see robot-ik bench camera --help."""
 
 
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
-    if options.subject is not None:
-        return run_camera(options.subject)
     import_mujoco()
     from robot_ik.bench.plots import need_matplotlib
     from robot_ik.bench.results import Results, Settings, this_machine
@@ -106,7 +101,9 @@ def _solvers(options: BenchOptions) -> list[Solver]:
     from robot_ik.solvers import SOLVERS, make_solver
 
     if options.count < 1:
-        raise InvalidGoalError(f"--count is one or more, not {options.count}")
+        raise wrong("--count", f"{options.count} problems", "1 or more")
+    if not options.seconds > 0.0:
+        raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
     # `combined` with its default options is `auto`.
     names = options.solvers or tuple(name for name in SOLVERS if name != "combined")
     return [make_solver(name) for name in dict.fromkeys(names)]

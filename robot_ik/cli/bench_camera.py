@@ -14,8 +14,9 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError, unknown_name_text
+from robot_ik.errors import unknown_name_text
 from robot_ik.files import plain, write_atomically
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def chosen_rows(names: Sequence[str]) -> list[Row]:
     for name in names:
         if name not in known:
             text = unknown_name_text("row", name, list(known))
-            raise ConfigError(text, file="command line", key="--rows")
+            raise wrong("--rows", text)
     return [known[name] for name in dict.fromkeys(names)] or list(known.values())
 
 

@@ -13,10 +13,11 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.errors import CalibrationError
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibrate import CalibrationResult
-    from robot_ik.camera.calibration_views import ViewGatherer
+    from robot_ik.camera.calibrate.views import ViewGatherer
     from robot_ik.camera.sources import Frame, FrameSource
 
 # More views than these teach nothing.
@@ -34,7 +35,7 @@ class CameraCalibrateOptions:
     what there is. The lens must not be focused or zoomed afterwards.
     """
 
-    sources: Positional[tuple[str, ...]]
+    sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE …", help_behavior_hint="")]
     """Pictures, folders, films, a camera's index, URLs; one after the other."""
     pattern: Literal["charuco", "chessboard"] = "charuco"
     """What is shown. Both layouts of a ChArUco board are tried."""
@@ -68,9 +69,9 @@ def run(options: CameraCalibrateOptions) -> int:
     """Gathers views, calibrates, writes the file and says what it is worth."""
     import dataclasses
 
+    from robot_ik.camera.boards.pattern_kinds import PatternWish
     from robot_ik.camera.calibrate import calibrate
-    from robot_ik.camera.calibration_views import ViewGatherer
-    from robot_ik.camera.pattern_kinds import PatternWish
+    from robot_ik.camera.calibrate.views import ViewGatherer
     from robot_ik.errors import CameraError
 
     if not options.sources:
@@ -80,16 +81,17 @@ def run(options: CameraCalibrateOptions) -> int:
         )
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
     wish = PatternWish(options.pattern, *(getattr(options, field) for field in fields))
-    gatherer = ViewGatherer(wish.pattern())
-    with _kept_on_interrupt(gatherer):
+    gatherer, shelf = ViewGatherer(wish.pattern()), _Shelf(options)
+    with _kept_on_interrupt(gatherer, shelf):
         for text in options.sources:
-            _gather(text, gatherer, options)
+            _gather(text, gatherer, shelf, options)
     gatherer.finish()
     for notice in gatherer.notices:
         console.say(notice, "yellow")
-    result = calibrate(
-        gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
-    )
+    with shelf.named_on_failure():
+        result = calibrate(
+            gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
+        )
     now = datetime.now(UTC).isoformat(timespec="seconds")
     intrinsics = dataclasses.replace(result.intrinsics, date=now)
     intrinsics.save(options.out)
@@ -102,40 +104,90 @@ def run(options: CameraCalibrateOptions) -> int:
     return console.DONE
 
 
+class _Shelf:
+    """Where the views of live cameras are kept as pictures, so that nothing that was shown is lost."""
+
+    def __init__(self, options: CameraCalibrateOptions) -> None:
+        self._options, self.folder = options, Path()
+        self.count = 0
+
+    def keep(self, frame: Frame) -> None:
+        """Adds a picture to a folder beside the result."""
+        from robot_ik.camera.sources.picture_files import write_image
+        from robot_ik.files import make_folder
+
+        if not self.count:
+            self.folder = make_folder(self._free_folder())
+        numbers = [int(file.stem[4:]) for file in self.folder.glob("view*.png") if file.stem[4:].isdigit()]
+        write_image(self.folder / f"view{max(numbers, default=0) + 1:02d}.png", frame.image)
+        self.count += 1
+
+    def _free_folder(self) -> Path:
+        """A new or empty one, or one that is a source: views of another day may be of another focus."""
+        out, number = self._options.out, 1
+        while True:
+            folder = out.with_name(f"{out.stem}-views" + (f"-{number}" if number > 1 else ""))
+            given = folder.resolve() in [Path(text).resolve() for text in self._options.sources]
+            if given or not folder.exists() or not any(folder.iterdir()):
+                return folder
+            number += 1
+
+    @contextlib.contextmanager
+    def named_on_failure(self) -> Iterator[None]:
+        """Says where the pictures are when nothing comes of them, or not yet."""
+        try:
+            yield
+        except (CalibrationError, KeyboardInterrupt):
+            if self.count:
+                sources = [text for text in self._options.sources if Path(text) != self.folder]
+                words = " ".join([str(self.folder), *sources])
+                console.say(f"to go on with the views that are kept: robot-ik camera calibrate {words} …")
+            raise
+
+
 @contextlib.contextmanager
-def _kept_on_interrupt(gatherer: ViewGatherer) -> Iterator[None]:
+def _kept_on_interrupt(gatherer: ViewGatherer, shelf: _Shelf) -> Iterator[None]:
     """Neither Ctrl-C nor a camera that goes away loses the views so far."""
     from robot_ik.errors import FrameTimeoutError
 
     try:
         yield
+        return
     except FrameTimeoutError as error:
         if not gatherer.views:
             raise
-        console.say(f"{error.args[0]}; {len(gatherer.views)} views are kept", "yellow")
+        why = str(error.args[0])
     except KeyboardInterrupt:
-        console.say(f"stopped; {len(gatherer.views)} views are kept", "yellow")
+        why = "stopped"
+    where = f" in {shelf.folder}" if shelf.count else ""
+    console.say(f"{why}; {len(gatherer.views)} views are kept{where}", "yellow")
 
 
-def _gather(text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions) -> None:
+def _gather(text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCalibrateOptions) -> None:
     from robot_ik.camera.sources import FolderSource, ImageSource, open_source
+    from robot_ik.errors import CameraNotFoundError
 
     with open_source(text, size=options.size) as source:
         if isinstance(source, FolderSource):
-            for path, frame in zip(source.files, source, strict=True):
+            for path in source.files:
+                try:
+                    frame = source.read()
+                except CameraNotFoundError as error:
+                    gatherer.notices.append(f"left out: {error.args[0]}")
+                    continue
                 gatherer.offer(frame, path.name, choosy=False)
         elif isinstance(source, ImageSource):
             gatherer.offer(source.read(), Path(text).name, choosy=False)
         else:
-            _gather_moving(source, text, gatherer, options)
+            _gather_moving(source, text, gatherer, shelf, options)
 
 
 def _gather_moving(
-    source: FrameSource, text: str, gatherer: ViewGatherer, options: CameraCalibrateOptions
+    source: FrameSource, text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCalibrateOptions
 ) -> None:
-    from robot_ik.camera.calibration_views import missing_words
-    from robot_ik.camera.device import DeviceSource
-    from robot_ik.camera.pattern_guess import describe
+    from robot_ik.camera.boards.pattern_guess import describe
+    from robot_ik.camera.calibrate.views import missing_words
+    from robot_ik.camera.sources.device import DeviceSource
 
     live, unseen = isinstance(source, DeviceSource), 0
     if live:
@@ -150,25 +202,16 @@ def _gather_moving(
         if not taken:
             continue
         if live:
-            _keep(frame, len(gatherer.views), options.out)
+            shelf.keep(frame)
         missing = gatherer.coverage.missing
         console.say(f"view {len(gatherer.views)} of {options.views}: {missing_words(missing)}")
         if len(gatherer.views) >= options.views and not missing:
             return
 
 
-def _keep(frame: Frame, number: int, out: Path) -> None:
-    """A view of a live camera as a picture, so that nothing that was shown is lost."""
-    from robot_ik.camera.picture_files import write_image
-    from robot_ik.files import make_folder
-
-    folder = make_folder(out.with_name(f"{out.stem}-views"))
-    write_image(folder / f"view{number:02d}.png", frame.image)
-
-
 def _draw_coverage(result: CalibrationResult, out: Path) -> Path:
-    from robot_ik.camera.coverage import coverage_picture
-    from robot_ik.camera.picture_files import write_image
+    from robot_ik.camera.calibrate.coverage import coverage_picture
+    from robot_ik.camera.sources.picture_files import write_image
 
     path = out.with_name(f"{out.stem}-coverage.png")
     write_image(path, coverage_picture(result.coverage))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,33 +19,40 @@ from robot_ik.geometry import Pose
 if TYPE_CHECKING:
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.camera.sources import Frame
+    from robot_ik.errors import CameraError
 
 # A pose that fits hardly better than its mirror image is marked: goals are not made from it either.
 _DOUBTFUL = 0.6
 # When there is no marker in any picture, so many of them are looked at again for markers of other kinds.
 _GUESSED_FROM = 3
+_NOTHING: Mapping[str, Any] = {"markers": [], "bodies": []}
+# So many files that cannot be used are named on the screen.
+_MOST_TOLD = 12
 
 
 @dataclass(frozen=True)
 class CameraDetectOptions:
     """Finds markers in pictures, films and folders: ids, corners, and with --intrinsics their poses.
 
-    Exit code 1 when there is no marker in any of them.
+    Exit code 1 when there is no marker in any of them, or when one of several could not be looked at: it is
+    named, and the others are done. 2 when none could.
     """
 
-    images: Annotated[Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …")] = ()
+    images: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …", help_behavior_hint="")
+    ] = ()
     """Files or folders; a camera's index or URL gives one picture."""
     dictionary: str = "DICT_5X5_50"
     """Of the markers, as OpenCV names it: DICT_4X4_50, DICT_APRILTAG_36H11, …"""
     ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: all)")] = ()
     """Only these markers."""
-    size: Annotated[float | None, arg(metavar="M")] = None
+    size: Annotated[float | None, arg(metavar="M", help_behavior_hint="")] = None
     """Side of the black squares, metres."""
-    intrinsics: Annotated[Path | None, arg(metavar="FILE")] = None
+    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Calibration of the camera; without it there are corners but no poses."""
-    bodies: Annotated[Path | None, arg(metavar="FILE.toml")] = None
+    bodies: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
     """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
-    draw: Annotated[Path | None, arg(metavar="DIR")] = None
+    draw: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Write each picture there with what was found drawn over it."""
     json: bool = False
     """Print one JSON object instead of a table."""
@@ -53,12 +60,26 @@ class CameraDetectOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """One picture: its place (file, number in the film or folder), its size, and what is in it."""
+    """One picture: its place (file, number in the film or folder), its size, and what is in it.
+
+    One that could not be looked at has an ``error``, no size and nothing in it.
+    """
 
     file: str
     frame: int
-    size: tuple[int, int]
+    size: tuple[int, int] | None
     values: dict[str, Any]
+    error: CameraError | None = None
+    in_film: bool = False
+
+    def as_values(self) -> dict[str, Any]:
+        """For JSON."""
+        found: dict[str, Any] = {"file": self.file, "frame": self.frame}
+        if self.size is not None:
+            found |= {"width": self.size[0], "height": self.size[1]}
+        if self.error is not None:
+            found["error"] = str(self.error.args[0])
+        return found | self.values
 
 
 def run(options: CameraDetectOptions) -> int:
@@ -68,28 +89,53 @@ def run(options: CameraDetectOptions) -> int:
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
     rows = list(_looked(options, intrinsics, blank))
+    failed = [row for row in rows if row.error is not None]
+    if len(failed) == len(rows):
+        _raise_first(failed)
     if options.json:
-        images = [
-            {"file": row.file, "frame": row.frame, "width": row.size[0], "height": row.size[1], **row.values}
-            for row in rows
-        ]
+        images = [row.as_values() for row in rows]
         console.print_json({"schema": 1, "dictionary": options.dictionary, "images": images})
     else:
         _print_markers(rows, posed=intrinsics is not None)
         _print_bodies(rows)
     if intrinsics is None:
         console.say("no --intrinsics: corners only, no poses", "yellow")
+    if failed:
+        _tell_failed(failed, len(rows))
     if any(row.values["markers"] for row in rows):
-        return console.DONE
+        return console.NOT_ACHIEVED if failed else console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
-    console.say(f"error: {wanted} of {options.dictionary} in {len(rows)} picture(s)", "bold red")
+    console.say(
+        f"error: {wanted} of {options.dictionary} in {len(rows) - len(failed)} picture(s)", "bold red"
+    )
     console.say(_hint(options, blank), "cyan")
     return console.NOT_ACHIEVED
 
 
+def _raise_first(failed: Sequence[_Row]) -> None:
+    """Nothing could be looked at: the first error stands for all."""
+    if not failed:
+        return
+    error = failed[0].error
+    assert error is not None
+    if len(failed) > 1:
+        error.args = (f"{error.args[0]}; nor can the {len(failed) - 1} other(s) be used", *error.args[1:])
+    raise error
+
+
+def _tell_failed(failed: Sequence[_Row], count: int) -> None:
+    console.say(f"error: {len(failed)} of {count} pictures could not be looked at", "bold red")
+    for row in failed[:_MOST_TOLD]:
+        assert row.error is not None
+        said = str(row.error.args[0])
+        console.say(f"  {said}" if row.file in said else f"  {row.file}: {said}")
+    if len(failed) > _MOST_TOLD:
+        console.say(f"  and {len(failed) - _MOST_TOLD} more; --json names all")
+
+
 def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
     """What may be wrong when no picture shows a marker that was asked for."""
-    from robot_ik.camera.dictionary_guess import guess_dictionary
+    from robot_ik.camera.detect.dictionary_guess import guess_dictionary
 
     other = guess_dictionary(blank)
     if other is None:
@@ -103,9 +149,9 @@ def _looked(
     options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, blank: deque[Any]
 ) -> Iterator[_Row]:
     """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
-    from robot_ik.camera.bodies import load_bodies
-    from robot_ik.camera.sightings import Lookout, as_values, drawn
-    from robot_ik.errors import CameraError
+    from robot_ik.camera.pose.bodies import load_bodies
+    from robot_ik.camera.track.sightings import Lookout, as_values, drawn
+    from robot_ik.errors import CalibrationError, CameraError
 
     if not options.images:
         raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
@@ -115,38 +161,57 @@ def _looked(
     with console.progress() as bar:
         for name in options.images:
             task = bar.add_task(name, total=None, note="")
-            for file, frame, in_film in _pictures(name):
-                if in_film and frame.sequence == 0:
+            for file, number, frame, in_film in _pictures(name):
+                if in_film and number == 0:
                     lookout = Lookout(*asked, film=True)
-                sighting = lookout.look(frame)
+                bar.update(task, note=str(number))
+                if isinstance(frame, CameraError):
+                    yield _Row(file, number, None, dict(_NOTHING), frame)
+                    continue
+                try:
+                    sighting = lookout.look(frame)
+                except CalibrationError as error:  # of another size
+                    yield _Row(file, number, frame.size, dict(_NOTHING), error)
+                    if in_film:
+                        break
+                    continue
                 if not sighting.markers:
                     blank.append(frame.image)
-                bar.update(task, note=str(frame.sequence))
-                yield _Row(file, frame.sequence, frame.size, as_values(sighting))
+                yield _Row(file, number, frame.size, as_values(sighting), in_film=in_film)
                 if options.draw is not None:
-                    _save(
-                        options.draw, file, frame.sequence if in_film else None, drawn(sighting, intrinsics)
-                    )
+                    _save(options.draw, file, number if in_film else None, drawn(sighting, intrinsics))
             bar.remove_task(task)
             lookout = Lookout(*asked)
 
 
-def _pictures(name: str) -> Iterator[tuple[str, Frame, bool]]:
-    """File, picture, and whether it is one of a film; a live camera gives one."""
+def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
+    """File, number, picture or why there is none, and whether it is of a film; a live camera gives one."""
     from robot_ik.camera.sources import FolderSource, ImageSource, VideoSource, open_source
+    from robot_ik.errors import CameraNotFoundError
 
-    with open_source(name) as source:
-        if not isinstance(source, (FolderSource, ImageSource, VideoSource)):
-            yield name, source.read(), False
-            return
-        while not source.exhausted:
-            frame = source.read()
-            file = str(source.files[frame.sequence]) if isinstance(source, FolderSource) else name
-            yield file, frame, isinstance(source, VideoSource)
+    try:
+        source = open_source(name)
+    except CameraNotFoundError as error:
+        yield name, 0, error, False
+        return
+    with source:
+        if isinstance(source, FolderSource):
+            for number, file in enumerate(source.files):
+                try:
+                    frame: Frame | CameraError = source.read()
+                except CameraNotFoundError as error:
+                    frame = error
+                yield str(file), number, frame, False
+        elif isinstance(source, (ImageSource, VideoSource)):
+            while not source.exhausted:
+                seen = source.read()
+                yield name, seen.sequence, seen, isinstance(source, VideoSource)
+        else:
+            yield name, 0, source.read(), False
 
 
 def _save(folder: Path, file: str, number: int | None, image: Any) -> None:
-    from robot_ik.camera.picture_files import write_image
+    from robot_ik.camera.sources.picture_files import write_image
     from robot_ik.files import make_folder
 
     make_folder(folder)
@@ -196,7 +261,7 @@ def _show(shown: Table, *, posed: bool) -> None:
 
 
 def _place(row: _Row) -> str:
-    return f"{Path(row.file).name} #{row.frame}" if row.frame else Path(row.file).name
+    return f"{Path(row.file).name} #{row.frame}" if row.in_film else Path(row.file).name
 
 
 def _pose_cells(values: dict[str, Any]) -> list[Text]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,13 +12,12 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.camera_arm import arm_camera_values, measured
 from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
     from robot_ik.jobs.handeye import HandEyeReport, HandEyeRequest
-    from robot_ik.jobs.handeye_samples import SampleSet
 
 _POSE = "X Y Z [W X Y Z]"
 
@@ -76,26 +76,20 @@ class CameraHandeyeOptions:
 def run(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a place was found."""
     import_mujoco()
-    from robot_ik.jobs.handeye import samples_path
+    from robot_ik.jobs.handeye import run_handeye, samples_path
 
     if options.samples:
         report = _again(options)
     else:
         request = make_request(options)
-        kept = samples_path(options.out)
-        counted = [0]
-
-        def keep(samples: SampleSet) -> None:
-            samples.save(kept)
-            counted[0] = len(samples)
-
-        try:
-            report = _measured(request, options, keep)
-        except KeyboardInterrupt:
-            console.say(f"interrupted after {counted[0]} views", "yellow")
-            if counted[0]:
-                console.say(f"they are kept; solve them with: robot-ik camera handeye --samples {kept}")
+        made = measured(
+            partial(run_handeye, request, dry_run=options.dry_run),
+            samples_path(options.out),
+            "camera handeye",
+        )
+        if made is None:
             return console.INTERRUPTED
+        report = made
     if report.result is not None:
         report.place().save(options.out)
     if options.json:
@@ -105,18 +99,6 @@ def run(options: CameraHandeyeOptions) -> int:
         if report.result is not None:
             console.say(f"wrote {options.out}", "green")
     return console.DONE
-
-
-def _measured(request: HandEyeRequest, options: CameraHandeyeOptions, keep: Any) -> HandEyeReport:
-    from robot_ik.jobs.handeye import run_handeye
-
-    with console.progress() as bar:
-        task = bar.add_task("opening", total=1.0, note="")
-
-        def progress(stage: str, share: float) -> None:
-            bar.update(task, description=stage, completed=share)
-
-        return run_handeye(request, dry_run=options.dry_run, keep=keep, progress=progress)
 
 
 def _again(options: CameraHandeyeOptions) -> HandEyeReport:
@@ -134,44 +116,14 @@ def make_request(options: CameraHandeyeOptions) -> HandEyeRequest:
     Raises:
         ConfigError, CameraError, InvalidGoalError: A malformed option.
     """
-    from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
     from robot_ik.jobs.handeye import HandEyeRequest
 
-    if not 4 <= options.views <= 100:
-        raise _wrong("--views", f"{options.views} views", "4 to 100")
-    if not (math.isfinite(options.speed) and 0.0 < options.speed <= 1.0):
-        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
-    if options.bus == "none":
-        raise _wrong("--bus", "an arm without servos has no angles to read", "sim, pty or a serial port")
-    robot = options.robot or (SHOWN_ROBOT if options.bus in ("pty", "sim") else SERVO_ROBOT)
-    if options.arm and not options.robot:
-        from robot_ik.hardware.config import ArmConfig
-
-        robot = ArmConfig.load(options.arm).robot
-    board = None
-    if options.board:
-        from robot_ik.camera.boards import parse_board
-
-        board = parse_board(options.board, options.dictionary)
     return HandEyeRequest(
-        robot=robot,
+        **arm_camera_values(options, "angles to read"),
         mounting="eye_in_hand" if options.mounting == "eye-in-hand" else "eye_to_hand",
-        bus=options.bus,
-        arm_file=Path(options.arm) if options.arm else None,
-        frame=options.frame or None,
-        camera=options.camera,
-        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
-        board=board,
         pose_parent_camera=pose_option(options.camera_guess, "--camera-guess"),
         pose_other_board=pose_option(options.board_guess, "--board-guess"),
-        views=options.views,
-        speed=options.speed,
-        seed=options.seed,
     )
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)
 
 
 def _print(report: HandEyeReport) -> None:

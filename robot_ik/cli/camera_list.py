@@ -11,7 +11,7 @@ from rich.text import Text
 from robot_ik.cli import console
 
 if TYPE_CHECKING:
-    from robot_ik.camera.device_list import CameraDevice
+    from robot_ik.camera.sources.device_list import CameraDevice
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CameraListOptions:
 
 def run(options: CameraListOptions) -> int:
     """Prints the cameras; 1 when there is none."""
-    from robot_ik.camera.device_list import CAN_LIST, find_cameras
+    from robot_ik.camera.sources.device_list import CAN_LIST, find_cameras
     from robot_ik.cli.device_checks import users_of
 
     cameras = find_cameras()

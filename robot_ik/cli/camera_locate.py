@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.poses import pose_option, pose_words
-from robot_ik.errors import ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError
 
 if TYPE_CHECKING:
-    from robot_ik.camera.board_view import BoardView
-    from robot_ik.camera.boards import Board
+    from robot_ik.camera.boards.board import Board
+    from robot_ik.camera.boards.view import BoardView
+    from robot_ik.camera.handeye.places import CameraPlace
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.camera.places import CameraPlace
+    from robot_ik.geometry import Pose
+
+# Corners of a good calibration and a flat board miss by a few tenths of a pixel.
+_DOUBTFUL_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -53,15 +60,13 @@ class CameraLocateOptions:
 
 def run(options: CameraLocateOptions) -> int:
     """Looks, fits, writes."""
-    from robot_ik.camera.boards import parse_board
+    from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.handeye.places import locate_camera
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.camera.places import locate_camera
     from robot_ik.geometry import Pose
 
     if not 1 <= options.frames <= 10_000:
-        raise ConfigError(
-            f"{options.frames} pictures", file="command line", key="--frames", allowed="1 to 10000"
-        )
+        raise wrong("--frames", f"{options.frames} pictures", "1 to 10000")
     board = parse_board(options.board, options.dictionary)
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
     intrinsics = CameraIntrinsics.load(options.intrinsics)
@@ -73,6 +78,7 @@ def run(options: CameraLocateOptions) -> int:
         )
     place = locate_camera(views, pose, intrinsics, parent=options.parent)
     place.save(options.out)
+    _tell_doubt(views, place.pose_parent_camera.inverse() @ pose, intrinsics)
     if options.json:
         console.print_json(_as_json(place, options, len(views), looked))
         return console.DONE
@@ -86,6 +92,22 @@ def run(options: CameraLocateOptions) -> int:
     console.out().print(facts)
     console.say(f"wrote {options.out}", "green")
     return console.DONE
+
+
+def _tell_doubt(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> None:
+    """Names pictures whose board is not where all of them together have it (``seen`` by the camera)."""
+    off = [
+        float(np.median(np.linalg.norm(intrinsics.project(seen.apply(view.points)) - view.pixels, axis=1)))
+        for view in views
+    ]
+    count = sum(miss > _DOUBTFUL_PX for miss in off)
+    if not count:
+        return
+    why = "the board is not flat or not of this size, or the calibration is of another camera"
+    if len(views) > 1:
+        why = f"camera or board moved, or {why}"
+    told = f"doubtful: in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
+    console.say(f"{told}: {why}", "yellow")
 
 
 def _look(
@@ -102,6 +124,9 @@ def _look(
                 frame = source.read()
             except FrameTimeoutError:
                 break
+            except CameraNotFoundError as error:  # one file of a folder
+                console.say(f"left out: {error.args[0]}", "yellow")
+                continue
             looked += 1
             view = board.see(frame, intrinsics)
             if view is not None:

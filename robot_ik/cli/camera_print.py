@@ -52,14 +52,14 @@ class CameraPrintOptions:
 
 def run(options: CameraPrintOptions) -> int:
     """Writes the sheet and says what is on it."""
-    from robot_ik.camera.sheet_blocks import SheetWish
-    from robot_ik.camera.sheet_page import write_sheet
-    from robot_ik.camera.sheets import make_sheet_page
+    from robot_ik.camera.sheets.blocks import SheetWish
+    from robot_ik.camera.sheets.page import write_sheet
+    from robot_ik.camera.sheets.sheet import make_sheet_page
 
     wish = SheetWish(**{name: getattr(options, name) for name in SheetWish.__dataclass_fields__})
     page = make_sheet_page(wish)
     if options.body is not None:
-        from robot_ik.camera.sheet_bodies import body_file
+        from robot_ik.camera.sheets.bodies import body_file
         from robot_ik.files import write_atomically
 
         write_atomically(options.body, body_file(wish, options.body.stem))

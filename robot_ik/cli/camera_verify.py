@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.camera_arm import arm_camera_values, measured
 from robot_ik.cli.poses import pose_option
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
     from robot_ik.jobs.verify import VerifyReport, VerifyRequest
 
+_NOT_WRITTEN = "nothing is written: to keep these zeros, give your arm file with --arm"
 _NEEDED = "(needed for a real camera)"
 
 
@@ -28,6 +31,7 @@ class CameraVerifyOptions:
     The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
     the arm. With no options everything is simulated. With --fit, joint zeros that are off are estimated; they
     are written to the arm file of --arm after asking, the old file is kept; servos are never changed.
+    Ctrl-C keeps what was measured: judge it with --samples.
 
     Exit code 0: no pose of the arm, as it now is on file, is farther off than --allowed-mm; else 1.
     """
@@ -54,7 +58,9 @@ class CameraVerifyOptions:
         tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: in the frame)")
     ] = ()
     """Where the board is, seen from the frame that carries it."""
-    board_sigma: Annotated[tuple[float, float], arg(metavar="MM DEG")] = (0.2, 0.1)
+    board_sigma: Annotated[
+        tuple[float, ...], arg(metavar="MM DEG", help_behavior_hint="(default: 0.2 0.1)")
+    ] = ()
     """How well that is known, each axis: --fit cannot know the last joint better."""
     views: Annotated[int, arg(metavar="N")] = 30
     """How many pictures to take: 4 to 100."""
@@ -64,6 +70,10 @@ class CameraVerifyOptions:
     """Estimate by how much each joint's zero is off."""
     yes: bool = False
     """Write the zeros without asking."""
+    out: Annotated[Path, arg(metavar="FILE.json")] = Path("verify.samples.json")
+    """Where all that is measured is kept, pose by pose."""
+    samples: Annotated[str, arg(metavar="FILE.json", help_behavior_hint="(default: measure)")] = ""
+    """Judge what was measured before; nothing moves."""
     picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
     """Draw the errors, from above and from the side (needs the extra plots)."""
     speed: float = 1.0
@@ -88,13 +98,17 @@ def run(options: CameraVerifyOptions) -> int:
     request = make_request(options)
     if options.picture:
         require_plots()
-    with console.progress() as bar:
-        task = bar.add_task("opening", total=1.0, note="")
-
-        def progress(stage: str, share: float) -> None:
-            bar.update(task, description=stage, completed=share)
-
-        report = run_verify(request, dry_run=options.dry_run, progress=progress)
+    if options.samples:
+        report = _again(options, request)
+    else:
+        made = measured(
+            partial(run_verify, request, dry_run=options.dry_run),
+            options.out,
+            "camera verify --fit" if options.fit else "camera verify",
+        )
+        if made is None:
+            return console.INTERRUPTED
+        report = made
     if options.dry_run:
         console.print_json(as_json(report, None)) if options.json else print_plan(report)
         return console.DONE
@@ -113,10 +127,21 @@ def run(options: CameraVerifyOptions) -> int:
     return console.DONE if passed else console.NOT_ACHIEVED
 
 
+def _again(options: CameraVerifyOptions, request: VerifyRequest) -> VerifyReport:
+    from robot_ik.jobs.verify import verify_from_samples
+    from robot_ik.jobs.verify_samples import VerifySamples
+
+    known = VerifySamples.load(Path(options.samples))
+    return verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
+
+
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     """Asks, and writes the zeros to the arm file; whether that was done."""
     offsets = report.offsets()
-    if not offsets or report.config is None:
+    if not offsets:
+        return False
+    if report.config is None:
+        console.say(_NOT_WRITTEN, "yellow")
         return False
     from robot_ik.jobs.verify_arm_file import changes, write_zeros, zeros_moved
 
@@ -125,7 +150,7 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
         console.say("no zero is off by as much as a tick: the arm file is right")
         return False
     if not options.arm:
-        console.say("nothing is written: to keep these zeros, give your arm file with --arm", "yellow")
+        console.say(_NOT_WRITTEN, "yellow")
         return False
     if not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
@@ -156,52 +181,28 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     Raises:
         ConfigError, CameraError, InvalidGoalError: A malformed option.
     """
-    from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
-    from robot_ik.jobs.verify_request import VerifyRequest
+    from robot_ik.jobs.verify_request import BOARD_SIGMA, VerifyRequest
 
     _check(options)
-    robot = options.robot or (SHOWN_ROBOT if options.bus in ("pty", "sim") else SERVO_ROBOT)
-    if options.arm and not options.robot:
-        from robot_ik.hardware.config import ArmConfig
-
-        robot = ArmConfig.load(options.arm).robot
-    board = None
-    if options.board:
-        from robot_ik.camera.boards import parse_board
-
-        board = parse_board(options.board, options.dictionary)
+    sigma = options.board_sigma
     return VerifyRequest(
-        robot=robot,
-        bus=options.bus,
-        arm_file=Path(options.arm) if options.arm else None,
-        frame=options.frame or None,
-        camera=options.camera,
-        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        **arm_camera_values(options, "zeros"),
         place=Path(options.camera_place) if options.camera_place else None,
-        board=board,
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
-        board_sigma=(1e-3 * options.board_sigma[0], math.radians(options.board_sigma[1])),
-        views=options.views,
+        board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         fit=options.fit,
-        speed=options.speed,
-        seed=options.seed,
         zero_offset_deg=_offsets(options.rehearse_zero_offset),
     )
 
 
 def _check(options: CameraVerifyOptions) -> None:
-    if not 4 <= options.views <= 100:
-        raise _wrong("--views", f"{options.views} views", "4 to 100")
-    if not (math.isfinite(options.speed) and 0.0 < options.speed <= 1.0):
-        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
     if not (math.isfinite(options.allowed_mm) and options.allowed_mm > 0.0):
-        raise _wrong("--allowed-mm", f"{options.allowed_mm:g} mm", "above 0")
-    if not all(math.isfinite(one) and one > 0.0 for one in options.board_sigma):
-        raise _wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
-    if options.bus == "none":
-        raise _wrong("--bus", "an arm without servos has no zeros", "sim, pty or a serial port")
+        raise wrong("--allowed-mm", f"{options.allowed_mm:g} mm", "above 0")
+    sigma = options.board_sigma
+    if sigma and (len(sigma) != 2 or not all(math.isfinite(one) and one > 0.0 for one in sigma)):
+        raise wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
     if options.yes and not (options.fit and options.arm):
-        raise _wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
+        raise wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
 
 
 def _offsets(items: tuple[str, ...]) -> dict[str, float]:
@@ -213,9 +214,5 @@ def _offsets(items: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             found[joint] = math.nan
         if not math.isfinite(found[joint]):
-            raise _wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
+            raise wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     return found
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)

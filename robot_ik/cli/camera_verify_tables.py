@@ -11,7 +11,7 @@ import numpy as np
 from robot_ik.cli import console
 
 if TYPE_CHECKING:
-    from robot_ik.camera.self_calibration_errors import PoseError
+    from robot_ik.camera.arm_zeros.errors import PoseError
     from robot_ik.jobs.verify import VerifyReport
 
 

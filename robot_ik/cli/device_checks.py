@@ -118,7 +118,7 @@ def check_cameras(until: float) -> list[Row]:
     """Cameras that give a picture."""
     if not sys.platform.startswith("linux"):
         return [Row("camera", NOTE, "not looked for on this system", "try: robot-ik reach --camera 0")]
-    from robot_ik.camera.device_list import find_cameras
+    from robot_ik.camera.sources.device_list import find_cameras
 
     # A camera has a second device node for its metadata, which never gives a picture.
     names = {camera.path: camera.name for camera in find_cameras() if camera.pictures}

@@ -11,7 +11,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.errors import ConfigError
+from robot_ik.cli.arguments import wrong
 
 if TYPE_CHECKING:
     from robot_ik.jobs.experiments.a00 import A00Report
@@ -111,14 +111,10 @@ def _s12(options: ExperimentsOptions) -> _Prepared:
 def _check(options: ExperimentsOptions) -> None:
     """Raises ``ConfigError`` for what makes no sense before anything is built."""
     if options.frames is not None and options.frames < 1:
-        raise _wrong("--frames", str(options.frames), "1 or more")
+        raise wrong("--frames", str(options.frames), "1 or more")
     if options.seed < 0:
-        raise _wrong("--seed", str(options.seed), "0 or more")
+        raise wrong("--seed", str(options.seed), "0 or more")
     if options.experiment == "s12" and (options.tests or options.solvers):
-        raise _wrong("--tests" if options.tests else "--solvers", "s12 has neither", "with a00 alone")
+        raise wrong("--tests" if options.tests else "--solvers", "s12 has neither", "with a00 alone")
     if options.experiment == "a00" and options.plot:
-        raise _wrong("--plot", "a00 has no picture", "with s12 alone")
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)
+        raise wrong("--plot", "a00 has no picture", "with s12 alone")

@@ -9,91 +9,14 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
-from robot_ik.errors import close_matches
-
-
-@dataclass(frozen=True)
-class Command:
-    """One row of ``COMMANDS``.
-
-    Attributes:
-        module: Where it lives; imported when the command is used and not before.
-        options: Name of its frozen dataclass of options.
-        about: One line for ``robot-ik --help``.
-        run: Name of its function ``run(options) -> exit code``.
-        mujoco: It loads models, so a broken MuJoCo is told before anything else.
-    """
-
-    module: str
-    options: str
-    about: str
-    run: str = "run"
-    mujoco: bool = True
-
-
-COMMANDS: dict[str, Command] = {
-    "reach": Command(
-        "robot_ik.cli.reach",
-        "ReachOptions",
-        "see a marker, reach it, and let a camera judge: the whole product",
-    ),
-    "solve": Command(
-        "robot_ik.cli.solve_command", "SolveOptions", "a goal in, joint angles out (JSON on stdout)"
-    ),
-    "robots": Command(
-        "robot_ik.cli.listing", "RobotsOptions", "the robots that come along, or one in detail", "run_robots"
-    ),
-    "solvers": Command(
-        "robot_ik.cli.listing", "SolversOptions", "the methods and their options", "run_solvers"
-    ),
-    "experiments": Command(
-        "robot_ik.cli.experiments",
-        "ExperimentsOptions",
-        "repeat the experiments of the theses: a00 or s12",
-    ),
-    "bench": Command(
-        "robot_ik.cli.bench", "BenchOptions", "methods on seeded problems: success, time, plots"
-    ),
-    "run": Command(
-        "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
-    ),
-    "sim-bus": Command(
-        "robot_ik.cli.sim_bus",
-        "SimBusOptions",
-        "serve simulated servos on a port that any client can open",
-        mujoco=False,
-    ),
-    "servo": Command(
-        "robot_ik.cli.servo",
-        "ServoOptions",
-        "servos by hand: find, set up, calibrate, watch, move, record, save",
-        mujoco=False,
-    ),
-    "ar": Command(
-        "robot_ik.cli.ar",
-        "ArOptions",
-        "the virtual robot in a camera's pictures, standing on a printed board",
-    ),
-    "camera": Command(
-        "robot_ik.cli.camera",
-        "CameraOptions",
-        "the camera by hand: find, print markers, calibrate, detect, locate",
-        mujoco=False,
-    ),
-    "doctor": Command(
-        "robot_ik.cli.doctor",
-        "DoctorOptions",
-        "what this machine can do, and what to do about the rest",
-        mujoco=False,
-    ),
-}
+from robot_ik.cli.commands import COMMANDS, Command, find_command
+from robot_ik.errors import close_matches, unknown_name_text
 
 _VERSION_FLAGS = ("--version", "-V", "version")
-_HELP_FLAGS = ("--help", "-h", "help")
+_HELP_FLAGS = ("--help", "-h")
 
 
 class Terminated(BaseException):
@@ -138,33 +61,54 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(arguments: list[str], *, debug: bool) -> int:
+    if arguments and arguments[0] == "help":  # robot-ik help servo scan
+        arguments = [*arguments[1:], "--help"]
     if not arguments or arguments[0] in _HELP_FLAGS:
-        if len(arguments) > 1 and arguments[1] in COMMANDS:  # robot-ik help solve
-            return _run(arguments[1], ["--help"], debug=debug)
         _print_help()
         return 0 if arguments else 2
-    name, rest = arguments[0], arguments[1:]
-    if name in _VERSION_FLAGS:
+    if arguments[0] in _VERSION_FLAGS:
         _print_versions()
         return 0
-    if name in COMMANDS:
-        return _run(name, rest, debug=debug)
-    return _unknown(name)
+    if arguments[0] not in COMMANDS:
+        return _unknown(arguments[0])
+    name, command, rest = find_command(arguments)
+    if command.options and not _meant_as_subcommand(command, rest):
+        return _run(name, command, rest, debug=debug)
+    return _group(name, command, rest)
 
 
-def _run(name: str, arguments: list[str], *, debug: bool) -> int:
-    import tyro
+def _meant_as_subcommand(command: Command, rest: list[str]) -> bool:
+    return bool(command.subcommands and rest and not rest[0].startswith("-"))
 
+
+def _group(name: str, command: Command, rest: list[str]) -> int:
+    """A command that is only the name of its subcommands: its help, or which of them was meant."""
+    if any(word in _HELP_FLAGS for word in rest):
+        _print_group(name, command)
+        return 0
+    told = f"subcommand of {name}"
+    word = next((word for word in rest if not word.startswith("-")), "") if rest else ""
+    inner = next((word for word in rest if word in command.subcommands), None)
+    if not rest:
+        text = f"which {told}? There are: {', '.join(command.subcommands)}."
+    elif inner:
+        text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
+    else:
+        text = unknown_name_text(told, word or rest[0], list(command.subcommands))
+    return _tell_wrong(text, f"robot-ik {name} --help")
+
+
+def _run(name: str, command: Command, arguments: list[str], *, debug: bool) -> int:
     from robot_ik.cli import console
+    from robot_ik.cli.arguments import parse
 
-    command = COMMANDS[name]
-    asks_help = any(flag in arguments for flag in ("--help", "-h"))
+    asks_help = any(flag in arguments for flag in _HELP_FLAGS)
     if command.mujoco and not asks_help and os.environ.get("MUJOCO_GL"):
         from robot_ik.environment import import_mujoco
 
         import_mujoco()  # with this variable the import itself can fail: say so before anything else does
     module = importlib.import_module(command.module)
-    options: Any = tyro.cli(getattr(module, command.options), prog=f"robot-ik {name}", args=arguments)
+    options: Any = parse(getattr(module, command.options), f"robot-ik {name}", arguments)
     with console.logs_shown(debug=debug), _terminable():
         code: int = getattr(module, command.run)(options)
     return code
@@ -195,20 +139,36 @@ def _silence_stdout() -> None:
 
 
 def _unknown(name: str) -> int:
-    from robot_ik.cli import console
-    from robot_ik.errors import unknown_name_text
-
-    kind = "option" if name.startswith("-") else "command"
-    if kind == "command":
-        text = unknown_name_text(kind, name, list(COMMANDS))
+    if not name.startswith("-"):
+        text = unknown_name_text("command", name, list(COMMANDS))
     else:
         close = close_matches(name, ["--help", "--version", "--debug"])
         text = f"unknown option {name!r} before the command" + (
             f"; did you mean {close[0]!r}?" if close else ""
         )
+    return _tell_wrong(text, "robot-ik --help")
+
+
+def _tell_wrong(text: str, see: str) -> int:
+    from robot_ik.cli import console
+
     console.say(f"error: {text}", "bold red")
-    console.say("see all commands with: robot-ik --help", "cyan")
+    console.say(f"see all commands with: {see}", "cyan")
     return console.WRONG_INPUT
+
+
+def _print_group(name: str, command: Command) -> None:
+    from robot_ik.cli import console
+
+    screen = console.out()
+    screen.print(f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]", markup=False)
+    screen.print(f"\n{command.about[0].upper()}{command.about[1:]}.\n", markup=False)
+    rows = console.table("subcommand", "what it does")
+    for word, row in command.subcommands.items():
+        rows.add_row(word, row.about)
+    screen.print(rows)
+    first = next(iter(command.subcommands))
+    screen.print(f"\nEach explains itself:  robot-ik {name} {first} --help", markup=False)
 
 
 def _print_help() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from robot_ik.errors import ConfigError, InvalidGoalError
+from robot_ik.cli.arguments import wrong
+from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -21,10 +22,7 @@ def pose_option(numbers: tuple[float, ...], key: str) -> Pose | None:
     if not numbers:
         return None
     if len(numbers) not in (3, 7):
-        raise ConfigError(
-            f"{len(numbers)} numbers", file="command line", key=key,
-            allowed="x y z in metres, and an orientation as w x y z",
-        )  # fmt: skip
+        raise wrong(key, f"{len(numbers)} numbers", "x y z in metres, and an orientation as w x y z")
     try:
         return Pose(numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0))
     except ValueError as error:

@@ -12,10 +12,11 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
 from robot_ik.cli import console
-from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.bus_argument import bus_argument, robot_meant
 from robot_ik.cli.solve_command import make_goal
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError, InvalidGoalError
+from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -147,15 +148,15 @@ def make_request(options: ReachOptions) -> ReachRequest:
     from robot_ik.jobs.reach_request import ReachRequest
 
     if not 0.0 < options.speed <= 1.0:
-        raise _wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+        raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
     if options.follow and not options.seconds > 0.0:
-        raise _wrong("--seconds", f"{options.seconds:g} s", "above 0")
+        raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
     if not 0.0 <= options.lost_after < math.inf:
-        raise _wrong("--lost-after", f"{options.lost_after:g} s", "0 or more")
+        raise wrong("--lost-after", f"{options.lost_after:g} s", "0 or more")
     if not 0.0 <= options.lead <= 0.2:
-        raise _wrong("--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
+        raise wrong("--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
     return ReachRequest(
-        robot=options.robot or _robot_meant(options),
+        robot=options.robot or robot_meant(options.arm, options.bus),
         solver=options.solver,
         goal=make_goal(options.goal, options.frame) if options.goal else None,
         frame=options.frame or None,
@@ -179,23 +180,6 @@ def make_request(options: ReachOptions) -> ReachRequest:
     )
 
 
-def _robot_meant(options: ReachOptions) -> str:
-    """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
-
-    Raises:
-        ConfigError: The arm file is wrong.
-    """
-    if options.arm:
-        from robot_ik.hardware.config import ArmConfig
-
-        return ArmConfig.load(options.arm).robot
-    return SHOWN_ROBOT if options.bus in ("pty", "sim", "none") else SERVO_ROBOT
-
-
-def _wrong(key: str, problem: str, allowed: str) -> ConfigError:
-    return ConfigError(problem, file="command line", key=key, allowed=allowed)
-
-
 def _camera_pose(options: ReachOptions) -> Pose | None:
     from robot_ik.geometry import Pose
 
@@ -203,9 +187,9 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
     if options.camera_place:
         if numbers or not options.intrinsics:
             what = "a place file and a pose" if numbers else "a place file without its calibration"
-            raise _wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
+            raise wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
+        from robot_ik.camera.handeye.places import CameraPlace
         from robot_ik.camera.intrinsics import CameraIntrinsics
-        from robot_ik.camera.places import CameraPlace
 
         place = CameraPlace.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")
@@ -213,7 +197,7 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
     if not numbers:
         return None
     if len(numbers) != 7:
-        raise _wrong("--camera-pose", f"{len(numbers)} numbers", "7: x y z in metres, then w x y z")
+        raise wrong("--camera-pose", f"{len(numbers)} numbers", "7: x y z in metres, then w x y z")
     try:
         return Pose(numbers[:3], numbers[3:])
     except ValueError as error:
@@ -231,11 +215,11 @@ def _rehearsal(options: RehearseOptions) -> Rehearsal:
         except ValueError:
             offsets[joint] = math.nan
         if not math.isfinite(offsets[joint]):
-            raise _wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
+            raise wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     place = options.marker_at
     if place and len(place) not in (3, 4):
         allowed = "3 or 4: x y z in metres, yaw in degrees"
-        raise _wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
+        raise wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
     marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
     return Rehearsal(
         zero_offset_deg=offsets,

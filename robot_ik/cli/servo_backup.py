@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, opened, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, opened
 from robot_ik.errors import OutputError
 
 if TYPE_CHECKING:

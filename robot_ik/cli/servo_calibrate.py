@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import datetime
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_backup import new_file
-from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, load_arm, model_limits, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, load_arm, model_limits, tried
 from robot_ik.cli.servo_move import parse_angles
 from robot_ik.cli.servo_prompt import Prompts
-from robot_ik.errors import ArmStateError, HardwareError
+from robot_ik.errors import ArmStateError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.calibration_file import Calibration
     from robot_ik.hardware.calibration_sweep import Sweep
-    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.config import ArmConfig, JointMap
+
+Found = TypeVar("Found")
 
 STILL_SAMPLES = 10
 """At 20 Hz: a hand that only passes through the pose is noticed."""
@@ -113,27 +117,45 @@ def _by_hand(arm: Arm, prompts: Prompts, pose: Mapping[str, float], limits: Limi
     def sample() -> None:
         sweep.take({id: status.data for id, status in bus.sync_read(config.servo_ids, present).items()})
 
-    prompts.step("1. sweep: move every joint from one stop to the other", sample)
-    calibration_sweep.check_sweep(config, sweep)
+    def swept() -> None:
+        calibration_sweep.check_sweep(config, sweep)
+
+    def turned(joint: JointMap, before: Mapping[int, int]) -> dict[int, int]:
+        return calibration_sweep.wiggled(config, joint, before, sweep.now)
+
+    _step(prompts, "1. sweep: move every joint from one stop to the other", sample, swept)
     _show_sweep(config, sweep)
     where = ", ".join(f"{name} {config.joint(name).text(q)}" for name, q in pose.items())
-    prompts.step(f"2. zero: put the arm into the pose {where} and hold it", sample)
-    zero = _held(arm, sweep, sample)
-    calibration_sweep.check_sweep(config, sweep)
+    text = f"2. zero: put the arm into the pose {where} and hold it"
+    zero = _step(prompts, text, sample, lambda: _held(arm, sweep, sample))
+    swept()  # that pose may lie beyond what was swept
     directions: dict[int, int] = {}
     for k, joint in enumerate(config.joints, 1):
-        before = dict(sweep.now)
         about = joint.text(calibration_sweep.ASKED_WIGGLE * joint.lever, 0)
         text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
-        prompts.step(text, sample)
-        directions |= calibration_sweep.wiggled(config, joint, before, sweep.now)
+        directions |= _step(prompts, text, sample, functools.partial(turned, joint, dict(sweep.now)))
     measured = calibration.Measured(sweep, zero, pose, directions, limits)
     return calibration.measured_calibration(bus, config, measured, sweep.now, _now())
 
 
+def _step(prompts: Prompts, text: str, sample: Callable[[], None], judge: Callable[[], Found]) -> Found:
+    """One step; where somebody sits there it is asked for again until it was done as asked."""
+    from robot_ik.hardware.calibration_sweep import HandError
+
+    while True:
+        prompts.step(text, sample)
+        try:
+            return judge()
+        except HandError as error:
+            if not prompts.patient:
+                raise
+            console.show_error(error)
+            console.say("once more (Ctrl-C gives up; nothing is written)", "yellow")
+
+
 def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
     """Servo id -> ticks of an arm that is held still, which is looked at."""
-    from robot_ik.hardware.calibration_sweep import STILL_TICKS
+    from robot_ik.hardware.calibration_sweep import STILL_TICKS, HandError
 
     zero = dict(sweep.now)
     for _ in range(STILL_SAMPLES):
@@ -141,9 +163,7 @@ def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
         sample()
         for servo in arm.config.servos:
             if abs(sweep.now[servo.id] - zero[servo.id]) > STILL_TICKS:
-                raise HardwareError(
-                    f"joint {servo.name!r} moved while its zero was taken", hint="hold it still"
-                )
+                raise HandError(f"joint {servo.name!r} moved while its zero was taken", hint="hold it still")
     return zero
 
 

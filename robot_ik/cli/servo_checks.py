@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import time
 from collections.abc import Sequence
 
 from robot_ik.cli.checks import NOTE, OK, PROBLEM, Row
 from robot_ik.cli.device_checks import serial_row
-from robot_ik.errors import HardwareError
+from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
 from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import control_table
+from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.scan import LIKELY, FoundServo, nobody_hint, scan
 
 WATCHDOG_FIRMWARE = 38
 """First firmware of X servos with a Bus Watchdog."""
+
+_LATE = 4e-3
+"""s; a latency timer of 1 ms, the computer and its USB stay below."""
+
+_ASKED = 6  # questions whose quickest answer counts
+_READ_BYTES = 14 + 15  # a read of four bytes, and its answer
+_CYCLE_BYTES, _CYCLE_BYTES_EACH = 14 + 14, 5 + 1 + 16  # a sync write and a sync read; of each servo in them
 
 _WARM = 10  # C below its limit, a servo is worth a word
 
@@ -33,6 +44,7 @@ def servo_rows(port: str, config: ArmConfig) -> list[Row]:
         return [*rows, Row("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
     if not found:
         return [*rows, Row("servos", PROBLEM, f"nobody answers on {port}", nobody_hint(LIKELY))]
+    rows += _speed_rows(port, config, found)
     for servo in config.servos:
         rows.append(_joint_row(servo, [f for f in found if f.id == servo.id], config))
     known = set(config.servo_ids)
@@ -47,6 +59,43 @@ def servo_rows(port: str, config: ArmConfig) -> list[Row]:
         if f.id not in known
     ]
     return rows
+
+
+def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[Row]:
+    """How late answers come, beyond the time that their bytes take, and how many cycles that leaves."""
+    heard = [f for f in found if f.baud == config.baud and not f.shared and f.return_delay is not None]
+    if not heard:
+        return []
+    seconds = _answer_time(port, heard[0])
+    if seconds is None:
+        return []
+    byte, n = 10.0 / config.baud, len(config.servo_ids)
+    late = max(seconds - _READ_BYTES * byte - 1e-6 * (heard[0].return_delay or 0), 0.0)
+    rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
+    said = f"an answer comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
+    if rate >= config.rate_hz and late < _LATE:
+        return [Row("servo speed", OK, said)]
+    name = os.path.basename(os.path.realpath(port))
+    timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
+    do = f"echo 1 | sudo tee {timer}" if os.path.exists(timer) else "set the adapter's latency timer to 1 ms"
+    return [Row("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", do)]
+
+
+def _answer_time(port: str, servo: FoundServo) -> float | None:
+    """s from a question to its answer, the best of some: a busy computer is not the adapter's fault."""
+    table = servo.table or control_table("XM430-W350")
+    times = []
+    try:
+        with contextlib.closing(DynamixelBus(port, servo.baud, retries=0)) as bus:
+            bus.open()
+            for _ in range(_ASKED):
+                begin = time.perf_counter()
+                with contextlib.suppress(BusTimeoutError, BusCorruptError, ServoRefusedError):
+                    bus.read(servo.id, table["present_position"])
+                    times.append(time.perf_counter() - begin)
+    except HardwareError:
+        return None
+    return min(times, default=None)
 
 
 def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) -> Row:

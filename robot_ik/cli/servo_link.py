@@ -14,6 +14,7 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.errors import (
     BusNotOpenError,
@@ -104,6 +105,8 @@ def load_arm(name: str) -> ArmConfig:
     from robot_ik.catalogue import catalogue
     from robot_ik.hardware.config import ArmConfig
 
+    if not name:
+        raise wrong("--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
     known = catalogue()
     path = Path(name).expanduser()
     if name in known:
@@ -115,11 +118,6 @@ def load_arm(name: str) -> ArmConfig:
     elif not path.suffix and not path.exists() and path.name == name:
         raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
     return ArmConfig.load(path)
-
-
-def wrong(key: str, problem: str, allowed: str, hint: str = "") -> ConfigError:
-    """A wrong option."""
-    return ConfigError(problem, file="command line", key=key, allowed=allowed, hint=hint)
 
 
 def tried(action: Callable[[], int]) -> int:
@@ -242,9 +240,7 @@ def model_limits(config: ArmConfig) -> Limits:
 def left(arm: Arm) -> str:
     """How an arm was left, in words."""
     report = arm.exit_report
-    if report is None:
+    if report is None or not report.ok:  # who did not confirm it was told when that was found
         return ""
-    if not report.ok:
-        return f"{report.done} NOT confirmed by {', '.join(report.unverified)}: cut the power"
     words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
     return words[report.done] + (" (parked first)" if report.parked else "")

@@ -14,7 +14,8 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, Link, opened, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, Link, opened
 from robot_ik.files import plain
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -21,17 +22,17 @@ if TYPE_CHECKING:
 class MoveOptions(BusOptions):
     """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps of the arm file.
 
-    Examples: robot-ik servo move joint1=30 joint3=-45
-    or all joints in order: robot-ik servo move 0 90 -90 0 0 0
+        robot-ik servo move joint1=30 joint3=-45
+        robot-ik servo move 0 90 -90 0 0 0       (all joints in order)
 
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
-    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …|DEG …")]]
+    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …|DEG …", help_behavior_hint="")]]
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
-    speed: float = 0.25
+    speed: Annotated[float, arg(metavar="SHARE")] = 0.25
     """Share of the speed caps, above 0 and up to 1."""
     on_exit: Annotated[
         str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")

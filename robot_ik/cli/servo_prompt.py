@@ -29,6 +29,11 @@ class Prompts:
         self._lines: queue.Queue[bool] = queue.Queue()
         self._reader: threading.Thread | None = None
 
+    @property
+    def patient(self) -> bool:
+        """Somebody sits there who can do a step again."""
+        return self._seconds is None and sys.__stdin__ is not None and sys.__stdin__.isatty()
+
     def step(self, text: str, sample: Callable[[], object]) -> None:
         """Says what to do and samples until it is done, and once more then.
 

@@ -10,7 +10,8 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, served_or_real, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, served_or_real
 
 if TYPE_CHECKING:
     from robot_ik.hardware.scan import FoundServo
@@ -44,14 +45,31 @@ def run_scan(options: ScanOptions) -> int:
     if not found:
         console.say(f"error: no servo answers on {port}", "bold red")
         console.say(nobody_hint(bauds), "cyan")
-    for servo in found:
-        if servo.shared:
-            console.say(
-                f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
-                "and give it another: robot-ik servo setup --id N",
-                "yellow",
-            )
+    for note in _notes(found):
+        console.say(note, "yellow")
     return console.DONE if found else console.NOT_ACHIEVED
+
+
+def _notes(found: Sequence[FoundServo]) -> list[str]:
+    """What is wrong with all of them together."""
+    if len(found) > 1 and all(servo.shared for servo in found):
+        return ["every answer is damaged: check the cable, its contacts and the adapter"]
+    notes = [
+        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
+        "and give it another: robot-ik servo setup --id N"
+        for servo in found
+        if servo.shared
+    ]
+    rates: dict[int, list[str]] = {}
+    for servo in found:
+        rates.setdefault(servo.baud, []).append(str(servo.id))
+    if len(rates) > 1:
+        listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
+        notes.append(
+            f"they talk at different rates ({listed}). "
+            "Connect one alone: robot-ik servo setup --id N --baud RATE"
+        )
+    return notes
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
@@ -78,6 +96,13 @@ def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
         return scan(port, bauds, progress=lambda what, share: bar.update(task, completed=share, note=what))
 
 
+def _state(servo: FoundServo) -> str:
+    if servo.shared:
+        return "damaged answers"
+    pings_only = servo.torque is None and servo.voltage is None
+    return ", ".join(servo.errors) or ("answers pings only" if pings_only else "none")
+
+
 def print_found(found: Sequence[FoundServo]) -> None:
     """The table of servos on stdout."""
     names = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
@@ -92,6 +117,6 @@ def print_found(found: Sequence[FoundServo]) -> None:
             "?" if s.temperature is None else f"{s.temperature} C",
             "?" if s.return_delay is None else f"{s.return_delay} us",
             "?" if s.torque is None else ("ON" if s.torque else "off"),
-            Text("two servos with this id?" if s.shared else ", ".join(s.errors) or "none"),
+            Text(_state(s)),
         )
     console.out().print(shown)

@@ -8,7 +8,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import BusOptions, load_arm, served_or_real, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import BusOptions, load_arm, served_or_real
 from robot_ik.cli.servo_scan import checked_rates, print_found, scanned
 
 
@@ -16,8 +17,8 @@ from robot_ik.cli.servo_scan import checked_rates, print_found, scanned
 class SetupOptions(BusOptions):
     """Gives one servo its id and baud rate. Exactly one servo may be connected; it is found at any rate.
 
-    Example: robot-ik servo setup --joint joint3      (id, rate and model as the arm file says)
-    or: robot-ik servo setup --id 3 --baud 1000000
+        robot-ik servo setup --joint joint3    (id and rate of the arm file)
+        robot-ik servo setup --id 3 --baud 1000000
 
     Written to EEPROM with torque off, and read back under the new address. Return delay becomes 0.
     """

@@ -13,9 +13,10 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
-from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried, wrong
+from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
 from robot_ik.cli.servo_move import slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError
@@ -149,6 +150,8 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
         text = read_text(path, "the recording")
         try:
             content = json.loads(text)
+            if not isinstance(content, dict):
+                raise ValueError("it is not one JSON object")
             motion = Trajectory(content["time_s"], content["q_rad"], content["joints"])
         except (ValueError, KeyError, TypeError) as error:
             reason = f"{error} is missing" if isinstance(error, KeyError) else error

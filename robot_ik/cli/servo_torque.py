@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_link import (
     BusOptions,
     Link,
@@ -19,7 +20,6 @@ from robot_ik.cli.servo_link import (
     opened,
     require_model,
     tried,
-    wrong,
 )
 from robot_ik.cli.servo_scan import checked_rates
 

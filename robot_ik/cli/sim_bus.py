@@ -15,7 +15,8 @@ from tyro.conf import arg
 
 from robot_ik.catalogue import SERVO_ROBOT
 from robot_ik.cli import console
-from robot_ik.cli.servo_link import load_arm, wrong
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.servo_link import load_arm
 from robot_ik.errors import RobotIkError
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ class SimBusOptions:
 
     Any program may open the port: the ROBOTIS SDK and tools, another robot_ik, your own code.
 
-    Example: robot-ik sim-bus --link /tmp/arm
-    and elsewhere: robot-ik reach --bus /tmp/arm
+        robot-ik sim-bus --link /tmp/arm
+        robot-ik reach --bus /tmp/arm            (in another terminal)
     """
 
     arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
@@ -158,7 +159,7 @@ def _check_numbers(options: SimBusOptions) -> None:
         ("--wire-baud", options.wire_baud, 10_500_000),
     ):
         if not 0.0 <= value <= highest:
-            raise wrong(flag, f"not {value:g}", f"0 .. {highest:g}")
+            raise wrong(flag, f"not {value:.10g}", f"0 to {highest:.10g}")
 
 
 @contextmanager

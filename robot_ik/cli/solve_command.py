@@ -11,9 +11,10 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.listing import joint_kinds
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError, InvalidGoalError
+from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.goals import PoseGoal, PositionGoal
@@ -32,7 +33,7 @@ class SolveOptions:
 
     Metres and radians, quaternions as w x y z, goals in the world frame.
 
-    Example: robot-ik solve --goal -0.4 -0.1 0.7
+        robot-ik solve --goal -0.4 -0.1 0.7
 
     Exit code 0: the goal is met. 1: it is not; the nearest joint angles found are printed all the same.
     2: wrong input.
@@ -133,7 +134,7 @@ def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float |
             found[name] = _BOOLEANS[text.lower()] if kind is bool else kind(text)
         except (ValueError, KeyError):
             allowed = f"NAME=VALUE with a value of type {kind.__name__}"
-            raise ConfigError(f"not {item!r}", file="command line", key="--set", allowed=allowed) from None
+            raise wrong("--set", f"not {item!r}", allowed) from None
     return found
 
 

@@ -25,6 +25,7 @@ class BusTimeoutError(HardwareError):
     Attributes:
         joint, id, register, port: Who was asked what, and where.
         last_good: Seconds since the last good reply, ``None`` if there never was one.
+        everyone: Nobody else answers either.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class BusTimeoutError(HardwareError):
         port: str,
         joint: str = "",
         last_good: float | None = None,
+        everyone: bool = False,
         hint: str = "check power, cable, id and baud rate",
     ) -> None:
         self.id = id
@@ -42,9 +44,11 @@ class BusTimeoutError(HardwareError):
         self.port = port
         self.joint = joint
         self.last_good = last_good
+        self.everyone = everyone
         who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
         when = "it never answered" if last_good is None else f"last answer {last_good:.2f} s ago"
-        super().__init__(f"no answer from {who} on {port} ({register}); {when}", hint=hint)
+        asked = f"no servo answers on {port}" if everyone else f"no answer from {who} on {port} ({register})"
+        super().__init__(f"{asked}; {when}", hint=hint)
 
 
 class BusCorruptError(HardwareError):
@@ -90,7 +94,8 @@ class ServoMismatchError(HardwareError):
         super().__init__(
             f"the servos on {port} are not those of the arm file; nothing was switched on\n"
             + "\n".join(rows),
-            hint=hint or "check power, cable, ids and baud rate, or correct the arm file",
+            hint=hint
+            or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
         )
 
 

@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.ar import BoardWatcher, Registrar, Remedies, Seen, Shown
-from robot_ik.camera.ar_draw import Artist, Figure
-from robot_ik.camera.boards import MarkerBoard, parse_board
-from robot_ik.camera.gl_draw import make_artist
+from robot_ik.camera.ar.draw import Artist, Figure
+from robot_ik.camera.ar.gl_draw import make_artist
+from robot_ik.camera.ar.phantoms import load_phantoms
+from robot_ik.camera.ar.registrar import BoardWatcher, Registrar, Remedies, Seen, Shown
+from robot_ik.camera.boards.board import MarkerBoard, parse_board
+from robot_ik.camera.drawing.painter import faces_in_picture
+from robot_ik.camera.handeye.places import CameraPlace
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.painter import faces_in_picture
-from robot_ik.camera.phantoms import load_phantoms
-from robot_ik.camera.places import CameraPlace
-from robot_ik.camera.sources import Frame, FrameSource, open_source
-from robot_ik.camera.synthetic import look_at
-from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
+from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar_files import open_sink
-from robot_ik.jobs.ar_motion import make_motion
+from robot_ik.jobs.ar_motion import Motion, Replay, make_motion
 from robot_ik.jobs.ar_scene import AT_REST, BOARD, FOLLOWED, synthetic_stage
+from robot_ik.jobs.cameras_request import open_calibrated
 from robot_ik.robot import load_robot
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class ArRequest:
         alpha: 1 hides what is behind the robot.
         shadow: Whether it throws one.
         out: Film, picture or folder.
-        seconds: How long; 0 to the end of what is recorded.
+        seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
         size: Of synthetic and live pictures.
         seed: Of the synthetic camera's noise.
     """
@@ -139,12 +140,13 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
     """
     robot = load_robot(request.robot)
     with contextlib.ExitStack() as stack:
-        frames, intrinsics, total = _open(request, stack)
         figure = _figure(request, robot)
+        motion = make_motion(request.motion, robot, figure, stack)
+        frames, intrinsics, total = _open(request, motion, stack)
         artist, notice = make_artist(request.backend)
+        notice = "; ".join(filter(None, (notice, getattr(motion, "notice", ""))))
         stack.callback(getattr(artist, "close", lambda: None))
         registrar = _registrar(request, intrinsics, artist, figure)
-        motion = make_motion(request.motion, robot, figure, stack)
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ))
         count = drawn = 0
         spent, errors, begin = 0.0, [], None
@@ -210,37 +212,29 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     return np.array([name in names for name in known]) if names else None
 
 
-def _open(request: ArRequest, stack: contextlib.ExitStack) -> tuple[Iterator[Frame], CameraIntrinsics, int]:
+def _open(
+    request: ArRequest, motion: Motion, stack: contextlib.ExitStack
+) -> tuple[Iterator[Frame], CameraIntrinsics, int]:
     """Frames, their optics, and how many there will be (0: nobody knows)."""
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
         things = None if request.phantoms is None else load_phantoms(request.phantoms)
         still = None if things is None else AT_REST
-        source, clock = synthetic_stage(
+        made_up, clock = synthetic_stage(
             width, height, rate_hz=_RATE_HZ, motion=still, things=things,
             follow=request.motion == "follow", seed=request.seed,
         )  # fmt: skip
-        count = max(1, round((request.seconds or _SECONDS) * _RATE_HZ))
+        seconds = request.seconds or (motion.trajectory.duration if isinstance(motion, Replay) else _SECONDS)
+        count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
             for _ in range(count):
-                yield source.read().without_truth()
+                yield made_up.read().without_truth()
                 clock.ticks += 1
 
-        return made(), source.scene.intrinsics, count
-    if request.intrinsics is None:
-        raise CalibrationError(
-            f"the camera {request.camera!r} has no calibration, so nothing can be registered in its pictures",
-            hint="give its calibration file: --intrinsics FILE; make one with: robot-ik camera calibrate",
-        )
-    real = stack.enter_context(open_source(request.camera, size=request.size))
-    intrinsics = CameraIntrinsics.load(request.intrinsics)
-    return _limited(real, request.seconds), _fitted(intrinsics, real), 0
-
-
-def _fitted(intrinsics: CameraIntrinsics, source: FrameSource) -> CameraIntrinsics:
-    size = getattr(source, "size", intrinsics.size)
-    return intrinsics if tuple(size) == intrinsics.size else intrinsics.scaled(*size)
+        return made(), made_up.scene.intrinsics, count
+    source, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
+    return _limited(source, request.seconds), lens, 0
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

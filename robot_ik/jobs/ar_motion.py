@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.ar import Seen
-from robot_ik.camera.ar_draw import Figure
+from robot_ik.camera.ar.draw import Figure
+from robot_ik.camera.ar.registrar import Seen
 from robot_ik.errors import ConfigError
+from robot_ik.files import read_text
 from robot_ik.goals import PositionGoal
+from robot_ik.jobs.ar_script import is_script, play_script
+from robot_ik.jobs.script import shipped
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import JointSource
 from robot_ik.problem import Problem
@@ -68,9 +71,15 @@ class Waving:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Plays a trajectory over and over."""
+    """Plays a trajectory over and over.
+
+    Attributes:
+        trajectory: One number for each joint.
+        notice: What the user should know of it, in one line.
+    """
 
     trajectory: Trajectory
+    notice: str = ""
 
     def q(self, time: float, seen: Seen | None) -> Array:
         """See ``Motion``."""
@@ -116,7 +125,8 @@ def make_motion(text: str, robot: Robot, figure: Figure, stack: contextlib.ExitS
     """The motion that ``text`` names; ``stack`` closes what it opens.
 
     Args:
-        text: ``home``, ``wave``, ``follow``, ``FILE.csv``, or ``FILE.toml[@BUS]`` of an arm.
+        text: ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of one that
+            comes along), or ``FILE.toml[@BUS]`` of an arm.
         robot: Who moves.
         figure: Where it stands.
         stack: Of the run.
@@ -130,6 +140,8 @@ def make_motion(text: str, robot: Robot, figure: Figure, stack: contextlib.ExitS
         return Waving(robot)
     if text == "follow":
         return Following(robot, figure)
+    if is_script(text):
+        return Replay(*play_script(text, robot))
     name, _, bus = text.partition("@")
     path = Path(name)
     if path.suffix == ".csv":
@@ -141,10 +153,12 @@ def make_motion(text: str, robot: Robot, figure: Figure, stack: contextlib.ExitS
             )  # fmt: skip
         return Replay(trajectory)
     if path.suffix == ".toml":
+        read_text(path, "the script or arm file")
         return Mirroring(_live_arm(path, bus or "sim", robot, stack))
     raise ConfigError(
         f"{text!r} is no motion", file="command line", key="--motion",
-        allowed="home, wave, follow, a trajectory (FILE.csv), or an arm (FILE.toml@PORT)",
+        allowed="home, wave, follow, a trajectory (FILE.csv), a script (FILE.toml or "
+        f"{', '.join(shipped())}), or an arm (FILE.toml@PORT)",
     )  # fmt: skip
 
 

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards import MarkerBoard
-from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.stage import Table
-from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
+from robot_ik.camera.made_up.stage import Table
+from robot_ik.camera.made_up.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
+from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lost import WhenLost
-from robot_ik.camera.sources import open_source
-from robot_ik.camera.synthetic import SyntheticSource
-from robot_ik.errors import CalibrationError, CameraError, ConfigError
+from robot_ik.camera.goals.lost import WhenLost
+from robot_ik.camera.made_up.synthetic import SyntheticSource
+from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PostureGoal
+from robot_ik.jobs.cameras_request import calibration_of, open_calibrated
 from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, RECORDED, Eyes
 from robot_ik.jobs.stage import Stage, stage_for
 
@@ -60,22 +59,14 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
             "what a camera sees can be rehearsed with the synthetic camera only",
             file="command line", key="--rehearse", allowed="--camera synthetic",
         )  # fmt: skip
-    if request.intrinsics is None:
-        raise CalibrationError(
-            f"the camera {request.camera!r} has no calibration, so nothing can be measured in its pictures",
-            hint="give its calibration file: --intrinsics FILE (OpenCV or ROS YAML)",
-        )
+    calibration = calibration_of(request.camera, request.intrinsics)
     if request.marker_size is None:
         raise CameraError(
             "the size of the printed marker is not given, so its distance cannot be known",
             hint="give the side of its black square in metres: --marker-size 0.05",
         )
-    intrinsics = CameraIntrinsics.load(request.intrinsics)
+    source, intrinsics = open_calibrated(request.camera, calibration, stack)
     stage = _stage(request, limbs, frame)
-    source = stack.enter_context(open_source(request.camera))
-    size = getattr(source, "size", None)
-    if size is not None:
-        intrinsics.require_size(*size)
     if request.follow > 0.0 and not source.live:
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.stage import Table
+from robot_ik.camera.made_up.stage import Table
 from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]

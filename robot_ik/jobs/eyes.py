@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.camera.filter import FilterOptions
 from robot_ik.camera.goals import MarkerGoalSource
+from robot_ik.camera.goals.latency import Delays
+from robot_ik.camera.goals.latest import SYNTHETIC_RATE_HZ, LatestGoals
+from robot_ik.camera.goals.lost import WhenLost
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.latency import Delays
-from robot_ik.camera.latest import SYNTHETIC_RATE_HZ, LatestGoals
-from robot_ik.camera.lost import WhenLost
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import (
     FolderSource,
@@ -24,7 +25,6 @@ from robot_ik.camera.sources import (
     ImageSource,
     VideoSource,
 )
-from robot_ik.camera.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
@@ -81,6 +81,7 @@ class Eyes:
         sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
         last_image: The last picture taken.
         delays: After following: from grab to goal, and the age of the picture at each tick.
+        path: From following on: where the synthetic marker truly is, by time; None where nobody knows.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class Eyes:
     ) -> None:
         self._when_lost, self._lead = when_lost, lead
         self.delays: tuple[Delays, Delays] | None = None
+        self.path: Wandering | None = None
         self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
         self.live = source.live
         self.recorded = isinstance(source, RECORDED)
@@ -201,7 +203,7 @@ class Eyes:
         moving = self._moving
         assert moving is not None
         begin, size = clock.now() + REST_SECONDS, _WANDER * self.stage.hover
-        path = Wandering(home, begin, seconds - REST_SECONDS, size)
+        self.path = path = Wandering(home, begin, seconds - REST_SECONDS, size)
         moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
         aimed = _Aimed(self, Blindfold(moving))
         with LatestGoals(aimed, clock, self._rate) as latest:

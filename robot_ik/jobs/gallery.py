@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.camera.drawing.text import text_size, write
 from robot_ik.camera.overlay import DARK, ORANGE, WHITE
-from robot_ik.camera.text import text_size, write
 from robot_ik.catalogue import GalleryScene
 from robot_ik.errors import ModelError, OutputError
 from robot_ik.files import write_atomically

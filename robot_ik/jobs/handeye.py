@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.handeye import HandEye, solve_handeye
-from robot_ik.camera.handeye_model import Mount
-from robot_ik.camera.handeye_start import LEAST_VIEWS
+from robot_ik.camera.handeye.model import Mount
+from robot_ik.camera.handeye.places import CameraPlace, today
+from robot_ik.camera.handeye.start import LEAST_VIEWS
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.places import CameraPlace, today
 from robot_ik.errors import MarkerNotFoundError
 from robot_ik.jobs.handeye_samples import SampleSet
 from robot_ik.jobs.handeye_scene import HandEyeRequest, HandEyeScene, open_scene
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
-from robot_ik.jobs.reach_request import ReachRequest
 from robot_ik.jobs.stops import visit_stops
 from robot_ik.jobs.views import plan_views
 
@@ -90,12 +89,7 @@ def run_handeye(
         RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
     """
     with contextlib.ExitStack() as stack:
-        limbs = prepare_limbs(
-            ReachRequest(
-                robot=request.robot, frame=request.frame, bus=request.bus, arm_file=request.arm_file,
-                speed=request.speed, seed=request.seed,
-            )
-        )  # fmt: skip
+        limbs = prepare_limbs(request.limbs())
         scene = open_scene(request, limbs, stack)
         task = scene.task
         samples = SampleSet(request.robot, limbs.robot.joints, task.frame, request.mounting, task.intrinsics)

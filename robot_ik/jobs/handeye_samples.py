@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.handeye_model import MOUNTINGS, HandEyeSample, Mounting
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.handeye.model import MOUNTINGS, HandEyeSample, Mounting
+from robot_ik.camera.handeye.places import today
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.places import today
 from robot_ik.errors import CameraError, RobotIkError
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
@@ -65,14 +66,10 @@ class SampleSet:
             for q, view in zip(self.q, self.views, strict=True)
         ]
 
-    def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+    def as_values(self) -> dict[str, Any]:
+        """For JSON."""
         lens = self.intrinsics
-        data = {
+        return {
             "schema": _SCHEMA,
             "job": "handeye",
             "date": self.date,
@@ -96,7 +93,32 @@ class SampleSet:
                 for q, view in zip(self.q, self.views, strict=True)
             ],
         }  # fmt: skip
-        write_atomically(path, json.dumps(plain(data)) + "\n")
+
+    @classmethod
+    def of_values(cls, data: Any) -> SampleSet:
+        """What ``as_values`` gave, through JSON.
+
+        Raises:
+            ValueError, TypeError, KeyError, RobotIkError: It is something else.
+        """
+        if data["schema"] != _SCHEMA or data["mounting"] not in MOUNTINGS:
+            raise ValueError("another schema or an unknown mounting")
+        found = cls(
+            str(data["robot"]), tuple(data["joints"]), str(data["frame"]), data["mounting"],
+            CameraIntrinsics(**data["intrinsics"]), str(data["date"]),
+        )  # fmt: skip
+        for one in data["samples"]:
+            pose = Pose(one["position"], one["wxyz"])
+            found.add(np.array(one["q"]), BoardView(one["points"], one["pixels"], pose, one["sigma"]))
+        return found
+
+    def save(self, path: Path) -> None:
+        """Writes JSON, whole or not at all.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        write_atomically(path, json.dumps(plain(self.as_values())) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> SampleSet:
@@ -105,22 +127,24 @@ class SampleSet:
         Raises:
             CameraError: Missing, or no such file.
         """
-        try:
-            data: Any = json.loads(path.read_text(encoding="utf-8"))
-            if data["schema"] != _SCHEMA or data["mounting"] not in MOUNTINGS:
-                raise ValueError("another schema or an unknown mounting")
-            found = cls(
-                str(data["robot"]), tuple(data["joints"]), str(data["frame"]), data["mounting"],
-                CameraIntrinsics(**data["intrinsics"]), str(data["date"]),
-            )  # fmt: skip
-            for one in data["samples"]:
-                pose = Pose(one["position"], one["wxyz"])
-                found.add(np.array(one["q"]), BoardView(one["points"], one["pixels"], pose, one["sigma"]))
-        except OSError as error:
-            raise CameraError(f"cannot read {path}: {error.strerror}") from error
-        except (ValueError, TypeError, KeyError, RobotIkError) as error:
-            raise CameraError(
-                f"{path} holds no samples of a hand-eye calibration ({error})",
-                hint="give the file that robot-ik camera handeye leaves beside its result",
-            ) from error
-        return found
+        return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
+
+
+Made = TypeVar("Made")
+
+
+def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str) -> Made:
+    """What ``made`` makes of a JSON file.
+
+    Raises:
+        CameraError: It is missing, or ``made`` can make nothing of it.
+    """
+    try:
+        return made(json.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise CameraError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, TypeError, KeyError, RobotIkError) as error:
+        raise CameraError(
+            f"{path} holds no samples of {of} ({error})",
+            hint=f"give the file that robot-ik camera {command} leaves beside its result",
+        ) from error

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from robot_ik.camera.board_view import Layout
-from robot_ik.camera.boards import Board, MarkerBoard
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.carried import CarriedSource
-from robot_ik.camera.handeye_model import Mount, Mounting, moved
-from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import Frame, FrameSource, open_source
-from robot_ik.camera.standard_set import STANDARD_CAMERA
-from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.errors import CalibrationError, CameraError, ConfigError
+from robot_ik.camera.boards.board import Board, MarkerBoard
+from robot_ik.camera.boards.view import Layout
+from robot_ik.camera.handeye.model import Mount, Mounting, moved
+from robot_ik.camera.made_up.carried import CarriedSource
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.made_up.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource
+from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.cameras_request import ArmCameraRequest, calibration_of, open_calibrated
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.stage import Stage, stage_for
 from robot_ik.jobs.views import ViewTask
@@ -34,37 +33,17 @@ _STALE_FRAMES = 3
 
 
 @dataclass(frozen=True)
-class HandEyeRequest:
+class HandEyeRequest(ArmCameraRequest):
     """What ``run_handeye`` shall do.
 
     Attributes:
-        robot: Catalogue name, or path of an MJCF or URDF file.
         mounting: ``eye_in_hand`` or ``eye_to_hand``.
-        bus: ``sim``, ``pty`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
-        frame: What carries camera or board; None: the robot's tool, or what carries the stage's markers.
-        camera: ``synthetic``, or what ``open_source`` opens.
-        intrinsics: Calibration file; needed for a real camera.
-        board: None: the simulated one.
         pose_parent_camera, pose_other_board: Where they are, roughly; None: as on the stage.
-        views: How many pictures.
-        speed: Share of the joints' speed limits.
-        seed: Of planning and of the simulated noise.
     """
 
-    robot: str = "puma560"
     mounting: Mounting = "eye_to_hand"
-    bus: str = "sim"
-    arm_file: Path | None = None
-    frame: str | None = None
-    camera: str = "synthetic"
-    intrinsics: Path | None = None
-    board: Board | None = None
     pose_parent_camera: Pose | None = None
     pose_other_board: Pose | None = None
-    views: int = 15
-    speed: float = 1.0
-    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,25 +141,17 @@ def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
 
 
 def _real(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) -> HandEyeScene:
-    if request.intrinsics is None:
-        raise CalibrationError(
-            f"the camera {request.camera!r} has no calibration, so nothing can be measured in its pictures",
-            hint="give its calibration file: --intrinsics FILE; make one with: robot-ik camera calibrate",
-        )
+    calibration = calibration_of(request.camera, request.intrinsics)
     if request.board is None:
         raise CameraError(
             "what board the camera looks at is not given",
             hint="say it with --board, for example --board grid:2x2:50:12",
         )
-    intrinsics = CameraIntrinsics.load(request.intrinsics)
     carried = request.mounting == "eye_in_hand"
+    source, intrinsics = open_calibrated(request.camera, calibration, stack)
     stage = stage_for(limbs.robot, limbs.frame)
     camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
     board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
-    source = stack.enter_context(open_source(request.camera))
-    size = getattr(source, "size", None)
-    if size is not None:
-        intrinsics.require_size(*size)
     if not source.live:
         raise ConfigError(
             "recorded pictures do not show this arm where it goes",

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.latency import Delays
+from robot_ik.camera.goals.latency import Delays
 from robot_ik.camera.overlay import (
     GREEN,
     ORANGE,

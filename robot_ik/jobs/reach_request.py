@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from robot_ik.camera.lost import LostPolicy
+from robot_ik.camera.goals.lost import LostPolicy
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 

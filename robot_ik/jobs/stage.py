@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.stage import Table
-from robot_ik.camera.synthetic import SyntheticMarker, SyntheticScene, look_at
+from robot_ik.camera.made_up.stage import Table
+from robot_ik.camera.made_up.synthetic import SyntheticMarker, SyntheticScene, look_at
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 

@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.camera.drawing.mesh import visible_geoms
+from robot_ik.camera.drawing.primitives import triangulate
+from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lights import Lights
-from robot_ik.camera.mesh import visible_geoms
-from robot_ik.camera.primitives import triangulate
-from robot_ik.camera.raycast import Caster, RayField, ray_field
-from robot_ik.camera.robot_layer import RobotRenderer
-from robot_ik.camera.stage import StillPicture
-from robot_ik.camera.synthetic import look_at
-from robot_ik.camera.view import Quality, View, enlarged, lattice, softened, tiles
+from robot_ik.camera.made_up.lights import Lights
+from robot_ik.camera.made_up.robot_layer import RobotRenderer
+from robot_ik.camera.made_up.stage import StillPicture
+from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.made_up.view import Quality, View, enlarged, lattice, softened, tiles
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]

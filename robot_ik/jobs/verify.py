@@ -13,12 +13,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards import MarkerBoard
-from robot_ik.camera.handeye_model import Mount
-from robot_ik.camera.places import CameraPlace, locate_camera
-from robot_ik.camera.self_calibration import LEAST_VIEWS, ZeroOffsets, fit_zero_offsets
-from robot_ik.camera.self_calibration_errors import PoseError, measure_errors
-from robot_ik.camera.self_calibration_model import ArmView, KnownPose
+from robot_ik.camera.arm_zeros.errors import PoseError, measure_errors
+from robot_ik.camera.arm_zeros.fit import LEAST_VIEWS, ZeroOffsets, fit_zero_offsets
+from robot_ik.camera.arm_zeros.model import ArmView, KnownPose
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.handeye.model import Mount
+from robot_ik.camera.handeye.places import CameraPlace, locate_camera
+from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
@@ -26,14 +27,15 @@ from robot_ik.jobs.handeye import measure_stops
 from robot_ik.jobs.handeye_samples import SampleSet
 from robot_ik.jobs.handeye_scene import HandEyeRequest, HandEyeScene, open_scene
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
-from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
+from robot_ik.jobs.reach_request import Rehearsal
 from robot_ik.jobs.stage import stage_for
 from robot_ik.jobs.verify_map import summary
 from robot_ik.jobs.verify_request import VerifyRequest
+from robot_ik.jobs.verify_samples import VerifySamples, servo_values
 from robot_ik.jobs.views import plan_views
 from robot_ik.robot import Robot
 
-__all__ = ["VerifyReport", "VerifyRequest", "run_verify"]
+__all__ = ["VerifyReport", "VerifyRequest", "run_verify", "verify_from_samples"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -117,7 +119,7 @@ def run_verify(
     request: VerifyRequest,
     *,
     dry_run: bool = False,
-    keep: Callable[[SampleSet], None] = lambda samples: None,
+    keep: Callable[[VerifySamples], None] = lambda samples: None,
     progress: Progress = lambda stage, share: None,
 ) -> VerifyReport:
     """Locates the camera, plans, moves, looks, compares.
@@ -125,12 +127,11 @@ def run_verify(
     Args:
         request: What to do.
         dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each stop.
+        keep: Handed the samples after each stop, so that an interruption loses none.
         progress: Told the stage and the share of it that is done.
 
     Raises:
-        MarkerNotFoundError: The board was seen at fewer than four stops, or the table's marker not at all.
-        RobotIkError: Wrong input or environment.
+        RobotIkError: Wrong input or environment; the board was seen at too few stops, or the table's not.
     """
     if request.zero_offset_deg and request.camera != "synthetic":
         raise ConfigError(
@@ -138,40 +139,81 @@ def run_verify(
             file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
-        limbs = prepare_limbs(
-            ReachRequest(
-                robot=request.robot, frame=request.frame, bus=request.bus, arm_file=request.arm_file,
-                speed=request.speed, seed=request.seed,
-                rehearsal=Rehearsal(zero_offset_deg=request.zero_offset_deg),
-            )
-        )  # fmt: skip
+        limbs = prepare_limbs(request.limbs(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
         scene = open_scene(_scene_request(request), limbs, stack)
-        place = _given_place(request, scene)
+        place = _given_place(request, scene.task.intrinsics)
         stack.enter_context(limbs.connected())
         if place is None:
             progress("locating the camera", 0.0)
             place = _located(limbs, scene)
-        by_arm = place.method.startswith("handeye")
-        camera, board = _known(request, scene, place, by_arm)
-        task = replace(scene.task, mount=Mount(camera.pose, board.pose, "eye_to_hand"))
-        scene = replace(scene, task=task)
-        samples = SampleSet(request.robot, limbs.robot.joints, task.frame, "eye_to_hand", task.intrinsics)
+        known = _known(request, limbs, scene, place)
+        mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
+        scene = replace(scene, task=replace(scene.task, mount=mount))
         progress("planning", 0.0)
-        stops = plan_views(limbs.robot, task, request.views, start=limbs.q, seed=request.seed)
+        stops = plan_views(limbs.robot, scene.task, request.views, start=limbs.q, seed=request.seed)
         unseen: tuple[int, ...] = ()
         if not dry_run:
             limbs.energise()
             unseen = measure_stops(
-                limbs, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
-            )
-    report = VerifyReport(
-        limbs.robot, task.frame, tuple(stops), samples, unseen, camera, board, by_arm, (), None,
-        limbs.config, _truth(request, limbs, scene),
-    )  # fmt: skip
+                limbs, scene, stops, known.samples, speed=request.speed,
+                keep=lambda samples: keep(known), progress=progress,
+            )  # fmt: skip
+    report = _report(known, limbs.robot, limbs.config, tuple(stops), unseen)
     if dry_run:
         return report
     progress("comparing", 0.0)
     return _judged(report, request.fit)
+
+
+def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
+    """Judges again what was measured before.
+
+    Args:
+        known: From a file.
+        request: Of it count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``place`` and
+            ``pose_frame_board``.
+        board_sigma: Whether ``request.board_sigma`` is said anew, too.
+
+    Raises:
+        ConfigError: The arm file is not the one the joints were read with.
+        CalibrationError: Other intrinsics without a place that was found with them.
+    """
+    samples = known.samples
+    if request.intrinsics is not None:
+        lens = CameraIntrinsics.load(request.intrinsics)
+        lens.require_size(*samples.intrinsics.size)
+        if lens.digest != samples.intrinsics.digest and request.place is None:
+            raise CalibrationError(
+                "the camera's place on file was found with another calibration",
+                hint="give the place that was found with this one: --camera-place FILE",
+            )
+        samples.intrinsics = lens
+    place = _given_place(request, samples.intrinsics)
+    if place is not None:
+        known = replace(known, camera=_known_camera(place), by_arm=_by_arm(place))
+    pose = request.pose_frame_board or known.board.pose
+    board = (
+        KnownPose.within(pose, *request.board_sigma)
+        if board_sigma
+        else KnownPose(pose, known.board.covariance)
+    )
+    config = None if request.arm_file is None else known.arm(request.arm_file)
+    report = _report(replace(known, board=board), samples.load_robot(), config, tuple(samples.q), ())
+    return _judged(report, request.fit)
+
+
+def _report(
+    known: VerifySamples,
+    robot: Robot,
+    config: ArmConfig | None,
+    stops: tuple[Array, ...],
+    unseen: tuple[int, ...],
+) -> VerifyReport:
+    """Before anything is judged."""
+    return VerifyReport(
+        robot, known.samples.frame, stops, known.samples, unseen, known.camera, known.board,
+        known.by_arm, (), None, config, known.true_offsets,
+    )  # fmt: skip
 
 
 def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
@@ -199,18 +241,13 @@ def _scene_request(request: VerifyRequest) -> HandEyeRequest:
             f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
             hint="lay a board on the table and find it: robot-ik camera locate; then give --camera-place",
         )
-    return HandEyeRequest(
-        robot=request.robot, mounting="eye_to_hand", bus=request.bus, arm_file=request.arm_file,
-        frame=request.frame, camera=request.camera, intrinsics=request.intrinsics, board=request.board,
-        pose_other_board=request.pose_frame_board, views=request.views, speed=request.speed,
-        seed=request.seed,
-    )  # fmt: skip
+    return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
 
 
-def _given_place(request: VerifyRequest, scene: HandEyeScene) -> CameraPlace | None:
+def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraPlace | None:
     if request.place is None:
         return None
-    place = CameraPlace.load(request.place, scene.task.intrinsics)
+    place = CameraPlace.load(request.place, intrinsics)
     place.require_parent("world")
     return place
 
@@ -229,17 +266,30 @@ def _located(limbs: Limbs, scene: HandEyeScene) -> CameraPlace:
     return locate_camera(seen, stage.pose_world_marker, scene.task.intrinsics)
 
 
-def _known(
-    request: VerifyRequest, scene: HandEyeScene, place: CameraPlace, by_arm: bool
-) -> tuple[KnownPose, KnownPose]:
-    """Camera and board with what is known of them."""
+def _known(request: VerifyRequest, limbs: Limbs, scene: HandEyeScene, place: CameraPlace) -> VerifySamples:
+    """What is known before the first sample is taken."""
     pose = request.pose_frame_board
     if pose is None:
         pose = Pose() if scene.truth is None else scene.truth.pose_other_board
-    board = KnownPose.within(pose, *request.board_sigma)
-    if by_arm:
-        return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM), board
-    return KnownPose(place.pose_parent_camera, place.covariance + _LEAST), board
+    task = scene.task
+    return VerifySamples(
+        SampleSet(request.robot, limbs.robot.joints, task.frame, "eye_to_hand", task.intrinsics),
+        _known_camera(place),
+        KnownPose.within(pose, *request.board_sigma),
+        _by_arm(place),
+        _truth(request, limbs, scene),
+        () if limbs.config is None else tuple(servo_values(joint) for joint in limbs.config.joints),
+    )
+
+
+def _by_arm(place: CameraPlace) -> bool:
+    return place.method.startswith("handeye")
+
+
+def _known_camera(place: CameraPlace) -> KnownPose:
+    if _by_arm(place):
+        return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM)
+    return KnownPose(place.pose_parent_camera, place.covariance + _LEAST)
 
 
 def _truth(request: VerifyRequest, limbs: Limbs, scene: HandEyeScene) -> Array | None:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.self_calibration import ArmView, fit_zero_offsets
-from robot_ik.camera.self_calibration_model import KnownPose
+from robot_ik.camera.arm_zeros.fit import ArmView, fit_zero_offsets
+from robot_ik.camera.arm_zeros.model import KnownPose
+from robot_ik.camera.boards.view import BoardView
 from robot_ik.jobs.verify import VerifyReport, run_verify
 from robot_ik.jobs.verify_map import summary
 from robot_ik.jobs.verify_request import VerifyRequest

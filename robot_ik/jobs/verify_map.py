@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.camera.self_calibration_errors import PoseError
+from robot_ik.camera.arm_zeros.errors import PoseError
 
 _AXES = "xyz"
 

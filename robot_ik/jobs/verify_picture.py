@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.self_calibration_errors import PoseError
+from robot_ik.camera.arm_zeros.errors import PoseError
 from robot_ik.errors import MissingExtraError
 from robot_ik.jobs.verify import VerifyReport
 

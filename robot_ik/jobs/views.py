@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.board_view import BoardView, Layout
-from robot_ik.camera.handeye_model import HandEyeSample, Mount, compress
-from robot_ik.camera.handeye_start import LEAST_VIEWS
+from robot_ik.camera.boards.view import BoardView, Layout
+from robot_ik.camera.handeye.model import HandEyeSample, Mount, compress
+from robot_ik.camera.handeye.start import LEAST_VIEWS
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.made_up.stage import Table
 from robot_ik.camera.pose import marker_points
-from robot_ik.camera.stage import Table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal

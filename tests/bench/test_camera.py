@@ -8,7 +8,7 @@ import pytest
 
 from robot_ik.bench import camera_accuracy, camera_optics
 from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
-from robot_ik.camera.registration import STRAIGHT
+from robot_ik.camera.ar.registration import STRAIGHT
 
 
 def figures(of: object, **effort: object) -> dict[str, Figure]:

@@ -21,7 +21,7 @@ from robot_ik.cli.main import main
         ("--solvers lmm", "did you mean 'lm'"),
         ("--robots puma56", "did you mean 'puma560'"),
         ("--sets warmer", "warm"),
-        ("--count 0", "--count is one or more"),
+        ("--count 0", "--count: 0 problems"),
         ("--position-tolerance 0", "positive"),
     ],
 )

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera import registration
-from robot_ik.camera.ar import BoardWatcher, Registrar, optical_motion
-from robot_ik.camera.ar_draw import Artist, Figure, PainterArtist, RayArtist
-from robot_ik.camera.boards import MarkerBoard
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.layer import Layer
-from robot_ik.camera.phantoms import load_phantoms, phantom_boxes
-from robot_ik.camera.registration import BENT
+from robot_ik.camera.ar import registration
+from robot_ik.camera.ar.draw import Artist, Figure, PainterArtist, RayArtist
+from robot_ik.camera.ar.phantoms import load_phantoms, phantom_boxes
+from robot_ik.camera.ar.registrar import BoardWatcher, Registrar, optical_motion
+from robot_ik.camera.ar.registration import BENT
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.drawing.layer import Layer
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.synthetic import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot

@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.camera import gl_draw
-from robot_ik.camera.ar_draw import Figure, PainterArtist
-from robot_ik.camera.phantoms import phantom_boxes
-from robot_ik.camera.raycast import ray_field
-from robot_ik.camera.registration import BENT, STRAIGHT, projection_identity
-from robot_ik.camera.synthetic import look_at
+from robot_ik.camera.ar import gl_draw
+from robot_ik.camera.ar.draw import Figure, PainterArtist
+from robot_ik.camera.ar.phantoms import phantom_boxes
+from robot_ik.camera.ar.registration import BENT, STRAIGHT, projection_identity
+from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.made_up.synthetic import look_at
 from robot_ik.environment import Probe
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose

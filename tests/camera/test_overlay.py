@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera import overlay, text
+from robot_ik.camera import overlay
+from robot_ik.camera.drawing import text
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, rotation_exp

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.handeye_model import moved
-from robot_ik.camera.self_calibration import ArmView, KnownPose, fit_zero_offsets
-from robot_ik.camera.self_calibration_errors import measure_errors
-from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.arm_zeros.errors import measure_errors
+from robot_ik.camera.arm_zeros.fit import ArmView, KnownPose, fit_zero_offsets
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.handeye.model import moved
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot

@@ -10,18 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards import PatternBoard, parse_board
-from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.boards.board import PatternBoard, parse_board
+from robot_ik.camera.boards.pattern_kinds import PatternKind, PatternWish
 from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.pattern_kinds import PatternKind, PatternWish
-from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
-from robot_ik.camera.sheet_bodies import body_file, body_of
-from robot_ik.camera.sheet_cube import unfold
-from robot_ik.camera.sheet_page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
-from robot_ik.camera.sheets import make_sheet_page
+from robot_ik.camera.pose.bodies import load_bodies
+from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
+from robot_ik.camera.sheets.bodies import body_file, body_of
+from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
+from robot_ik.camera.sheets.sheet import make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
-from robot_ik.geometry import Pose, rotation_exp
 
 DPI = 150.0
 
@@ -167,33 +164,7 @@ def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetWish) -> N
     assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.words)
 
 
-# ------------------------------------------------------------------------------------- the cube
-
-
-def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
-    wish = SheetWish("cube", ids=(20, 21, 22, 23, 24, 25))
-    net = {f.marker: f for f in unfold({i: p for i, (_, p) in body_of(wish).markers.items()}, 50.0)}
-    # Front in the middle, its neighbours round it, the back beyond the right side; all prints upright.
-    places = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
-    assert {k: tuple(f.centre / 50.0) for k, f in net.items()} == places
-    assert {f.turns for f in net.values()} == {0}
-    corners = found(rasterize(make_sheet_page(wish), DPI))
-    middle = corners[20].mean(axis=0)
-    for marker, corner in corners.items():
-        assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(places[marker], abs=0.01)
-    assert set(corners) == set(places)
-
-
-@pytest.mark.parametrize("turns", [1, 2, 3])
-def test_a_print_that_is_turned_on_its_face_is_turned_on_the_sheet(turns: int) -> None:
-    quarter = np.pi / 2
-    front = Pose((0, 0, 0.5))
-    top = Pose(wxyz=rotation_exp([-quarter, 0, 0])).compose(Pose((0, 0, 0.5)))
-    net = unfold({0: front, 1: top.compose(Pose(wxyz=rotation_exp([0, 0, turns * quarter])))}, 1.0)
-    assert [f.turns for f in net] == [0, turns]
-    # The picture of a marker turned to the left by the eye of whoever looks at it.
-    bits = marker_bits("DICT_5X5_50", 1)
-    assert (np.rot90(bits, turns) != bits).any()
+# ------------------------------------------------------------------------------ its file
 
 
 @pytest.mark.parametrize("wish", [SheetWish("board", columns=3, ids=(5,)), SheetWish("cube")])
@@ -218,6 +189,7 @@ def test_the_body_file_is_read_back(wish: SheetWish, tmp_path: Path) -> None:
         (SheetWish("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
         (SheetWish("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
         (SheetWish("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
+        (SheetWish("cube", size_mm=40.0, edge_mm=42.0), "1 mm of white", "--edge-mm 48"),
         (SheetWish("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
         (SheetWish("marker", size_mm=0.05), "0.05 mm cannot be meant", "50 mm"),
         (SheetWish("marker", ids=(50,)), "marker id 50 is not in DICT_5X5_50", "0 to 49"),

@@ -12,17 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.sources import (
-    FolderSource,
-    Frame,
-    FrameSource,
-    ImageSource,
-    VideoSource,
-    natural_sort,
-    open_source,
-    read_image,
-)
-from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, open_source
+from robot_ik.camera.sources.frames import natural_sort, read_image
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 

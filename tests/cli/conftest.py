@@ -196,6 +196,8 @@ def calibrate(
 
     def run(hand: Hand, *options: object) -> Run:
         class Scripted:
+            patient = False
+
             def __init__(self, clock: object, seconds: object) -> None:
                 pass
 

@@ -1,14 +1,18 @@
 """``robot-ik ar`` on the terminal."""
 
 import json
+import os
+import signal
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.registration import Misses
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_marker
+from robot_ik.camera.ar.registrar import Registrar
+from robot_ik.camera.ar.registration import Misses
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_marker
 from robot_ik.cli import ar_self_test
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
@@ -28,6 +32,21 @@ def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixt
     assert cv2.imread(str(tmp_path / "a.png")).shape == (480, 640, 3)
 
 
+def test_ctrl_c_before_the_first_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*rest: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Registrar, "track", interrupted)
+    assert main(["ar", "--size", "64", "48", "--out", "a.png"]) == 130
+    said = capsys.readouterr()
+    assert "nothing is written" in said.err and "None" not in said.out + said.err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -38,10 +57,12 @@ def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixt
         (["--scale", "-1"], "--scale"),
         (["--predict"], "--sync latest"),
         (["--backend", "vulkan"], "vulkan"),
-        (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "nowhere.png"),
+        (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "none.yaml"),
         (["--board", "plate:3"], "plate:3"),
         (["--phantoms", "none.toml"], "none.toml"),
         (["--robot", "puma56"], "puma560"),
+        (["--motion", "gone.toml"], "the script or arm file cannot be read"),
+        (["--motion", "brownout"], "brown_out"),
     ],
 )
 def test_what_cannot_be_is_one_sentence_and_exit_code_2(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.camera import calibrate as calibrating
 from robot_ik.camera import sources
-from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.moving_set import open_moving
-from robot_ik.camera.standard_set import STANDARD_CAMERA
+from robot_ik.camera.made_up.moving_set import open_moving
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.sources.device import DeviceSource
 from robot_ik.errors import FrameTimeoutError
 
 
@@ -25,6 +29,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for frame in open_moving("synthetic:charuco?frames=19&seed=7"):
         if frame.sequence % 3 == 0:  # it is held for three pictures
             cv2.imwrite(str(folder / f"view{frame.sequence}.png"), frame.image)
+    (folder / "view7.png").write_text("no picture")
     return folder
 
 
@@ -32,6 +37,7 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
     out = tmp_path / "desk.yaml"
     run = robot_ik("camera", "calibrate", pictures, "--out", out, "--name", "desk", "--json")
     assert run.code == 0, run.err
+    assert "left out:" in run.err and "view7.png is not a picture" in run.err
     said, camera = json.loads(run.out), CameraIntrinsics.load(out)
     assert said["digest"] == camera.digest and said["f"] == [camera.fx, camera.fy]
     assert camera.fx == pytest.approx(STANDARD_CAMERA.fx, rel=0.005)
@@ -44,12 +50,15 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
 class LiveBoard(DeviceSource):
     """A board before a camera, until somebody presses Ctrl-C."""
 
-    def __init__(self, ends_with: BaseException, frames: int = 22) -> None:
-        self._board = open_moving(f"synthetic:charuco?frames={frames}&seed=3")
+    def __init__(self, ends_with: BaseException, frames: int = 22, seed: int = 3) -> None:
+        self._board = open_moving(f"synthetic:charuco?frames={frames}&seed={seed}")
         self._ends_with = ends_with
         self.size = self._board.size
 
     def read(self) -> sources.Frame:
+        if self._board.exhausted and isinstance(self._ends_with, KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5.0)
         if self._board.exhausted:
             raise self._ends_with
         return self._board.read()
@@ -60,6 +69,24 @@ class LiveBoard(DeviceSource):
 
     def close(self) -> None:
         self._board.close()
+
+
+def opened(text: str, end: BaseException) -> sources.FrameSource:
+    return LiveBoard(end, frames=6, seed=5) if text == "0" else sources.FolderSource(text)
+
+
+def test_ctrl_c_while_calibrating_says_where_the_views_are(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*rest: Any, **more: Any) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
+
+    monkeypatch.setattr(calibrating, "calibrate", interrupted)
+    monkeypatch.setattr(sources, "open_source", lambda text, **_: opened(text, KeyboardInterrupt()))
+    run = robot_ik("camera", "calibrate", "0", "--out", tmp_path / "camera.yaml")
+    assert run.code == 130 and "Traceback" not in run.err
+    assert f"robot-ik camera calibrate {tmp_path / 'camera-views'} 0" in " ".join(run.err.split())
 
 
 def test_ctrl_c_keeps_what_there_is(robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,9 +114,27 @@ def test_an_early_end_is_no_calibration_but_keeps_the_pictures(
     monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(end, frames=6))
     run = robot_ik("camera", "calibrate", "0", "--out", tmp_path / "camera.yaml")
     assert run.code == 2 and "2 usable views: too few" in run.err
-    assert said in run.err and "2 views are kept" in run.err
+    views = tmp_path / "camera-views"
+    assert said in run.err and f"2 views are kept in {views}" in run.err
+    assert f"robot-ik camera calibrate {views} 0" in " ".join(run.err.split())
     assert not (tmp_path / "camera.yaml").exists()
-    assert len(list((tmp_path / "camera-views").iterdir())) == 2
+    assert sorted(p.name for p in views.iterdir()) == ["view01.png", "view02.png"]
+
+
+def test_views_are_added_to_those_that_are_given_and_to_no_others(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sources, "open_source", lambda text, **_: opened(text, KeyboardInterrupt()))
+    views, wish = tmp_path / "camera-views", ("--out", tmp_path / "camera.yaml")
+    views.mkdir()
+    grey = np.full((480, 640), 128, np.uint8)
+    for name in ("view01.png", "view04.png"):
+        cv2.imwrite(str(views / name), grey)
+    robot_ik("camera", "calibrate", views, "0", *wish)
+    assert sorted(p.name for p in views.iterdir()) == [f"view0{k}.png" for k in (1, 4, 5, 6)]
+    assert (cv2.imread(str(views / "view04.png")) == 128).all()
+    robot_ik("camera", "calibrate", "0", *wish)  # a fresh start, perhaps with another focus
+    assert len(list(views.iterdir())) == 4 and len(list((tmp_path / "camera-views-2").iterdir())) == 2
 
 
 def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.marker_pose import marker_points
-from robot_ik.camera.standard_set import STANDARD_CAMERA, STANDARD_SIZE, render_markers
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, render_markers
+from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.pose.marker import marker_points
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
@@ -104,7 +104,42 @@ def test_films_and_folders_picture_by_picture(robot_ik: Any, tmp_path: Path) -> 
     assert [i["frame"] for i in images] == [0, 1, 2, 3] * 2
     assert [Path(i["file"]).name for i in images[3:6]] == ["film.avi", "view0.png", "view1.png"]
     assert [len(i["markers"]) for i in images] == [4, 4, 0, 4] * 2
+    table = robot_ik("camera", "detect", film, folder).out
+    assert "film.avi #0" in table and "film.avi #3" in table and "view3.png #" not in table
     assert (tmp_path / "drawn" / "film-00003.png").exists() and (tmp_path / "drawn" / "view3.png").exists()
+
+
+def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
+    robot_ik: Any, place: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    (folder / "a.png").write_text("no picture")  # the first one, too
+    (folder / "c.jpg").write_bytes(b"")
+    for name in ("b.png", "d.png"):
+        (folder / name).write_bytes((place / "board.png").read_bytes())
+    cv2.imwrite(str(folder / "e.png"), np.full((240, 320), 128, np.uint8))
+    options = ("--intrinsics", place / "camera.yaml", "--size", STANDARD_SIZE)
+    run = robot_ik("camera", "detect", folder, tmp_path / "gone.png", *options, "--json")
+    assert run.code == 1
+    assert "4 of 6 pictures could not be looked at" in run.err
+    for words in (
+        "a.png is not a picture",
+        "c.jpg is not a picture",
+        "e.png: the calibration is for 640x480",
+    ):
+        assert words in run.err
+    images = {Path(one["file"]).name: one for one in json.loads(run.out)["images"]}
+    assert list(images) == ["a.png", "b.png", "c.jpg", "d.png", "e.png", "gone.png"]
+    assert [name for name, one in images.items() if "error" in one] == ["a.png", "c.jpg", "e.png", "gone.png"]
+    assert "is not a picture" in images["a.png"]["error"] and images["a.png"]["markers"] == []
+    assert [m["id"] for m in images["d.png"]["markers"]] == [3, 4, 5, 6] and images["d.png"]["frame"] == 3
+    # where nothing at all can be used there is nothing to report
+    for name in ("b.png", "d.png"):
+        (folder / name).unlink()
+    run = robot_ik("camera", "detect", folder, *options)
+    run.assert_one_screen_error()
+    assert "a.png is not a picture" in run.err and "2 other(s)" in run.err
 
 
 def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:

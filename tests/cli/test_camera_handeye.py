@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.handeye_model import Mount
-from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.handeye.model import Mount
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 from robot_ik.camera.pose import marker_points
-from robot_ik.camera.standard_set import STANDARD_CAMERA
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import handeye
 from robot_ik.jobs.handeye_samples import SampleSet
@@ -65,7 +68,8 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
 def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(request: Any, *, keep: Any, **rest: Any) -> None:
         keep(samples)
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5.0)
 
     monkeypatch.setattr(handeye, "run_handeye", interrupted)
     run = robot_ik("camera", "handeye", "--out", "mine.toml")

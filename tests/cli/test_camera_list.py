@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera import device_list
-from robot_ik.camera.device_list import CameraDevice
+from robot_ik.camera.sources import device_list
+from robot_ik.camera.sources.device_list import CameraDevice
 
 
 def shows(monkeypatch: pytest.MonkeyPatch, *cameras: CameraDevice) -> None:

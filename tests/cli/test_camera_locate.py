@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.places import CameraPlace
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.errors import CalibrationError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
@@ -35,7 +35,16 @@ def _photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         image = render_markers(STANDARD_CAMERA, markers, rng, margin=0.12)
         cv2.imwrite(f"shots/{number}.png", image)
     cv2.imwrite("shots/2.png", np.full((480, 640), 128, np.uint8))
+    Path("shots/1a.png").write_text("no picture")
     STANDARD_CAMERA.save("camera.yaml")
+
+
+def test_pictures_that_contradict_each_other_are_told(robot_ik: Any) -> None:
+    image = cv2.imread("shots/1.png")
+    cv2.imwrite("shots/1.png", np.roll(image, 25, axis=1))  # the camera was knocked
+    run = robot_ik("camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID)
+    assert run.code == 0 and "doubtful: in 2 of 2 pictures" in run.err
+    assert "camera or board moved" in run.err
 
 
 def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> None:
@@ -44,6 +53,7 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
         "camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID, "--pose-world-board", *place
     )
     assert run.code == 0 and "2 of 3 show the board" in run.out and "wrote place.toml" in run.err, run
+    assert "left out: shots/1a.png is not a picture" in run.err and "doubtful" not in run.err
     true = BOARD.compose(SEEN.inverse())
     found = CameraPlace.load("place.toml")
     position, angle = found.pose_parent_camera.distance(true)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
-import tyro
 
-from robot_ik.camera.bodies import load_bodies
-from robot_ik.camera.sheet_blocks import SheetKind, SheetWish
-from robot_ik.camera.sheets import make_sheet_page
-from robot_ik.cli.camera import CameraOptions
+from robot_ik.camera.pose.bodies import load_bodies
+from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
+from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.cli.arguments import parse
 from robot_ik.cli.camera_print import CameraPrintOptions
+from robot_ik.cli.commands import find_command
 
 
 def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
@@ -36,7 +37,9 @@ def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
     commands = [w.text.split() for w in page.words if w.text.startswith("robot-ik ")]
     assert len(commands) == 2 and ["robot-ik", "camera", "print", kind] == commands[0][:4]
     for words in commands:
-        chosen = tyro.cli(CameraOptions, args=words[2:]).command
+        name, command, rest = find_command(words[1:])
+        kind = getattr(import_module(command.module), command.options)
+        chosen = parse(kind, name, rest)
         if isinstance(chosen, CameraPrintOptions):
             assert chosen.size_mm == 20.0
 

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from robot_ik.camera.board_view import BoardView
+from robot_ik.camera.arm_zeros.fit import KnownPose
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 from robot_ik.camera.pose import marker_points
-from robot_ik.camera.self_calibration import KnownPose
-from robot_ik.camera.standard_set import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import verify
 from robot_ik.jobs.handeye_samples import SampleSet
 from robot_ik.jobs.verify import VerifyReport, VerifyRequest
+from robot_ik.jobs.verify_samples import VerifySamples, servo_values
 from robot_ik.robot import load_robot
 
 CAMERA = Pose((0.75, -0.5, 0.45), (0.50099, -0.74367, -0.36714, 0.24733))
 POINTS = marker_points(0.08)
+#: A seed with which the job is interrupted after as many views as it shall take.
+INTERRUPTED = 1000
 HIDDEN = np.deg2rad([2.0, -1.5, 1.0, -2.0, 2.5, -3.0])
 
 
@@ -41,8 +48,17 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         seen = CAMERA.inverse().compose(robot.forward(q + HIDDEN, "flange"))
         samples.add(q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.02))
 
-    def run(request: VerifyRequest, *, dry_run: bool, progress: Any) -> VerifyReport:
+    def run(request: VerifyRequest, *, dry_run: bool, keep: Any, progress: Any) -> VerifyReport:
         known = KnownPose.within(CAMERA, 1e-4, 1e-4), KnownPose.within(Pose(), *request.board_sigma)
+        if request.seed == INTERRUPTED:
+            some = replace(samples, q=[], views=[])
+            servos = tuple(servo_values(joint) for joint in config.joints)
+            for q, view in zip(samples.q, samples.views, strict=True):
+                if len(some) == request.views:
+                    os.kill(os.getpid(), signal.SIGINT)
+                    time.sleep(5.0)
+                some.add(q, view)
+                keep(VerifySamples(some, *known, False, HIDDEN, servos))
         stops = tuple(samples.q)
         empty = VerifyReport(
             robot, "flange", stops, samples, (3,), *known, False, (), None, config, HIDDEN
@@ -51,6 +67,42 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     monkeypatch.setattr(verify, "run_verify", run)
     return path
+
+
+def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik: Any, arm: Path) -> None:
+    interrupted = ("camera", "verify", "--fit", "--seed", INTERRUPTED, "--out", "some.json")
+    run = robot_ik(*interrupted, "--views", "7")
+    assert run.code == 130 and run.out == "", run
+    assert "after 7 views" in run.err and "robot-ik camera verify --fit --samples some.json" in run.err
+    kept = json.loads(Path("some.json").read_text())
+    assert len(kept["samples"]) == 7 and kept["job"] == "verify"
+    # the same fit, and the question whether to write: nothing of it moves an arm
+    again = ("camera", "verify", "--fit", "--samples", "some.json")
+    run = robot_ik(*again, "--json")
+    said = json.loads(run.out)
+    assert run.code == 1 and "give your arm file with --arm" in run.err
+    assert len(said["poses"]) == 7 and said["written"] is False
+    np.testing.assert_allclose(said["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
+    assert "joint6 is held" in robot_ik(*again, "--board-sigma", "1", "3").out
+    run = robot_ik(*again, "--arm", arm, "--yes")
+    assert run.code == 0 and "zero_ticks: joint1 2048 -> 2025" in run.err, run
+    # with the new zeros the joint angles of the samples mean something else
+    run = robot_ik(*again, "--arm", arm, "--yes")
+    run.assert_one_screen_error()
+    assert "joint 'joint1' has been changed since the arm was measured" in run.err
+    # its camera's place was found with these intrinsics
+    replace(STANDARD_CAMERA, fx=810.0).save("other.yaml")
+    run = robot_ik(*again, "--intrinsics", "other.yaml")
+    run.assert_one_screen_error()
+    assert "found with another calibration" in run.err and "--camera-place" in run.err
+
+
+def test_samples_of_something_else_are_told(robot_ik: Any, arm: Path) -> None:
+    SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(Path("hand.json"))
+    run = robot_ik("camera", "verify", "--samples", "hand.json")
+    run.assert_one_screen_error()
+    assert "which does not know the camera's place" in run.err
+    assert "cannot read gone.json" in robot_ik("camera", "verify", "--samples", "gone.json").err
 
 
 def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from robot_ik import environment
-from robot_ik.camera import device_list
-from robot_ik.camera.device_list import CameraDevice
+from robot_ik.camera.sources import device_list
+from robot_ik.camera.sources.device_list import CameraDevice
 from robot_ik.cli import checks, device_checks, doctor
 from robot_ik.environment import Probe
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,7 +17,12 @@ import pytest
 
 from robot_ik import errors
 from robot_ik.cli import main as main_module
-from robot_ik.cli.main import COMMANDS, Command
+from robot_ik.cli.commands import COMMANDS, Command, find_command
+
+#: All that has options of its own: "reach", "servo scan" …
+LEAVES = [name for name, command in COMMANDS.items() if command.options] + [
+    f"{name} {word}" for name, command in COMMANDS.items() for word in command.subcommands
+]
 
 # A command made of one function, so that any ending of a command can be tried.
 _ENDING: dict[str, Any] = {}
@@ -66,32 +72,43 @@ def test_nothing_asked_shows_the_help_and_fails(robot_ik: Any) -> None:
     assert run.code == 2 and "usage: robot-ik" in run.out
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_each_command(name: str, robot_ik: Any) -> None:
-    module = importlib.import_module(COMMANDS[name].module)
-    options = getattr(module, COMMANDS[name].options)
-    run = robot_ik(name, "--help")
+@pytest.mark.parametrize("name", LEAVES)
+def test_help_of_each_command(name: str, robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    _, command, rest = find_command(name.split())
+    assert rest == []
+    options = getattr(importlib.import_module(command.module), command.options)
+    run = robot_ik(*name.split(), "--help")
     assert run.code == 0 and run.err == ""
-    assert f"usage: robot-ik {name}" in run.out
+    assert max(map(len, run.out.splitlines())) <= 80
     text = " ".join(run.out.replace("│", " ").split())
+    assert text.startswith(f"usage: robot-ik {name} [-h]")
     first_line = (options.__doc__ or "").strip().splitlines()[0]
     assert first_line[:60] in text
     for field in dataclasses.fields(options):
-        if "OmitSubcommandPrefixes" in str(field.type):  # shown by the subcommands' names
-            assert "subcommands" in text
-            continue
-        flag = "--" + field.name.replace("_", "-")
-        assert flag in text or field.name.upper() in text or field.name in text, field.name
-    assert robot_ik("help", name).out == run.out
+        if "Positional" not in str(field.type):  # those go by another name
+            assert "--" + field.name.replace("_", "-") in text, field.name
+    assert not re.search(r"command\.\w|<class|\w OPTIONS\]|\(default: (None)?\)", text)
+    if " " not in name:
+        assert robot_ik("help", name).out == run.out
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", [name for name, command in COMMANDS.items() if command.subcommands])
+def test_help_names_every_subcommand(name: str, robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    run = robot_ik(name, "--help")
+    assert run.code == 0 and max(map(len, run.out.splitlines())) <= 80
+    assert all(re.search(rf"\b{word}\b", run.out) for word in COMMANDS[name].subcommands)
+
+
+@pytest.mark.parametrize("name", LEAVES)
 def test_options_are_frozen_and_explained(name: str) -> None:
-    module = importlib.import_module(COMMANDS[name].module)
-    options = getattr(module, COMMANDS[name].options)
+    _, command, _ = find_command(name.split())
+    module = importlib.import_module(command.module)
+    options = getattr(module, command.options)
     assert dataclasses.is_dataclass(options)
     assert options.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    assert callable(getattr(module, COMMANDS[name].run))
+    assert callable(getattr(module, command.run))
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -129,20 +146,42 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("line", "told"),
     [
-        (["doctor", "--jsn"], "--json"),
-        (["solve", "--gaol", "1", "2", "3"], "--goal"),
-        (["solve", "--seed", "many"], "--seed"),
-        (["solve", "--robot"], "--robot"),
-        (["solve", "--goal", "a", "b", "c"], "--goal"),
-        (["robots", "a", "b", "c"], "b"),
+        ("help slove", "did you mean 'solve'"),
+        ("doctor --jsn", "unknown option '--jsn'; did you mean '--json'?"),
+        ("doctor extra", "'extra': nothing more is taken here"),
+        ("solve --gaol 1 2 3", "did you mean '--goal'?"),
+        ("solve --seed many", "--seed: 'many' is no whole number"),
+        ("solve --robot", "--robot: a value is missing; allowed: NAME|PATH"),
+        ("solve --goal 1 b 3", "--goal: 'b' is no number; allowed: X Y Z [W X Y Z]"),
+        ("solve --speed=-fast --goal 1 2 3", "unknown option '--speed"),
+        ("reach --speed fast", "--speed: 'fast' is no number"),
+        ("reach --marker x", "--marker: 'x' is no whole number; allowed: ID"),
+        ("reach --when-lost fall", "'fall' is none of its words; allowed: hold, park, stop"),
+        ("experiments", "missing: {a00,s12} (Which thesis.)"),
+        ("experiments b00", "'b00' is none of its words (did you mean 'a00'?); allowed: a00, s12"),
+        ("bench cameras", "did you mean 'camera'?"),
+        ("bench --sets foo", "--sets: 'foo' is none of its words; allowed: cold, warm,"),
+        ("robots a b c", "'b c': nothing more is taken here"),
+        ("servo", "which subcommand of servo? There are: ports, scan,"),
+        ("servo skan", "did you mean 'scan'?"),
+        ("servo --bus pty scan", "options stand behind the subcommand: robot-ik servo scan --bus"),
+        ("servo torque onn", "'onn' is none of its words (did you mean 'on'?); allowed: on, off"),
+        ("servo torque", "missing: on|off (What to do.)"),
+        ("servo scan --baud x", "--baud: 'x' is no"),
+        ("servo calibrate", "missing: OUT.toml"),
+        ("servo move joint1=1 --speed", "--speed: a value is missing"),
+        ("bench --seconds 0", "--seconds: 0 s; allowed: above 0"),
+        ("sim-bus --wire-baud 99999999", "--wire-baud: not 99999999; allowed: 0 to 10500000"),
     ],
 )
-def test_wrong_options_name_the_option(arguments: list[str], named: str, robot_ik: Any) -> None:
-    run = robot_ik(*arguments)
+def test_wrong_words_are_told_in_one_sentence(line: str, told: str, robot_ik: Any) -> None:
+    run = robot_ik(*line.split())
     run.assert_one_screen_error()
-    assert named in run.err
+    assert told in run.err and run.err.startswith("error: ")
+    assert "--help" in run.err.splitlines()[-1] or len(run.err.splitlines()) == 1  # or all words were read
+    assert not re.search(r"command\.|\{None\}|<class|invalid literal|Traceback", run.err)
 
 
 @pytest.mark.parametrize("code", [0, 1, 2])

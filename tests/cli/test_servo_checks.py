@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from robot_ik.cli import checks, doctor
+from robot_ik.hardware.virtual.fault_kinds import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
 
@@ -34,7 +35,11 @@ def rows(robot_ik: Any, desk: Any) -> Callable[[], Any]:
 
     def look() -> tuple[int, dict[int, dict[str, str]]]:
         run = robot_ik("doctor", *desk.at, "--json")
-        said = [row for row in json.loads(run.out)["rows"] if row["what"].startswith("servo ")]
+        said = [
+            row
+            for row in json.loads(run.out)["rows"]
+            if row["what"].split()[1:] and row["what"].split()[1].isdigit()
+        ]
         return run.code, {int(row["what"].split()[1]): row for row in said}
 
     return look
@@ -73,6 +78,16 @@ def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: 
     assert row["status"] == status and found in row["found"] and cure in row["do"], row
     assert code == (2 if status == checks.PROBLEM else 0)
     assert seen[1]["status"] == seen[3]["status"] == checks.OK
+
+
+@pytest.mark.parametrize(("late_ms", "status"), [(0.0, checks.OK), (16.0, checks.NOTE)])
+def test_the_latency_of_an_adapter_is_measured(late_ms: float, status: str, desk: Any, robot_ik: Any) -> None:
+    desk.bus.inject(Fault("latency", value=late_ms))
+    run = robot_ik("doctor", *desk.at, "--json")
+    (row,) = [row for row in json.loads(run.out)["rows"] if row["what"] == "servo speed"]
+    late = float(row["found"].split()[3])
+    assert late_ms <= late + 0.1 and (row["status"] == status or late > late_ms + 3.0), row  # a busy machine
+    assert run.code == 0 and ("latency timer" in row["do"]) == (row["status"] == checks.NOTE)
 
 
 def test_a_stranger_on_the_bus(rows: Any, desk: Any) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from robot_ik.cli import servo_scan
+from robot_ik.hardware.scan import FoundServo
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
 
@@ -191,3 +193,23 @@ def test_setup_of_a_rate_that_the_model_has_not(robot_ik: Any, desk: Any) -> Non
 
 def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
     robot_ik("servo", "setup", *desk.at, "--id", 3, "--from-baud", 9600).assert_one_screen_error(code=1)
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        ([FoundServo(1, 1_000_000), FoundServo(2, 1_000_000)], []),
+        ([FoundServo(1, 57_600), FoundServo(2, 1_000_000)], ["different rates (57600: id 1; 1000000: id 2)"]),
+        (
+            [FoundServo(1, 57_600, shared=True), FoundServo(2, 57_600)],
+            ["id 1 at 57600: damaged answers. Two"],
+        ),
+        (
+            [FoundServo(id, 57_600, shared=True) for id in (1, 2)],
+            ["every answer is damaged: check the cable"],
+        ),
+    ],
+)
+def test_what_is_wrong_with_all_of_them_together(found: list[FoundServo], told: list[str]) -> None:
+    notes = servo_scan._notes(found)
+    assert len(notes) == len(told) and all(part in note for part, note in zip(told, notes, strict=True))

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.errors import HardwareError
 from robot_ik.hardware import BUSES, open_arm
-from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.hardware.virtual.faults import RATES
 from robot_ik.hardware.virtual.inprocess import SimBus
 from robot_ik.hardware.virtual.protocol2 import ErrorCode, Packet, Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
-from robot_ik.ports import VirtualClock
+from robot_ik.ports import RealClock, VirtualClock
 
 Array = NDArray[np.float64]
 
@@ -226,3 +230,58 @@ def pty(arm_bus: VirtualBus) -> Iterator[PtyPort]:
 def parse() -> Callable[[bytes], list[Packet]]:
     """The packets in some bytes."""
     return lambda reply: Parser().feed(reply, 0.0)
+
+
+# ---------------------------------------------------------------------------- rehearsing of faults
+
+
+class Lab:
+    """An arm file with everything that the rows need."""
+
+    def __init__(self, config: ArmConfig, start: Array, stream: Any, smooth: Any, registers: Any) -> None:
+        self.config, self.start, self.stream, self.smooth = config, start, stream, smooth
+        self.registers = registers
+
+    def arm(self, *before: Fault, on: str = "sim", config=None, start=None) -> Arm:
+        config, start = config or self.config, self.start if start is None else start
+        bus = VirtualBus.from_config(config, VirtualClock() if on == "sim" else RealClock(), start=start)
+        bus.inject(*before)
+        return open_arm(config, on, virtual_bus=bus)
+
+    def drive(self, arm: Arm, cycles: int = 3) -> None:
+        self.stream(arm, [self.start] * cycles)
+
+    def fault(self, arm: Arm, error: type[HardwareError], *faults: Fault) -> HardwareError:
+        """Enables, injects in the middle of a motion, and gives what the program is told."""
+        arm.enable()
+        self.drive(arm)
+        arm.virtual_bus.inject(*faults)
+        with pytest.raises(error) as caught:
+            self.stream(arm, self.smooth(self.start, self.start + 0.2, 1.0))
+        return caught.value
+
+    def torque(self, arm: Arm) -> list[bool]:
+        return [servo.torque for servo in arm.virtual_bus.servos]
+
+    def follows_a_bad_wire(self, cycles: int = 120, fresh: float = 0.9, **chances: float) -> Arm:
+        """No value that is said is wrong, and no joint lags, whatever the wire does."""
+        with self.arm() as arm:
+            arm.enable()
+            arm.virtual_bus.inject(*(Fault(kind, value=chance) for kind, chance in chances.items()))
+            whole = 0
+            for q in self.smooth(self.start, self.start + 0.4, cycles / 100):
+                self.stream(arm, [q])
+                said, true = arm.read().q, arm.virtual_bus.true_angles(self.config)
+                assert (np.abs(said - true) <= arm.resolution + 3.0 * arm.ages).all()
+                assert np.abs(true - q).max() < 0.05
+                whole += arm.ages.max() == 0.0
+            assert whole >= fresh * cycles and arm.state is ArmState.ENABLED
+            arm.virtual_bus.inject(*(Fault(kind, value=0.0) for kind in chances if kind in RATES))
+            arm.virtual_bus.change_wire(echo=False)
+        assert arm.exit_report.ok
+        return arm
+
+
+@pytest.fixture
+def lab(arm_config: ArmConfig, start: Array, stream: Any, smooth: Any, registers: Any) -> Lab:
+    return Lab(arm_config, start, stream, smooth, registers)

@@ -23,8 +23,10 @@ def test_a_trajectory_within_the_caps_arrives_unchanged(any_arm, arm_config, str
     assert not any_arm.reports.clipped
     assert (np.abs(any_arm.read().q - end) <= 1.5 * any_arm.resolution).all()
     assert (np.abs(any_arm.virtual_bus.true_angles(arm_config) - end) <= 1.5 * any_arm.resolution).all()
-    assert any_arm.bus.counters.timeouts == 0
+    counters = any_arm.bus.counters
+    assert counters.timeouts <= 0.01 * counters.asked  # a stalled process answers late
     if any_arm.bus.port == "sim":  # where time is exact, a shaft is where it was told to be a cycle ago
+        assert counters.timeouts == 0
         assert any_arm.reports.largest_tracking_error.max() < 0.01
         assert not any_arm.reports.capped
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera import synthetic
+from robot_ik.camera.made_up import synthetic
 from robot_ik.jobs import cameras, eyes
 from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
 from robot_ik.jobs.script import ScriptReport, ScriptRequest, parse_script, run_script

@@ -1,5 +1,6 @@
 """``robot-ik ar`` as a job: pictures in, pictures out, whatever ends it."""
 
+import contextlib
 import importlib.util
 from dataclasses import replace
 from pathlib import Path
@@ -8,14 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.ar import Remedies
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.ar.draw import Figure
+from robot_ik.camera.ar.registrar import Remedies
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
-from robot_ik.jobs import ar_files
+from robot_ik.jobs import ar, ar_files
 from robot_ik.jobs.ar import ArRequest, run_ar
+from robot_ik.jobs.ar_motion import Replay, make_motion
 from robot_ik.jobs.ar_scene import SteppedClock, lens
+from robot_ik.jobs.ar_script import robot_of
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import load_robot
 
@@ -169,3 +173,46 @@ def test_the_stages_clock_stands_until_the_next_picture() -> None:
     clock.ticks += 5
     assert clock.now() == pytest.approx(0.1)
     assert lens(640, 480).scaled(1280, 960).fx == pytest.approx(lens(1280, 960).fx)
+
+
+SCRIPT = """schema = 1
+name = "nod"
+robot = "tabletop_puma"
+
+[[steps]]
+do = "joints"
+joints_deg = {{ joint1 = 20.0 }}
+
+[[steps]]
+do = "wait"
+seconds = 0.5
+
+[[steps]]
+do = "expect"
+state = "{state}"
+"""
+
+
+@pytest.mark.parametrize(("state", "notice"), [("enabled", ""), ("fault", "the script failed at 'expect")])
+def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_path: Path) -> None:
+    path = tmp_path / "nod.toml"
+    path.write_text(SCRIPT.format(state=state))
+    assert robot_of(str(path)) == "tabletop_puma" == robot_of("overload") and robot_of("wave") == ""
+    robot = load_robot("tabletop_puma")
+    figure = Figure(robot.model, Pose(), 1.0)
+    with contextlib.ExitStack() as stack:
+        motion = make_motion(str(path), robot, figure, stack)
+        assert isinstance(motion, Replay) and motion.notice[: len(notice) or None] == notice
+        moved = motion.trajectory
+        # from home to 20 degrees with the limits of a servo, then half a second at rest
+        assert 0.7 < moved.duration < 3.0 and np.diff(moved.times).max() < 0.02
+        np.testing.assert_allclose(moved.q[0], robot.home, atol=2e-3)
+        end = robot.home.copy()
+        end[0] = np.deg2rad(20.0)
+        for q in moved.q[moved.times > moved.duration - 0.3]:
+            np.testing.assert_allclose(q, end, atol=4e-3)
+        # the made-up film is as long as the script
+        count = ar._open(ArRequest(size=(64, 48)), motion, stack)[2]
+        assert count == round(30 * moved.duration)
+        with pytest.raises(ConfigError, match="is a script of tabletop_puma, and puma560 is drawn"):
+            make_motion(str(path), load_robot("puma560"), figure, stack)

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.latest import LatestGoals
-from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.goals.latest import LatestGoals
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import (
     CalibrationError,

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.board_view import BoardView
-from robot_ik.camera.boards import parse_board
-from robot_ik.camera.places import CameraPlace
+from robot_ik.camera.boards.board import parse_board
+from robot_ik.camera.boards.view import BoardView
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.made_up.synthetic import SyntheticScene
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.synthetic import SyntheticScene
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import handeye_scene

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from robot_ik.camera.goals.latest import LatestGoals
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.limiter import SafetyLimiter
 from robot_ik.jobs.script import (
@@ -69,6 +71,35 @@ tolerance_deg = 2.0
     assert first.passed, first.steps
     assert everything(first) == everything(again)
     assert 0.0 < first.steps[0].numbers["seen_off_mm"] < 3.0
+
+
+def test_following_is_judged_by_the_marker_not_by_what_the_camera_made_of_it(
+    play: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera that stopped: the arm is exactly at its goal, which is where the marker was."""
+
+    class Stopped(LatestGoals):
+        first: Any = None
+
+        def poll(self, now: float) -> Any:
+            self.first = self.first or super().poll(now)
+            return self.first
+
+    monkeypatch.setattr("robot_ik.jobs.eyes.LatestGoals", Stopped)
+    steps = """
+[[steps]]
+do = "marker"
+tolerance_mm = 3.0
+tolerance_deg = 2.0
+[[steps]]
+do = "follow"
+path = "marker"
+seconds = 4.0
+"""
+    report = play(steps, "marker_at = [0.17, -0.04, 0.0, 190.0]", seed=3)
+    assert outcomes(report) == ["passed", "failed", "passed"], report.steps
+    assert "lost the goal" in report.steps[1].found
+    assert report.steps[1].numbers["behind_worst_mm"] > 15.0
 
 
 def test_the_seed_counts(play: Run) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.goals import PoseGoal, PositionGoal

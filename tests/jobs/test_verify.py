@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.camera_rows import Effort
-from robot_ik.camera.boards import MarkerBoard
-from robot_ik.camera.places import CameraPlace
-from robot_ik.camera.self_calibration import PoseError
+from robot_ik.camera.arm_zeros.fit import PoseError
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
+from robot_ik.camera.made_up.synthetic import SyntheticScene
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.synthetic import SyntheticScene
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import handeye_scene, verify, verify_bench
+from robot_ik.jobs import cameras_request, handeye_scene, verify, verify_bench
 from robot_ik.jobs.verify import VerifyReport, VerifyRequest, run_verify
 from robot_ik.jobs.verify_arm_file import zeros_moved
 from robot_ik.jobs.verify_map import regions, summary
@@ -121,13 +121,13 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     prepare = verify.prepare_limbs
     monkeypatch.setattr(verify, "prepare_limbs", lambda request: made.append(prepare(request)) or made[0])
 
-    def opened(name: str) -> Drawn:
+    def opened(name: str, **rest: Any) -> Drawn:
         limbs = made[0]
         source = Drawn(handeye_scene.stage_for(limbs.robot, limbs.frame).scene(limbs.robot), limbs.true_q)
         source.live = True
         return source
 
-    monkeypatch.setattr(handeye_scene, "open_source", opened)
+    monkeypatch.setattr(cameras_request, "open_source", opened)
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
     CameraPlace(

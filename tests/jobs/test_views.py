@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.handeye_model import Mount, compress
+from robot_ik.camera.handeye.model import Mount, compress
+from robot_ik.camera.handeye.rotation_average import rotation_spread
 from robot_ik.camera.pose import marker_points
-from robot_ik.camera.rotation_average import rotation_spread
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.stage import Stage, stage_for

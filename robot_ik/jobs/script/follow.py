@@ -17,13 +17,16 @@ from robot_ik.motion.sources import CurveSource
 
 if TYPE_CHECKING:
     from robot_ik.motion.reports import FollowReport
+    from robot_ik.ports import Array
 
 _ARRIVE = 0.4
 """s given to the servos at the end before the marker's true place judges them."""
 
 
 def follow_goal(now: Situation, step: FollowStep, result: StepResult) -> None:
-    """Follows for the time; judges every tick after ``catch_up_s``, and a marker's true place at the end.
+    """Follows for the time; judges every tick after ``catch_up_s``, and a marker once more at the end.
+
+    A marker is where the scene has it at that time: what the camera makes of late pictures judges nothing.
 
     Raises:
         StepFailed: Farther off than allowed, or there never was a goal.
@@ -33,9 +36,11 @@ def follow_goal(now: Situation, step: FollowStep, result: StepResult) -> None:
     behind: list[float] = []
 
     def note(tick: Any) -> None:
-        if tick.goal is not None and tick.time >= step.catch_up_s:
-            place = now.robot.forward(tick.measured, frame).position
-            behind.append(1e3 * float(np.linalg.norm(place - tick.goal.target.position)))
+        if tick.time < step.catch_up_s or (tick.goal is None and step.path != "marker"):
+            return
+        place = now.robot.forward(tick.measured, frame).position
+        true = _true_goal(now) if step.path == "marker" else tick.goal.target.position
+        behind.append(1e3 * float(np.linalg.norm(place - true)))
 
     with _goals(now, step, frame) as goals:
         report = follow(
@@ -70,13 +75,22 @@ def _goals(now: Situation, step: FollowStep, frame: str) -> Iterator[Any]:
     yield make(frame, step.center, step.radius, step.period, normal=normal, wxyz=step.wxyz)
 
 
+def _true_goal(now: Situation) -> Array:
+    """(3,) where the tool belongs at this moment, which only the scene knows."""
+    assert now.eyes is not None and now.eyes.path is not None
+    marker = now.eyes.path(now.limbs.clock.now())
+    return marker.compose(now.eyes.stage.pose_marker_tool).position
+
+
 def _tell(
     now: Situation, step: FollowStep, report: FollowReport, behind: list[float], result: StepResult
 ) -> None:
     now.status = "" if report.last is None else report.last.status.name
     result.numbers.update(ticks=report.ticks, held=report.held, solved=report.solved)
-    if not behind:
+    if not (behind and report.solved):
         raise StepFailed(f"no goal was seen after {step.catch_up_s:g} s")
+    if now.eyes is not None and now.eyes.delays is not None and now.eyes.delays[1].count:
+        result.numbers["picture_age_p95_s"] = round(now.eyes.delays[1].p95, 4)
     median, worst = float(np.median(behind)), max(behind)
     result.numbers.update(behind_median_mm=round(median, 4), behind_worst_mm=round(worst, 4))
     result.found = f"median {median:.2f} mm, worst {worst:.2f} mm behind; allowed {step.tolerance_mm:.2f} mm"

@@ -9,7 +9,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from robot_ik.camera.synthetic import SyntheticSource
+from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, Eyes
 from robot_ik.jobs.limbs import Limbs

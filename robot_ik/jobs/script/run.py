@@ -75,6 +75,7 @@ class ScriptRun:
 
     Attributes:
         report: Grows while it runs, and is whole as far as it goes whenever the run ends.
+        limbs: The arm; its clock is the run's.
     """
 
     def __init__(self, script: Script, request: ScriptRequest) -> None:
@@ -86,17 +87,17 @@ class ScriptRun:
         content = script.content
         self._script = script
         self._seed = content.seed if request.seed is None else request.seed
-        robot = request.robot or _seen_from(script, content.robot)
+        robot = request.robot or seen_from(script, content.robot)
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:
-            arm_file = Path(_seen_from(script, content.arm))
+            arm_file = Path(seen_from(script, content.arm))
         self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
-        self._limbs = prepare_limbs(self._request)
-        check_script(script, self._limbs)
+        self.limbs = prepare_limbs(self._request)
+        check_script(script, self.limbs)
         rows = [StepResult(step.name or describe(step), step.do) for step in script.steps]
         virtual = request.bus == "sim"
         self.report = ScriptReport(
-            script.name, script.file, self._limbs.robot.name, request.bus, self._seed, virtual,
+            script.name, script.file, self.limbs.robot.name, request.bus, self._seed, virtual,
             [*rows, StepResult("leave the arm", "leave")],
         )  # fmt: skip
 
@@ -106,7 +107,7 @@ class ScriptRun:
         Raises:
             RobotIkError: The arm cannot be connected or switched on: no step was run.
         """
-        limbs, report = self._limbs, self.report
+        limbs, report = self.limbs, self.report
         method = find_robot(self._request.robot)[1].solver or "auto"
         now = Situation(self._script, limbs, method, self._seed)
         try:
@@ -280,7 +281,7 @@ def describe(step: AnyStep) -> str:
     return " ".join(words)
 
 
-def _seen_from(script: Script, name: str) -> str:
+def seen_from(script: Script, name: str) -> str:
     """A robot of the catalogue, or a path seen from the script's folder."""
     if name in catalogue() or script.folder is None:
         return name

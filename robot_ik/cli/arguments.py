@@ -1,0 +1,237 @@
+"""From words to a dataclass of options: tyro reads them, help is folded, slips are told in one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import itertools
+import os
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any, TextIO
+
+from robot_ik.errors import ConfigError, close_matches
+
+HELP_FLAGS = ("--help", "-h")
+#: What tyro writes for programs to read: no line of it is folded.
+_ENDLESS = 10_000
+#: Longer lines of prose are hard to read, however wide the terminal.
+_PROSE = 100
+_ANSI = re.compile(r"\x1b\[[0-9;]*m")
+_KINDS = {"FLOAT": "a number", "INT": "a whole number", "STR": "a word"}
+
+
+def wrong(key: str, problem: str, allowed: str = "", hint: str = "") -> ConfigError:
+    """A wrong option: its name, what is the matter, what would be right, what to try."""
+    return ConfigError(problem, file="command line", key=key, allowed=allowed, hint=hint)
+
+
+def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
+    """Options from words.
+
+    Args:
+        kind: Frozen dataclass of options.
+        prog: What the user typed to get here, ``robot-ik servo scan``.
+        words: What came after it.
+
+    Raises:
+        ConfigError: A word that does not belong there.
+        SystemExit: With 0, after help was asked for and given.
+    """
+    if any(word in HELP_FLAGS for word in words):
+        _, shown = _tyro(kind, prog, words, None)
+        if shown:
+            sys.stdout.write(fold(shown, shutil.get_terminal_size().columns) + "\n")
+            raise SystemExit(0)
+    options, said = _tyro(kind, prog, words, _ENDLESS)
+    if options is None:
+        raise _Slip(kind, prog, words, said).error()
+    return options
+
+
+class _Stream(io.StringIO):
+    """What is written, kept; drawn and coloured as for the stream it stands for."""
+
+    def __init__(self, like: TextIO) -> None:
+        super().__init__()
+        self._like = like
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return getattr(self._like, "encoding", None) or "utf-8"
+
+    def isatty(self) -> bool:
+        return self._like.isatty()
+
+
+def _tyro(kind: Any, prog: str, words: Sequence[str], columns: int | None) -> tuple[Any, str]:
+    """Options or None, and what was shown (help) or complained of."""
+    import tyro
+
+    out, err = _Stream(sys.stdout), _Stream(sys.stderr)
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), _columns(columns):
+        try:
+            return tyro.cli(kind, prog=prog, args=list(words)), ""
+        except SystemExit as stop:
+            return None, out.getvalue() if stop.code in (0, None) else _ANSI.sub("", err.getvalue())
+
+
+@contextlib.contextmanager
+def _columns(count: int | None) -> Iterator[None]:
+    """Makes believe that the terminal is so wide, while inside."""
+    before = os.environ.get("COLUMNS")
+    if count is not None:
+        os.environ["COLUMNS"] = str(count)
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("COLUMNS", None)
+        else:
+            os.environ["COLUMNS"] = before
+
+
+# -------------------------------------------------------------------------------------- help
+
+
+def fold(text: str, width: int) -> str:
+    """Help of tyro with its head folded, too: it folds its boxes and nothing else.
+
+    Args:
+        text: Usage, description and boxes, with blank lines between them.
+        width: Columns of the terminal.
+    """
+    lines = text.rstrip().splitlines()
+    boxes = next((at for at in range(len(lines)) if _opens_a_box(lines, at)), len(lines))
+    usage, *paragraphs = re.split(r"\n\s*\n", _ANSI.sub("", "\n".join(lines[:boxes])).strip())
+    head = [_fold_usage(usage, width)]
+    head += [_fold_prose(paragraph.strip("\n"), min(width, _PROSE)) for paragraph in paragraphs]
+    return "\n\n".join([*(part for part in head if part), "\n".join(lines[boxes:])])
+
+
+def _opens_a_box(lines: Sequence[str], at: int) -> bool:
+    below = lines[at + 1].strip() if at + 1 < len(lines) else ""
+    return _ANSI.sub("", lines[at]).startswith("╭") or (len(below) > 8 and not below.strip("-"))
+
+
+def _fold_usage(usage: str, width: int) -> str:
+    """Broken between arguments, never within the brackets of one."""
+    depth, glued = 0, ""
+    for character in " ".join(usage.split()):
+        depth += (character in "[{") - (character in "]}")
+        glued += "\0" if character == " " and depth else character
+    indent = " " * (len("usage: robot-ik") + 1)
+    kept = {"break_long_words": False, "break_on_hyphens": False}
+    return textwrap.fill(glued, width, subsequent_indent=indent, **kept).replace("\0", " ")  # type: ignore[arg-type]
+
+
+def _fold_prose(paragraph: str, width: int) -> str:
+    """Example commands stay as they are, a line each; the other lines are one text."""
+    folded: list[str] = []
+    text: list[str] = []
+    for line in [*paragraph.splitlines(), ""]:
+        example = line.strip().startswith("robot-ik ")
+        if line and not example:
+            text.append(line)
+            continue
+        folded += textwrap.wrap(" ".join(" ".join(text).split()), width, break_on_hyphens=False)
+        folded += ["    " + line.strip()] if example else []
+        text = []
+    return "\n".join(folded)
+
+
+# ------------------------------------------------------------------------------------- slips
+
+
+class _Slip:
+    """What tyro says about wrong words, said again in one sentence.
+
+    Its text is for people and differs between versions: what is not recognized is passed on as it is.
+    """
+
+    def __init__(self, kind: Any, prog: str, words: Sequence[str], said: str) -> None:
+        self._words = list(words)
+        self._hint = f"all options: {prog} --help"
+        self._help = _ANSI.sub("", _tyro(kind, prog, ["--help"], _ENDLESS)[1])
+        # The box without its frame: a title, then parts between rules.
+        rows = [line.strip("│ ").rstrip() for line in said.splitlines()]
+        self._rows = [row for row in rows if row]
+        parts = re.split(r"\n[─-]{8,}\n", "\n".join(row for row in rows if not row.startswith(("╭", "╰"))))
+        self._said = " ".join((parts[1] if len(parts) > 1 and "Options" in parts[0] else parts[0]).split())
+        self._all = " ".join(" ".join(rows).split())
+
+    def error(self) -> ConfigError:
+        """The first of the sentences that fits."""
+        for tell in (self._unknown, self._missing, self._no_value, self._no_choice, self._unreadable):
+            if (found := tell()) is not None:
+                return found
+        return wrong("", self._said, hint=self._hint)
+
+    def _takes(self, flag: str) -> str:
+        """What stands behind an option in the help, in words."""
+        found = re.search(rf"(?:^|, |│ |  ){re.escape(flag)} (\S.*?)(?:  |\s*│|$)", self._help, re.MULTILINE)
+        return " ".join(_KINDS.get(word, word) for word in found[1].split()) if found else ""
+
+    def _unknown(self) -> ConfigError | None:
+        found = re.search(r"Unrecognized (?:or misplaced )?options: (.*?)(?:[─-]{8}|$)", self._all)
+        if found is None:
+            return None
+        words = [word for word in self._words if word in re.split(r"[,\s]+", found[1])]
+        flag = next((word for word in words if word.startswith("-")), None)
+        if flag is None:
+            return wrong("", f"{' '.join(words) or found[1]!r}: nothing more is taken here", hint=self._hint)
+        close = close_matches(flag, re.findall(r"--[a-z][\w.-]*", self._help), 1)
+        meant = f"; did you mean {close[0]!r}?" if close else ""
+        return wrong("", f"unknown option {flag!r}{meant}", hint=self._hint)
+
+    def _missing(self) -> ConfigError | None:
+        at = next((k for k, row in enumerate(self._rows) if row.startswith("Missing from ")), None)
+        if at is None:
+            return None
+        rows = list(
+            itertools.takewhile(lambda row: not row.startswith(("─", "--------")), self._rows[at + 1 :])
+        )
+        told = [
+            f"{name} ({what.replace(' (required)', '')})"
+            for name, what in zip(rows[::2], rows[1::2], strict=False)
+        ]
+        return wrong("", f"missing: {', '.join(told)}", hint=self._hint)
+
+    def _no_value(self) -> ConfigError | None:
+        if not (found := re.search(r"Missing value for argument '([^']*)'", self._all)):
+            return None
+        return wrong(found[1], "a value is missing", self._takes(found[1]), self._hint)
+
+    def _no_choice(self) -> ConfigError | None:
+        found = re.search(
+            r"invalid choice '(.*?)' for argument '([^']*)'\. Expected one of \((.*?)\)", self._all
+        )
+        if found is None:
+            return None
+        value, name, listed = found.groups()
+        choices = re.findall(r"'([^']*)'", listed)
+        close = close_matches(value, choices, 1)
+        meant = f" (did you mean {close[0]!r}?)" if close else ""
+        key = name if name.startswith("-") else ""
+        return wrong(key, f"{value!r} is none of its words{meant}", ", ".join(choices), self._hint)
+
+    def _unreadable(self) -> ConfigError | None:
+        if not (found := re.search(r"Error parsing ([^\s:/]+)[^:]*: ", self._all)):
+            return None
+        flag = found[1]
+        given: list[str] = []
+        if flag in self._words:
+            for word in self._words[self._words.index(flag) + 1 :]:
+                if word.startswith("--"):
+                    break
+                given.append(word)
+        bad = re.findall(r"(?:to float|base 10): '([^']*)'", self._all)[-1:] or [
+            word for word in given if not re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|[-+]?inf", word)
+        ]
+        whole = " whole" if "base 10" in self._all else ""
+        problem = f"{bad[0]!r} is no{whole} number" if bad else f"{' '.join(given)!r} cannot be read"
+        takes = self._takes(flag)
+        return wrong(flag, problem, "" if bad and takes in _KINDS.values() else takes, self._hint)
