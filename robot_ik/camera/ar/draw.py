@@ -137,7 +137,7 @@ def shadow_sheet(
         return Layer.empty(), 0.0
     samples = painter.Samples(box, 1)
     samples.fill(flat)
-    dark = (samples.depth[0] > 0).astype(np.uint8) * 255
+    dark = (samples.depth[..., 0] > 0).astype(np.uint8) * 255
     dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
     dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = (_COARSE * v for v in box)
@@ -145,7 +145,7 @@ def shadow_sheet(
         behind = painter.Samples((x0, y0, x1, y1), 1)
         behind.fill(things)
         # what stands on the plane does not hide the plane where it stands
-        hidden = behind.depth[0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
+        hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
     return Layer((x0, y0, x1, y1), np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
 
