@@ -212,7 +212,7 @@ class RayArtist:
 
     def __init__(self, samples: int = 4) -> None:
         self._places = painter.SAMPLES[samples]
-        self._casters: dict[int, Caster] = {}
+        self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
     def draw(
         self, figure: Figure, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
@@ -251,9 +251,9 @@ class RayArtist:
         return RayPicture(box, depth.reshape(x.shape), geom.reshape(x.shape))
 
     def _caster(self, model: mujoco.MjModel) -> Caster:
-        if id(model) not in self._casters:  # a caster keeps its model, so the id stays its own
-            self._casters[id(model)] = Caster(model)
-        return self._casters[id(model)]
+        if id(model) not in self._casters:  # the model is kept, so the id stays its own
+            self._casters[id(model)] = model, Caster(model)
+        return self._casters[id(model)][1]
 
     def _cast(
         self,
