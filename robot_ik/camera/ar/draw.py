@@ -137,7 +137,7 @@ def shadow_sheet(
         return Layer.empty(), 0.0
     samples = painter.Samples(box, 1)
     samples.fill(flat)
-    dark = (samples.depth[0] > 0).astype(np.uint8) * 255
+    dark = (samples.depth[..., 0] > 0).astype(np.uint8) * 255
     dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
     dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = (_COARSE * v for v in box)
@@ -145,7 +145,7 @@ def shadow_sheet(
         behind = painter.Samples((x0, y0, x1, y1), 1)
         behind.fill(things)
         # what stands on the plane does not hide the plane where it stands
-        hidden = behind.depth[0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
+        hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
     return Layer((x0, y0, x1, y1), np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
 
@@ -212,7 +212,7 @@ class RayArtist:
 
     def __init__(self, samples: int = 4) -> None:
         self._places = painter.SAMPLES[samples]
-        self._casters: dict[int, Caster] = {}
+        self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
     def draw(
         self, figure: Figure, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
@@ -251,9 +251,9 @@ class RayArtist:
         return RayPicture(box, depth.reshape(x.shape), geom.reshape(x.shape))
 
     def _caster(self, model: mujoco.MjModel) -> Caster:
-        if id(model) not in self._casters:  # a caster keeps its model, so the id stays its own
-            self._casters[id(model)] = Caster(model)
-        return self._casters[id(model)]
+        if id(model) not in self._casters:  # the model is kept, so the id stays its own
+            self._casters[id(model)] = model, Caster(model)
+        return self._casters[id(model)][1]
 
     def _cast(
         self,

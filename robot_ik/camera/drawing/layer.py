@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing import scanline
+from robot_ik.camera.drawing import compositing
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -39,7 +39,7 @@ class Layer:
     def over(self, image: Image, alpha: float = 1.0) -> None:
         """Lays the drawing over ``image`` (height, width, 3), in place; ``alpha`` 0 leaves it."""
         if self.coverage.size:
-            scanline.lay_over(image, self.colour, self.coverage, float(alpha), self.box[0], self.box[1])
+            compositing.lay_over(image, self.colour, self.coverage, float(alpha), self.box[0], self.box[1])
 
     def shifted(self, motion: Array, width: int, height: int) -> Layer:
         """The drawing moved in the picture: Azuma's image shifting.

@@ -10,14 +10,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing.primitives import SEGMENTS, Array, GeomMesh, Index, round_radius, triangulate
+from robot_ik.camera.drawing.primitives import (
+    SEGMENTS,
+    Array,
+    GeomMesh,
+    Index,
+    outline_error,
+    round_radius,
+    triangulate,
+)
 
 Segments = tuple[int, ...]
 
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
 CREASE = np.radians(30.0)
 # Round outlines are drawn true to this, pixels.
-ROUND_PX = 0.5
+ROUND_PX = 0.25
 # MuJoCo's viewer shows these geom groups unless told otherwise (mjvOption default).
 VISIBLE_GROUPS = (1, 1, 1, 0, 0, 0)
 
@@ -51,13 +59,15 @@ class ModelMesh(Part):
 
     Attributes:
         geoms: (g,) geom ids of the model, in the order of ``*_geom``.
-        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,).
+        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,), and ``face_geom_id`` (f,): its id.
         face_geom: See ``vertex_geom``.
+        face_geom_id: See ``vertex_geom``.
     """
 
     geoms: Index
     vertex_geom: Index
     face_geom: Index
+    face_geom_id: NDArray[np.int32]
 
 
 def geom_rgba(model: mujoco.MjModel) -> Array:
@@ -156,6 +166,7 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
         geoms=np.array(geoms, dtype=np.int64),
         vertex_geom=np.repeat(np.arange(len(parts)), vertex_counts),
         face_geom=np.repeat(np.arange(len(parts)), face_counts),
+        face_geom_id=np.repeat(np.array(geoms, dtype=np.int32), face_counts),
     )
 
 
@@ -165,6 +176,8 @@ class _Kept:
 
     model: Any
     data: mujoco.MjData
+    # segments of each geom where a metre is a pixel, its extents across its z axis and along it
+    needed: Array
     radius: Array
     reach: Array
     parts: dict[tuple[int, int], Part]
@@ -178,12 +191,15 @@ _MODELS, _LEVELS = 8, 24
 
 def _kept(model: mujoco.MjModel) -> _Kept:
     if id(model) not in _CACHE:
-        radius = np.array([round_radius(model, g) for g in range(model.ngeom)])
-        long = np.isin(
-            model.geom_type, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)]
-        )
-        reach = np.where(long, np.asarray(model.geom_size)[:, 1], 0.0)
-        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), radius, reach, {}, OrderedDict())
+        geoms = range(model.ngeom)
+        error = np.array([round_radius(model, g) * outline_error(model, g) for g in geoms])
+        needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
+        size, kind = np.asarray(model.geom_size).reshape(-1, 3), np.asarray(model.geom_type)
+        long = np.isin(kind, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
+        ball = kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+        radius = np.where(ball, size.max(axis=1), size[:, 0]) * (error > 0)
+        reach = np.where(long, size[:, 1], 0.0)
+        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), needed, radius, reach, {}, OrderedDict())
         while len(_CACHE) > _MODELS:
             _CACHE.popitem(last=False)
     _CACHE.move_to_end(id(model))
@@ -209,8 +225,8 @@ def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segmen
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
     """How finely each round geom must be cut so that nobody sees corners: one of ``SEGMENTS`` each.
 
-    A sphere of n segments leaves its outline by at most (2 pi / n)^2 / 8 of its radius, inwards at the middle
-    of faces and outwards at corners; that shall be ``ROUND_PX`` in the picture at its nearest point.
+    Cut so, an outline is off by at most ``ROUND_PX`` in the picture, at the geom's nearest point: inwards at
+    the middles of faces, outwards at corners.
 
     Args:
         model: The model; geoms that are not round get 0.
@@ -221,8 +237,7 @@ def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: floa
     kept = _kept(model)
     nearest = centres[:, 2] - kept.reach * np.abs(axes[:, 2]) - kept.radius
     # a thing at the lens or behind it is cut as one at half its radius
-    seen = focal * kept.radius / np.maximum(nearest, 0.5 * np.maximum(kept.radius, 1e-9))
-    needed = np.sqrt((2.0 * np.pi) ** 2 / 8.0 * seen / ROUND_PX)
+    scale = focal / np.maximum(nearest, 0.5 * np.maximum(kept.radius, 1e-9))
     levels = np.array(SEGMENTS)
-    chosen = levels[np.minimum(np.searchsorted(levels, needed), len(levels) - 1)]
-    return tuple(np.where(kept.radius > 0, chosen, 0).tolist())
+    chosen = levels[np.minimum(np.searchsorted(levels, kept.needed * np.sqrt(scale)), len(levels) - 1)]
+    return tuple(np.where(kept.needed > 0, chosen, 0).tolist())

@@ -41,6 +41,6 @@ def visible_lines(faces: Faces, samples: Samples) -> Array:
     seen = np.empty(len(edge), dtype=bool)
     depths = at(middle, faces.inverse[ends[:, 0]], faces.inverse[ends[:, 1]])
     scanline.hide_lines(
-        at(middle, a, b), depths, _LINE_SLACK, samples.depth, samples.box[0], samples.box[1], seen
+        at(middle, a, b), depths, _LINE_SLACK, samples.depth[..., 0], samples.box[0], samples.box[1], seen
     )
     return np.stack([at(share, a, b)[seen], at(share + step, a, b)[seen]], axis=1)

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing import scanline
+from robot_ik.camera.drawing import compositing, scanline, vertices
+from robot_ik.camera.drawing.clipping import clip, view_planes
 from robot_ik.camera.drawing.layer import EMPTY, Box, Image, Layer
 from robot_ik.camera.drawing.mesh import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.lens_kernels import lens_vector
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -27,8 +30,6 @@ Mask = NDArray[np.bool_]
 
 # Nothing nearer to the lens is drawn, metres.
 NEAR = 0.02
-# Clipped faces are cut this fraction of the view outside it, where the lens model still holds.
-_MARGIN = 0.06
 # Faces that reach beyond this part of the radius at which a lens model folds back are clipped.
 _SAFE_RADIUS = 0.98
 # Direction to the light in the camera frame (x right, y down, z forward): above, left, behind the lens.
@@ -59,7 +60,7 @@ class Faces:
         faces: (f, 4) vertices; ``chosen`` which of them to fill; ``geom`` (f,) model geom id.
         chosen: See ``faces``.
         geom: See ``faces``.
-        lit: (f, 4, 2) diffuse light and highlight at the corners.
+        lit: (f, 4, 2) diffuse light and highlight at the corners of what shows its outside.
         within: (v,) vertices that the lens can see; the others' pixels mean nothing.
         mesh: The faces before clipping, in geom frames.
     """
@@ -75,45 +76,6 @@ class Faces:
     mesh: ModelMesh
 
 
-@lru_cache(maxsize=16)
-def _view_planes(intrinsics: CameraIntrinsics) -> Array:
-    """Inward planes (5, 4) round the view, n . p + d >= 0 inside: near, left, right, top, bottom."""
-    x = np.linspace(-0.5, intrinsics.width - 0.5, 33)
-    y = np.linspace(-0.5, intrinsics.height - 0.5, 33)
-    edges = [(x, np.full(33, y[0])), (x, np.full(33, y[-1])), (np.full(33, x[0]), y), (np.full(33, x[-1]), y)]
-    border = intrinsics.undistort(np.concatenate([np.stack(e, axis=1) for e in edges]))
-    border = border[np.isfinite(border).all(axis=1)]
-    low, high = border.min(axis=0), border.max(axis=0)
-    low, high = low - _MARGIN * (high - low), high + _MARGIN * (high - low)
-    return np.array(
-        [
-            [0, 0, 1, -NEAR],
-            [1, 0, -low[0], 0],
-            [-1, 0, high[0], 0],
-            [0, 1, -low[1], 0],
-            [0, -1, high[1], 0],
-        ],
-        dtype=float,
-    )
-
-
-def _clip(polygon: Array, planes: Array) -> Array:
-    """Part (k, 3) of a convex polygon inside all planes (Sutherland and Hodgman 1974)."""
-    for plane in planes:
-        if len(polygon) < 3:
-            break
-        side = polygon @ plane[:3] + plane[3]
-        following, side_next = np.roll(polygon, -1, axis=0), np.roll(side, -1)
-        kept: list[Array] = []
-        for p, q, a, b in zip(polygon, following, side, side_next, strict=True):
-            if a >= 0:
-                kept.append(p)
-            if (a >= 0) != (b >= 0):
-                kept.append(p + (q - p) * (a / (a - b)))
-        polygon = np.array(kept).reshape(-1, 3)
-    return polygon
-
-
 def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Pose) -> tuple[Array, Array]:
     """Rotations (ngeom, 3, 3) and positions (ngeom, 3) of the model's geoms in the camera frame."""
     data = scratch_data(model)
@@ -127,14 +89,10 @@ def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Po
 
 def project(points: Array, intrinsics: CameraIntrinsics) -> tuple[Array, Array, Mask]:
     """Pixels (n, 2), one over depth (n,), and which of the points (n, 3) the lens can see."""
-    inverse = 1.0 / np.maximum(points[:, 2], 0.5 * NEAR)
-    ideal = points[:, :2] * inverse[:, None]
-    radius = np.sqrt(ideal[:, 0] ** 2 + ideal[:, 1] ** 2)
+    pixels, inverse, within = np.empty((len(points), 2)), np.empty(len(points)), np.empty(len(points), bool)
     limit = _SAFE_RADIUS * intrinsics.radius_limit
-    within = (points[:, 2] > NEAR) & (radius < limit)
-    if not within.all():
-        ideal *= np.minimum(1.0, limit / np.maximum(radius, 1e-12))[:, None]
-    return intrinsics.distort(ideal), inverse, within
+    vertices.through_lens(points, lens_vector(intrinsics), NEAR, limit, pixels, inverse, within)
+    return pixels, inverse, within
 
 
 def faces_in_picture(
@@ -159,20 +117,22 @@ def faces_in_picture(
     mesh = cached_mesh(model, planes=planes, segments=segments)
     rotation, position = rotation[mesh.geoms], position[mesh.geoms]
     points = np.empty_like(mesh.vertices)
-    lit = np.empty((len(mesh.faces), 4, 2), dtype=np.float32)
-    if len(mesh.faces):
-        scanline.place_vertices(mesh.vertices, mesh.vertex_geom, rotation, position, points)
-        light, half = LIGHT @ rotation, _HALFWAY @ rotation
-        scanline.light_corners(mesh.corner_normals, mesh.face_geom, light, half, _AMBIENT, lit)
+    vertices.place(mesh.vertices, mesh.vertex_geom, rotation, position, points)
     pixels, inverse, within = project(points, intrinsics)
-    geom = mesh.geoms[mesh.face_geom].astype(np.int32)
-    whole = Faces(points, pixels, inverse, mesh.faces, np.arange(len(mesh.faces)), geom, lit, within, mesh)
-    return whole if within.all() else _clipped(whole, points, intrinsics)
+    inside = bool(within.all())
+    lit = np.empty((len(mesh.faces), 4, 2), dtype=np.float32)
+    vertices.light_corners(
+        mesh.corner_normals, mesh.faces, mesh.face_geom, pixels, not inside, LIGHT @ rotation,
+        _HALFWAY @ rotation, _AMBIENT, lit,
+    )  # fmt: skip
+    every = np.arange(len(mesh.faces))
+    whole = Faces(points, pixels, inverse, mesh.faces, every, mesh.face_geom_id, lit, within, mesh)
+    return whole if inside else _clipped(whole, points, intrinsics)
 
 
 def _clipped(whole: Faces, points: Array, intrinsics: CameraIntrinsics) -> Faces:
     """The faces with those replaced that leave the part of space which the lens can see."""
-    planes = _view_planes(intrinsics)
+    planes = view_planes(intrinsics, NEAR)
     inside = points @ planes[:, :3].T + planes[:, 3] >= 0.0
     touching = np.logical_and.reduce(np.logical_or.reduce(inside[whole.faces], axis=1), axis=1)
     seen = whole.within[whole.faces].all(axis=1)
@@ -183,7 +143,7 @@ def _clipped(whole: Faces, points: Array, intrinsics: CameraIntrinsics) -> Faces
     )
     count = len(points)
     for f in np.flatnonzero(touching & ~seen):
-        cut = _clip(points[whole.faces[f]], planes)
+        cut = clip(points[whole.faces[f]], planes)
         if len(cut) >= 3:
             k = np.arange(1, len(cut) - 1)
             fans.append(count + np.stack([0 * k, k, k + 1, k + 1], axis=1))
@@ -220,22 +180,40 @@ def bounding_box(faces: Faces, width: int, height: int, margin: int = 3) -> Box:
     return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else EMPTY
 
 
+@lru_cache(maxsize=8)
+def _cells(count: int, width: int) -> tuple[Float32, Float32, int, int, tuple[float, float]]:
+    """Samples in a row of cells, each of one column and so many rows of pixels that they fill the lanes.
+
+    Returns columns (width lanes,), rows off the cell's middle, rows of pixels in a cell, samples in one, and
+    the farthest column and row of a sample off the middle of its cell.
+    """
+    tall = max(scanline.LANES // count, 1)
+    below = np.arange(tall) - 0.5 * (tall - 1)
+    down = (below[:, None] + SAMPLES[count][:, 1]).reshape(-1)
+    aside = np.tile(SAMPLES[count][:, 0], tall)
+    across = (np.arange(width)[:, None] + aside).reshape(-1)
+    reach = (float(np.abs(aside).max()), float(np.abs(down).max()))
+    return across.astype(np.float32), np.tile(down, width).astype(np.float32), tall, tall * count, reach
+
+
 class Samples:
     """The nearest surface at each sample of the pixels of ``box``; fill it with things, then look.
 
     Attributes:
         box: (x0, y0, x1, y1) pixels, half open.
-        depth: (n, h, w) float32 one over depth, 0 where nothing is.
     """
 
     def __init__(self, box: Box, count: int = 4) -> None:
-        self.box, self._places = box, SAMPLES[count]
-        shape = (count, box[3] - box[1], box[2] - box[0])
-        self.depth = np.zeros(shape, dtype=np.float32)
-        self._whose = np.empty(shape, dtype=np.int32)
-        self._light = np.zeros((0, 6))
-        self._owner = np.zeros(0, dtype=np.int64)
-        self._extent = np.tile(np.array([shape[2], 0]), (shape[1], 1))
+        self.box, self._count = box, count
+        height, width = box[3] - box[1], box[2] - box[0]
+        self._cells = _cells(count, width)
+        self._tall = self._cells[2]
+        shape = (-(-height // self._tall), width * self._cells[3])
+        self._depth = np.zeros(shape, dtype=np.float32)
+        self._whose = np.zeros(shape, dtype=np.int32)
+        self._light = np.zeros((1, 12), dtype=np.float32)
+        self._owner = np.full(1, -1)
+        self._extent = np.tile(np.array([width, 0]), (shape[0], 1))
 
     def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
         """Adds faces; ``phantoms`` (ngeom,) or all: they hide what is behind them and are not drawn.
@@ -243,30 +221,39 @@ class Samples:
         Only one model may be there that is not all phantoms: the last.
         """
         hidden = phantoms[faces.geom] if isinstance(phantoms, np.ndarray) else phantoms
-        before = len(self._owner)
+        before = len(self._owner) - 1
         self._owner = np.concatenate([self._owner, np.where(hidden, -1, faces.geom)])
-        light = np.zeros((2 * len(faces.faces), 6))
-        if len(faces.chosen):
-            scanline.fill_faces(
-                faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, self._places,
-                self.box[0], self.box[1], self.depth, self._whose, light, self._extent,
-            )  # fmt: skip
-        self._light = np.concatenate([self._light, light]) if before else light
+        light = np.empty((len(faces.faces) + 1, 12), dtype=np.float32)
+        light[0] = 0.0
+        across, down, tall, lanes, reach = self._cells
+        scanline.fill_faces(
+            faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, *self.box[:2],
+            across, down, tall, lanes, reach, self._depth.view(np.int32), self._whose, light, self._extent,
+        )  # fmt: skip
+        self._light = np.concatenate([self._light, light[1:]]) if before else light
+
+    def _pixels(self, cells: NDArray[Any]) -> NDArray[Any]:
+        """Cells as (h, w, n): each pixel's samples; no copy for one sample of them."""
+        x0, y0, x1, y1 = self.box
+        each = cells.reshape(len(cells), x1 - x0, self._tall, self._count)
+        return each.transpose(0, 2, 1, 3).reshape(-1, x1 - x0, self._count)[: y1 - y0]
+
+    @property
+    def depth(self) -> Float32:
+        """(h, w, n) one over depth at each sample, 0 where nothing is."""
+        return self._pixels(self._depth)
 
     def geoms(self) -> Index:
-        """Geom id at each sample (n, h, w); -1 where nothing is, or a phantom."""
-        found = np.full(self.depth.shape, -1, dtype=np.int64)
-        on = self.depth > 0
-        found[on] = self._owner[self._whose[on] // 2]
-        return found
+        """Geom id at each sample (h, w, n); -1 where nothing is, or a phantom."""
+        return self._owner[self._pixels(self._whose)]
 
     def layer(self, base: Array) -> Layer:
         """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
-        shape = self.depth.shape[1:]
+        shape = (self.box[3] - self.box[1], self.box[2] - self.box[0])
         colour, coverage = np.zeros((*shape, 3), dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
-        scanline.resolve(
-            self.depth, self._whose, self._light, self._extent, self._owner, base, _GLOSS,
-            self.box[0], self.box[1], colour, coverage,
+        compositing.resolve(
+            self._whose, self._tall, (0,) * self._count, self._light, self._extent, self._owner,
+            base.astype(np.float32), np.float32(_GLOSS), colour, coverage,
         )  # fmt: skip
         return Layer(self.box, colour, coverage)
 
@@ -293,4 +280,4 @@ def paint_mask(
     """Silhouette (h, w), 255 inside, smooth; its pixel (0, 0) is ``corner`` of the picture."""
     samples = Samples((corner[0], corner[1], corner[0] + shape[1], corner[1] + shape[0]), count)
     samples.fill(faces)
-    return np.rint((samples.depth > 0).mean(axis=0) * 255).astype(np.uint8)
+    return np.rint((samples.depth > 0).mean(axis=2) * 255).astype(np.uint8)

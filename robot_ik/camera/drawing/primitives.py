@@ -68,13 +68,10 @@ def usual_segments(radius: float) -> int:
 def _lathe(profile: Array, count: int, *, flat_ends: bool = False) -> GeomMesh:
     """Turns a profile (k, 2) of radius and height, from bottom to top, about z in ``count`` steps.
 
-    The polygon of each ring gets the area of the circle, so that a drawn shape is as wide as the
-    true one on average.  ``flat_ends`` closes first and last ring with level strips.
+    ``flat_ends`` closes first and last ring with level strips.
     """
-    step = 2.0 * np.pi / count
-    widen = np.sqrt(step / np.sin(step))
-    angle = np.append(np.arange(count) * step, 0.0)
-    radius, height = profile[:, :1] * widen, profile[:, 1:]
+    angle = np.append(np.arange(count) * (2.0 * np.pi / count), 0.0)
+    radius, height = profile[:, :1], profile[:, 1:]
     ring = np.stack(
         [radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(height, (len(profile), len(angle)))],
         axis=-1,
@@ -87,40 +84,73 @@ def _lathe(profile: Array, count: int, *, flat_ends: bool = False) -> GeomMesh:
     return _weld(vertices, faces)
 
 
+def _bulge(step: float) -> float:
+    """Factor that widens a polygon of that step (radians): corners stand out as far as sides fall short."""
+    return 1.0 + step**2 / 16.0
+
+
 def _splits(length: float) -> int:
     return max(1, int(np.ceil(length / MAX_EDGE - 1e-9)))
 
 
-def _arc(radius: float, start: float, stop: float, count: int, lift: float) -> Array:
-    """Profile of a round end; widened so that corners stand out by as much as faces, turned, fall short."""
-    angle = np.linspace(start, stop, count + 1)
-    step = (stop - start) / count
-    radius *= 1.0 + step**2 / 24.0
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle) + lift], axis=1)
+def _arc(angles: Array, count: int) -> Array:
+    """Profile (k, 2) of a ball of radius 1 at these latitudes, to be turned in ``count`` steps.
+
+    Widened so that corners stand out by as much as the middles of faces fall short.
+    """
+    gaps = np.diff(angles)
+    gap = np.maximum(np.append(gaps, gaps[-1]), np.append(gaps[0], gaps))
+    around = np.cos(angles) * (2.0 * np.pi / count)
+    out = 1.0 + (gap**2 + around**2) / 16.0
+    return np.stack([out * np.cos(angles), out * np.sin(angles)], axis=1)
 
 
 def _sphere(size: Array, count: int) -> GeomMesh:
-    return _lathe(_arc(size[0], -np.pi / 2, np.pi / 2, count // 2, 0.0), count)
+    return _lathe(size[0] * _arc(np.linspace(-np.pi / 2, np.pi / 2, count // 2 + 1), count), count)
+
+
+def _density(long: float, wide: float) -> tuple[Array, Array]:
+    """Latitudes (k,) and how many steps of a ball's outline are needed up to each, of those of one as wide.
+
+    An outline falls short by its distance from the centre times the square of the step: steps are short where
+    that is far.
+    """
+    t = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    distance = 1.0 / np.sqrt(np.cos(t) ** 2 + (np.sin(t) * wide / long) ** 2)
+    need = np.sqrt(distance)
+    return t, np.concatenate([[0.0], np.cumsum(0.5 * (need[1:] + need[:-1])) / 180.0])
+
+
+def lathe_axis(size: Array) -> int:
+    """Axis about which an ellipsoid is turned with the fewest faces."""
+    wide = [max(size[(k + 1) % 3], size[(k + 2) % 3]) for k in range(3)]
+    return int(np.argmin([w * _density(size[k], w)[1][-1] for k, w in enumerate(wide)]))
 
 
 def _ellipsoid(size: Array, count: int) -> GeomMesh:
-    unit = _sphere(np.ones(1), count)
-    return GeomMesh(unit.vertices * size, unit.faces)
+    axis = lathe_axis(size)
+    turned = np.roll(size, -1 - axis)
+    t, need = _density(turned[2], max(turned[0], turned[1]))
+    rings = 2 * max(2, int(np.ceil(count / 4 * need[-1] - 1e-9)))
+    angles = np.interp(np.linspace(0.0, need[-1], rings + 1), need, t)
+    unit = _lathe(_arc(angles, count), count)
+    return GeomMesh(np.roll(unit.vertices * turned, 1 + axis, axis=1), unit.faces)
 
 
 def _capsule(size: Array, count: int) -> GeomMesh:
     radius, half = float(size[0]), float(size[1])
-    side = np.linspace(-half, half, _splits(2 * half) + 1)[1:-1]
+    side = np.linspace(-half, half, _splits(2 * half) + 1)
+    cap = radius * _arc(np.linspace(0.0, np.pi / 2, count // 4 + 1), count)[1:]
     parts = [
-        _arc(radius, -np.pi / 2, 0.0, count // 4, -half),
-        np.stack([np.full(len(side), radius), side], axis=1),
-        _arc(radius, 0.0, np.pi / 2, count // 4, half),
+        np.stack([cap[::-1, 0], -half - cap[::-1, 1]], axis=1),
+        np.stack([np.full(len(side), radius * _bulge(2.0 * np.pi / count)), side], axis=1),
+        np.stack([cap[:, 0], half + cap[:, 1]], axis=1),
     ]
     return _lathe(np.concatenate(parts), count)
 
 
 def _cylinder(size: Array, count: int) -> GeomMesh:
-    radius, half = float(size[0]), float(size[1])
+    radius, half = float(size[0]) * _bulge(2.0 * np.pi / count), float(size[1])
     side = np.linspace(-half, half, _splits(2 * half) + 1)
     return _lathe(np.stack([np.full(len(side), radius), side], axis=1), count, flat_ends=True)
 
@@ -184,11 +214,18 @@ _ROUND: dict[int, Callable[[Array, int], GeomMesh]] = {
 
 
 def round_radius(model: mujoco.MjModel, geom: int) -> float:
-    """Radius in metres of a round primitive's widest part; 0 for everything else."""
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    """Radius in metres of a round primitive across the axis about which it is turned; 0 for all else."""
+    kind, size = int(model.geom_type[geom]), np.array(model.geom_size[geom], dtype=float)
     if kind not in _ROUND:
         return 0.0
-    return float(size.max() if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID) else size[0])
+    if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        return float(np.delete(size, lathe_axis(size)).max())
+    return float(size[0])
+
+
+def outline_error(model: mujoco.MjModel, geom: int) -> float:
+    """Greatest error of a round outline, as part of the radius, over the square of the step in radians."""
+    return 1.0 / 16.0 if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER) else 1.0 / 8.0
 
 
 def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh | None:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -119,12 +120,28 @@ class Hits:
     normal: Array
 
 
+def _all_hit(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of which ``mj_multiRay`` loses nothing.
+
+    It passes over a body whose bounding volume a ray misses, and that is made of the geoms that collide: one
+    that is only to be seen and lies outside would not be seen (MuJoCo 4.0.0; ``mj_ray`` finds them all).
+    Here that volume, of which it takes the circumscribed sphere, holds all geoms of its body.
+    """
+    model = copy.copy(model)
+    body, root = model.geom_bodyid, model.body_bvhadr[model.geom_bodyid]
+    reach = np.linalg.norm(model.geom_pos - model.body_ipos[body], axis=1) + model.geom_rbound
+    unfelt = (model.geom_contype == 0) & (model.geom_conaffinity == 0) & (root >= 0)
+    for b in np.unique(body[unfelt]):
+        model.bvh_aabb[model.body_bvhadr[b]] = 0, 0, 0, reach[body == b].max(), 0, 0
+    return model
+
+
 class Caster:
     """One model in one configuration, to be looked at along rays."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
-        self._data = mujoco.MjData(model)
+        self.model = _all_hit(model)
+        self._data = mujoco.MjData(self.model)
         self._groups = np.array(VISIBLE_GROUPS, dtype=np.uint8)
         self.colours = geom_rgba(model)[:, 2::-1].copy()
         """(ngeom, 3) BGR in 0..1."""

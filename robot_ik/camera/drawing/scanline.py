@@ -1,7 +1,10 @@
-"""Compiled: triangles into sample buffers with depth, and samples into pixels.
+"""Compiled: faces into sample buffers with depth.
 
 A pixel has ``n`` samples at given places in it.  Each sample keeps the nearest surface: one over its depth
-and whose it is.  What is nearer wins, in whatever order triangles come.
+and whose it is.  What is nearer wins, in whatever order faces come.
+
+Samples lie in *cells* of one column and so many rows of pixels that a cell has ``LANES`` samples: then all of
+a cell is looked at in one go, and a face is begun anew only once for several rows.
 """
 
 from __future__ import annotations
@@ -13,105 +16,166 @@ import numpy as np
 
 from robot_ik.kernels.jit import kernel, pure
 
+# Samples are looked at so many at a time: what fits into the registers of common processors.
+LANES = 8
+# Faces are drawn wider by this, pixels, so that rounding leaves no cracks between neighbours.
+_SEAM = 2e-4
+# Beyond every picture, pixels.
+_FAR = 1e9
+# Of surfaces closer together than this the first is seen: 1.5e-5 to 3e-5 of one over depth, as bits.
+# Two that lie in each other shall not show in patches because of rounding, or of the lens that bends planes.
+_SAME = np.int32(256)
+_ZERO = np.float32(0.0)
+# What is thinner than this (square pixels, twice) is not seen.
+_THIN = -1e-9
 
-@kernel
-def place_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
-    """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
-    for k in range(len(vertices)):
-        g = owner[k]
-        x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
-        for i in range(3):
-            placed[k, i] = (
-                rotation[g, i, 0] * x + rotation[g, i, 1] * y + rotation[g, i, 2] * z + position[g, i]
-            )
+
+@pure
+def _turn(p: Any, a: int, b: int, c: int) -> float:
+    """Twice the area of a triangle, which seen from outside runs counter-clockwise: below 0."""
+    return (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[c, 0] - p[a, 0]) * (p[b, 1] - p[a, 1])
 
 
-@kernel
-def light_corners(normals: Any, owner: Any, light: Any, half: Any, ambient: float, lit: Any) -> None:
-    """``lit`` (f, 4, 2): diffuse light and highlight at each corner of each face.
+@pure
+def _light(p: Any, lit: Any, a: int, b: int, c: int, at: Any, left: int, top: int, plane: Any) -> None:
+    """``plane`` (6,): diffuse light and highlight as functions 1, x, y, from corners ``at`` of ``lit``."""
+    ax, ay = p[a, 0] - left, p[a, 1] - top
+    bx, by, cx, cy = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[c, 0] - p[a, 0], p[c, 1] - p[a, 1]
+    area = bx * cy - cx * by
+    for k in range(2):
+        base, lb, lc = lit[0, k], lit[at, k] - lit[0, k], lit[at + 1, k] - lit[0, k]
+        gx, gy = (cy * lb - by * lc) / area, (bx * lc - cx * lb) / area
+        plane[3 * k], plane[3 * k + 1], plane[3 * k + 2] = base - gx * ax - gy * ay, gx, gy
 
-    ``normals`` (f, 4, 3) in geom frames; ``light`` and ``half`` (g, 3) the unit directions to the light and
-    halfway to the viewer in each geom's frame (Blinn 1977).
+
+@pure
+def _light_face(
+    p: Any, lit: Any, a: int, b: int, c: int, d: int, left: int, top: int, one: Any, two: Any, plane: Any
+) -> None:  # fmt: skip
+    """``plane`` (11,) of a face of which at least one half is seen; see ``fill_faces``."""
+    plane[6:11] = _ZERO
+    if not one < _THIN:
+        _light(p, lit, a, c, d, 2, left, top, plane)
+        return
+    _light(p, lit, a, b, c, 1, left, top, plane)
+    if two < _THIN:
+        gx, gy = p[a, 1] - p[c, 1], p[c, 0] - p[a, 0]
+        plane[6], plane[7], plane[8] = gx * (left - p[a, 0]) + gy * (top - p[a, 1]), gx, gy
+        x, y = p[d, 0] - left, p[d, 1] - top
+        for k in range(2):
+            bend = lit[3, k] - (plane[3 * k] + plane[3 * k + 1] * x + plane[3 * k + 2] * y)
+            plane[9 + k] = bend / two
+
+
+@pure
+def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
+    """Distance inwards from the line a b times its length: value at (0, 0), gradient; columns a row.
+
+    And where the line is at row 0 if it bounds rows from the left, and if it does so from the right.
     """
-    for f in range(len(normals)):
-        g = owner[f]
-        for c in range(4):
-            n = normals[f, c]
-            diffuse = n[0] * light[g, 0] + n[1] * light[g, 1] + n[2] * light[g, 2]
-            shine = n[0] * half[g, 0] + n[1] * half[g, 1] + n[2] * half[g, 2]
-            # half way round, so that the side away from the light is not flat
-            wrapped = 0.5 + 0.5 * diffuse
-            lit[f, c, 0] = ambient + (1.0 - ambient) * wrapped * wrapped
-            power = max(shine, 0.0)
-            for _ in range(5):
-                power *= power
-            lit[f, c, 1] = power
+    gx, gy = by - ay, ax - bx
+    value = _SEAM * (abs(gx) + abs(gy)) - gx * ax - gy * ay
+    slope = -gy / gx if gx != 0.0 else 0.0
+    at, reach = ax - slope * ay, half * abs(slope) + _SEAM
+    low = at - reach if gx > 0.0 else -_FAR
+    high = at + reach if gx < 0.0 else _FAR
+    return value, gx, gy, slope, low, high
+
+
+@pure
+def _depth(
+    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float,
+    wa: float, wb: float, wc: float, wd: float,
+) -> Any:  # fmt: skip
+    """One over depth as a function 1, x, y of the picture, with the gradient that the diagonals have."""
+    area = (cx - ax) * (dy - by) - (dx - bx) * (cy - ay)
+    one, two = (wc - wa) / area, (wd - wb) / area
+    gx, gy = (dy - by) * one - (cy - ay) * two, (cx - ax) * two - (dx - bx) * one
+    return 0.25 * (wa + wb + wc + wd - gx * (ax + bx + cx + dx) - gy * (ay + by + cy + dy)), gx, gy
 
 
 @pure
 def _fill(
-    p: Any, inverse: Any, lit: Any, corners: Any, face: int, half: int,
-    offset: int, samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
+    p: Any, inverse: Any, a: int, b: int, c: int, d: int, mark: int, left: float, top: float,
+    across: Any, down: Any, tall: int, lanes: int, reach: Any, depth: Any, whose: Any, extent: Any,
 ) -> None:  # fmt: skip
-    """Half a face into the buffers: its corners 0 1 2 or 0 2 3."""
-    a, b, c = corners[0], corners[1 + half], corners[2 + half]
-    ax, ay, bx, by, cx, cy = p[a, 0], p[a, 1], p[b, 0], p[b, 1], p[c, 0], p[c, 1]
-    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    # seen from outside a face runs counter-clockwise, which is negative with y down
-    if not area < 0.0:
+    """A convex face into the buffers; a triangle repeats its last corner, which makes a side of no length.
+
+    The innermost loop has no branches, so that it is done for eight samples at a time.  Depths are compared
+    as integers: floats that are chosen between would be stored through a mask, which is slow.
+    """
+    side, half = reach
+    ax, ay, bx, by = p[a, 0] - left, p[a, 1] - top, p[b, 0] - left, p[b, 1] - top
+    cx, cy, dx, dy = p[c, 0] - left, p[c, 1] - top, p[d, 0] - left, p[d, 1] - top
+    first = max(math.ceil((min(ay, by, cy, dy) - half) / tall), 0)
+    last = min(math.floor((max(ay, by, cy, dy) + half) / tall), len(depth) - 1)
+    least = max(min(ax, bx, cx, dx) - side, 0.0)
+    most = min(max(ax, bx, cx, dx) + side, depth.shape[1] // lanes - 1.0)
+    w0, wx, wy = _depth(ax, ay, bx, by, cx, cy, dx, dy, inverse[a], inverse[b], inverse[c], inverse[d])
+    e0, x0, y0, s0, l0, h0 = _side(ax, ay, bx, by, half)
+    e1, x1, y1, s1, l1, h1 = _side(bx, by, cx, cy, half)
+    e2, x2, y2, s2, l2, h2 = _side(cx, cy, dx, dy, half)
+    e3, x3, y3, s3, l3, h3 = _side(dx, dy, ax, ay, half)
+    gx0, gx1, gx2, gx3 = np.float32(x0), np.float32(x1), np.float32(x2), np.float32(x3)
+    gy0, gy1, gy2, gy3 = np.float32(y0), np.float32(y1), np.float32(y2), np.float32(y3)
+    gwx, gwy, owned = np.float32(wx), np.float32(wy), np.int32(mark)
+    for row in range(first, last + 1):
+        y = tall * row
+        low = max(least, max(l0 + s0 * y, l1 + s1 * y, l2 + s2 * y, l3 + s3 * y) - side)
+        high = min(most, min(h0 + s0 * y, h1 + s1 * y, h2 + s2 * y, h3 + s3 * y) + side)
+        if not low <= high or math.ceil(low) > math.floor(high):
+            continue
+        start, stop = math.ceil(low), math.floor(high) + 1
+        extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
+        d0, d1 = np.float32(e0 + x0 * start + y0 * y), np.float32(e1 + x1 * start + y1 * y)
+        d2, d3 = np.float32(e2 + x2 * start + y2 * y), np.float32(e3 + x3 * start + y3 * y)
+        w = np.float32(w0 + wx * start + wy * y)
+        near, owner = depth[row, start * lanes :], whose[row, start * lanes :]
+        for i in range(LANES * ((stop - start) * (lanes // LANES))):
+            u, v, close, behind = across[i], down[i], near[i], owner[i]
+            inside = (
+                (d0 + u * gx0 + v * gy0 >= _ZERO)
+                & (d1 + u * gx1 + v * gy1 >= _ZERO)
+                & (d2 + u * gx2 + v * gy2 >= _ZERO)
+                & (d3 + u * gx3 + v * gy3 >= _ZERO)
+            )
+            here = np.float32(w + u * gwx + v * gwy if inside else _ZERO).view(np.int32)
+            near[i] = max(close, here)
+            owner[i] = owned if np.int32(here - _SAME) > close else behind
+
+
+@pure
+def _fill_face(
+    pixels: Any, inverse: Any, lit: Any, faces: Any, f: int, offset: int, left: int, top: int,
+    across: Any, down: Any, tall: int, lanes: int, reach: Any,
+    depth: Any, whose: Any, planes: Any, extent: Any,
+) -> None:  # fmt: skip
+    """One of the faces, with its light; see ``fill_faces``."""
+    a, b, c, d = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
+    one, two = _turn(pixels, a, b, c), _turn(pixels, a, c, d) if c != d else 0.0
+    first, second = one < _THIN, two < _THIN
+    if not (first or second):
         return
-    height, width = depth.shape[1], depth.shape[2]
-    first = max(math.floor(min(ay, by, cy)) - top, 0)
-    last = min(math.ceil(max(ay, by, cy)) - top, height - 1)
-    low, high = min(ax, bx, cx), max(ax, bx, cx)
-    if first > last or high < left - 1 or low > left + width:
-        return
-    # gradients in the picture of one over depth and of the light
-    ux, uy, vx, vy = (cy - ay) / area, (ax - cx) / area, (ay - by) / area, (bx - ax) / area
-    wb, wc = inverse[b] - inverse[a], inverse[c] - inverse[a]
-    wx, wy = ux * wb + vx * wc, uy * wb + vy * wc
-    mark = 2 * face + half
-    for k in range(2):
-        lb, lc = lit[face, 1 + half, k] - lit[face, 0, k], lit[face, 2 + half, k] - lit[face, 0, k]
-        gx, gy = ux * lb + vx * lc, uy * lb + vy * lc
-        planes[mark, 3 * k] = lit[face, 0, k] - gx * ax - gy * ay
-        planes[mark, 3 * k + 1], planes[mark, 3 * k + 2] = gx, gy
-    # corners from the uppermost to the lowest: an edge has the same numbers in both its faces, so no cracks
-    x0, y0, x1, y1, x2, y2 = ax, ay, bx, by, cx, cy
-    if y1 < y0:
-        x0, y0, x1, y1 = x1, y1, x0, y0
-    if y2 < y0:
-        x0, y0, x2, y2 = x2, y2, x0, y0
-    if y2 < y1:
-        x1, y1, x2, y2 = x2, y2, x1, y1
-    long = (x2 - x0) / (y2 - y0)
-    upper = (x1 - x0) / (y1 - y0) if y1 > y0 else 0.0
-    lower = (x2 - x1) / (y2 - y1) if y2 > y1 else 0.0
-    slope, owned = np.float32(wx), np.int32(mark + 2 * offset)
-    for k in range(len(samples)):
-        shift, drop = left + samples[k, 0], top + samples[k, 1]
-        for row in range(max(first, math.ceil(y0 - drop)), min(last + 1, math.ceil(y2 - drop))):
-            y = row + drop
-            one = x0 + (y - y0) * long
-            two = x0 + (y - y0) * upper if y < y1 else x1 + (y - y1) * lower
-            start = max(math.ceil(min(one, two) - shift), 0)
-            stop = min(math.ceil(max(one, two) - shift), width)
-            if start >= stop:
-                continue
-            extent[row, 0], extent[row, 1] = min(extent[row, 0], start), max(extent[row, 1], stop)
-            w = np.float32(inverse[a] + wx * (start + shift - ax) + wy * (y - ay))
-            near, owner = depth[k, row, start:stop], whose[k, row, start:stop]
-            for column in range(len(near)):  # without branches, so that it runs eight at a time
-                here = w + np.float32(column) * slope
-                nearer = here > near[column]
-                owner[column] = owned if nearer else owner[column]
-                near[column] = here if nearer else near[column]
+    _light_face(pixels, lit[f], a, b, c, d, left, top, one, two, planes[f + 1])
+    # a quad that the lens bent too far is drawn as two triangles, where they show their outside
+    convex = second and _turn(pixels, a, b, d) < 0.0 and _turn(pixels, b, c, d) < 0.0
+    whole = first and (c == d or convex)
+    for k in range(2 if first and second and not whole else 1):
+        if first and k == 0 and not whole:
+            d = c
+        elif not whole:
+            b, c, d = faces[f, 2], faces[f, 3], faces[f, 3]
+        _fill(
+            pixels, inverse, a, b, c, d, offset + f + 1, left, top + 0.5 * (tall - 1),
+            across, down, tall, lanes, reach, depth, whose, extent,
+        )  # fmt: skip
 
 
 @kernel
 def fill_faces(
-    pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int,
-    samples: Any, left: int, top: int, depth: Any, whose: Any, planes: Any, extent: Any,
+    pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int, left: int, top: int,
+    across: Any, down: Any, tall: int, lanes: int, reach: Any,
+    depth: Any, whose: Any, planes: Any, extent: Any,
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
@@ -121,91 +185,25 @@ def fill_faces(
         lit: (f, 4, 2) light at the corners.
         faces: (f, 4) vertices; ``chosen`` (k,) which faces to fill.
         chosen: See ``faces``.
-        offset: Number of the first face, where others are in the buffers already.
-        samples: (n, 2) places in a pixel, its centre is 0.
+        offset: Number of faces that are in the buffers already.
         left: Pixel column of the buffers' first, ``top`` the row.
         top: See ``left``.
-        depth: (n, h, w) float32, 0 where nothing is; ``whose`` (n, h, w) int32: 2 f, or 2 f + 1 for the
-            second triangle of a face; f counts from ``offset``.
-        whose: See ``depth``.
-        planes: (2 f, 6) gets diffuse light and highlight as functions 1, x, y of the picture.
+        across: (w lanes,) float32 columns of the samples in a row of cells, ``down`` rows off its middle.
+        down: See ``across``.
+        tall: Rows of pixels in a cell.
+        lanes: Samples in a cell.
+        reach: Farthest column and row of a sample off the middle of its cell.
+        depth: (h, w lanes) float32 seen as int32, which are in the same order; 0 where nothing is.
+        whose: (h, w lanes) int32: 0 where nothing is, then f + 1, where f counts from ``offset``.
+        planes: (f + 1, 12) gets functions 1, x, y of the buffers' pixels: diffuse light, highlight, and what
+            is below 0 in the second half of a face; and by how much of that the first two change there.
         extent: (h, 2) first column of each row that is touched, and the one after the last.
     """
     for i in range(len(chosen)):
-        f = chosen[i]
-        for half in range(2 if faces[f, 3] != faces[f, 2] else 1):
-            _fill(
-                pixels, inverse, lit, faces[f], f, half, offset, samples, left, top, depth, whose, planes,
-                extent,
-            )  # fmt: skip
-
-
-@kernel
-def resolve(
-    depth: Any, whose: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: float,
-    left: int, top: int, colour: Any, coverage: Any,
-) -> None:  # fmt: skip
-    """Samples into pixels: ``colour`` (h, w, 3) times coverage and ``coverage`` (h, w), uint8, 0 before.
-
-    ``owner`` (f,) row of each face in ``base`` (m, 3), colours 0..255; a phantom has a row below 0 and covers
-    nothing.
-    """
-    count, height = depth.shape[:2]
-    scale = 1.0 / count
-    last, who = -1, -1  # whose light and colour are at hand: neighbours are mostly of one face
-    a0 = ax = ay = s0 = sx = sy = blue = green = red = 0.0
-    for row in range(height):
-        y = row + top
-        for column in range(extent[row, 0], extent[row, 1]):
-            b, g, r, seen = 0.0, 0.0, 0.0, 0
-            k = 0
-            while k < count:
-                if not depth[k, row, column] > 0.0:
-                    k += 1
-                    continue
-                mark, run = whose[k, row, column], 0
-                while k < count and whose[k, row, column] == mark and depth[k, row, column] > 0.0:
-                    k, run = k + 1, run + 1
-                if mark != last:
-                    last, who = mark, owner[mark // 2]
-                    if who >= 0:
-                        a0, ax, ay = planes[mark, 0], planes[mark, 1], planes[mark, 2]
-                        s0, sx, sy = planes[mark, 3], planes[mark, 4], planes[mark, 5]
-                        blue, green, red = base[who, 0], base[who, 1], base[who, 2]
-                if who >= 0:
-                    x = column + left
-                    # a sample beside the pixel's middle may be on a face whose plane bends away there
-                    shade = min(max(a0 + ax * x + ay * y, 0.0), 1.0)
-                    shine = gloss * min(max(s0 + sx * x + sy * y, 0.0), 1.0)
-                    b += run * min(blue * shade + shine, 255.0)
-                    g += run * min(green * shade + shine, 255.0)
-                    r += run * min(red * shade + shine, 255.0)
-                    seen += run
-            if seen > 0:
-                colour[row, column, 0] = np.uint8(np.int32(b * scale + 0.5))
-                colour[row, column, 1] = np.uint8(np.int32(g * scale + 0.5))
-                colour[row, column, 2] = np.uint8(np.int32(r * scale + 0.5))
-                coverage[row, column] = np.uint8(seen * 255 * scale + 0.5)
-
-
-@kernel
-def lay_over(image: Any, colour: Any, coverage: Any, alpha: float, left: int, top: int) -> None:
-    """Blends a layer (see ``resolve``) into ``image`` (h, w, 3) uint8, in place."""
-    share = round(alpha * 256)
-    for row in range(coverage.shape[0]):
-        for column in range(coverage.shape[1]):
-            c = int(coverage[row, column])
-            if c == 255 and share == 256:
-                for k in range(3):
-                    image[row + top, column + left, k] = colour[row, column, k]
-            elif c > 0:
-                keep = 65280 - c * share  # 255 * 256 is all of it
-                for k in range(3):
-                    old = int(image[row + top, column + left, k])
-                    new = int(colour[row, column, k])
-                    image[row + top, column + left, k] = np.uint8(
-                        min((old * keep + new * share * 255 + 32640) // 65280, 255)
-                    )
+        _fill_face(
+            pixels, inverse, lit, faces, chosen[i], offset, left, top, across, down, tall, lanes, reach,
+            depth, whose, planes, extent,
+        )  # fmt: skip
 
 
 @kernel
@@ -214,12 +212,12 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
 
     A point on an outline is seen if one of the nine pixels around it lets it through.
     """
-    height, width = depth.shape[1], depth.shape[2]
+    height, width = depth.shape[:2]
     for i in range(len(points)):
         column = math.floor(points[i, 0] + 0.5) - left
         row = math.floor(points[i, 1] + 0.5) - top
         seen[i] = False
         for y in range(max(row - 1, 0), min(row + 2, height)):
             for x in range(max(column - 1, 0), min(column + 2, width)):
-                if depth[0, y, x] <= inverse[i] * (1.0 + slack):
+                if depth[y, x] <= inverse[i] * (1.0 + slack):
                     seen[i] = True

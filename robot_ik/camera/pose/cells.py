@@ -9,6 +9,7 @@ faces the camera, which the corners know worst.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,8 +19,9 @@ from robot_ik.camera.detect import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens_kernels import lens_vector
 from robot_ik.camera.opencv import marker_bits
+from robot_ik.camera.pose.branches import SAME_ANGLE
 from robot_ik.camera.pose.cells_kernel import PIXEL_ROWS, TWIST, UNKNOWNS, print_equations, take_print
-from robot_ik.camera.pose.marker import marker_points
+from robot_ik.camera.pose.marker import MarkerObservation, marker_points
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.kernels.jit import announce
 
@@ -42,6 +44,31 @@ _NOISIEST, _LEAST_NOISE = 0.2, 0.3
 _MODEL = 0.25
 
 
+# A marker's print is asked where its corners leave doubt: beyond this ambiguity, or this orientation, rad.
+_AMBIGUOUS, _LOOSE = 0.25, float(np.deg2rad(0.5))
+
+
+@dataclass(frozen=True, eq=False)
+class PrintFit:
+    """A pose fitted to pixels.
+
+    Attributes:
+        pose: ``pose_camera_body``.
+        covariance: (6, 6) of it.
+        squares: Mean square of the residuals, grey levels^2; what is far off counts as four sigmas.
+        pixels: How many there were.
+    """
+
+    pose: Pose
+    covariance: Array
+    squares: float
+    pixels: int
+
+    def ahead_of(self, other: PrintFit) -> float:
+        """By how much minus twice the log-likelihood is smaller than another's, the noise being unknown."""
+        return min(self.pixels, other.pixels) * float(np.log(other.squares / self.squares))
+
+
 @lru_cache(maxsize=256)
 def _black(dictionary: str, marker_id: int) -> Array:
     return np.ascontiguousarray(marker_bits(dictionary, marker_id) == 0, dtype=float)
@@ -54,9 +81,9 @@ def fit_print(
     dictionary: str,
     intrinsics: CameraIntrinsics,
     start: Pose,
-    covariance: Array,
-) -> tuple[Pose, Array] | None:
-    """A better pose than ``start``, and its covariance (6, 6); None where the print does not agree with it.
+    covariance: Array | None = None,
+) -> PrintFit | None:
+    """A better pose than ``start``; None where the print does not agree with it.
 
     Args:
         gray: (h, w) uint8, the whole picture.
@@ -65,11 +92,11 @@ def fit_print(
         dictionary: Of the markers.
         intrinsics: Of the picture.
         start: ``pose_camera_body`` from the corners.
-        covariance: (6, 6) of it.
+        covariance: (6, 6) of it: what is found far beyond that is not believed.
     """
     announce(print_equations, "the fit of the markers' prints")
     prints = [_Print(gray, _black(dictionary, i), *layout[i], intrinsics) for i in ids]
-    pose, known = start, np.linalg.inv(covariance)
+    pose = start
     for turn in range(_ROUNDS):
         # A print that is covered or spoilt says nothing; its corners have had their say.
         prints = [one for one in prints if one.take(pose, light_only=turn == 0)]
@@ -86,10 +113,53 @@ def fit_print(
             break
     else:
         return None
-    off = np.concatenate([pose.position - start.position, rotation_log(pose.compose(start.inverse()).wxyz)])
-    if not off @ known @ off < _FARTHEST**2:
-        return None
-    return pose, np.asarray(np.linalg.inv(information) * (1.0 + _MODEL) ** 2, dtype=float)
+    if covariance is not None:
+        off = np.concatenate([pose.position - start.position, _turn(start, pose)])
+        if not off @ np.linalg.solve(covariance, off) < _FARTHEST**2:
+            return None
+    wide = np.asarray(np.linalg.inv(information) * (1.0 + _MODEL) ** 2, dtype=float)
+    squares = np.concatenate([one.squares for one in prints])
+    return PrintFit(pose, wide, float(np.mean(squares)), len(squares))
+
+
+def _turn(start: Pose, pose: Pose) -> Array:
+    return np.asarray(rotation_log(pose.compose(start.inverse()).wxyz), dtype=float)
+
+
+def doubtful(seen: MarkerObservation) -> bool:
+    """Whether the corners of a marker leave doubt about its orientation."""
+    return seen.refined and (
+        seen.ambiguity > _AMBIGUOUS or float(np.trace(seen.covariance[3:, 3:])) > _LOOSE**2
+    )
+
+
+def seen_by_print(
+    gray: Image, seen: MarkerObservation, size: float, dictionary: str, intrinsics: CameraIntrinsics
+) -> MarkerObservation:
+    """A single marker with the one of its two poses that its print agrees with, or as it was.
+
+    Args:
+        gray: (h, w) uint8, the whole picture.
+        seen: By its corners.
+        size: Side of the black square, metres.
+        dictionary: Of the marker.
+        intrinsics: Of the picture.
+    """
+    starts = [seen.pose] if seen.alternative is None else [seen.pose, seen.alternative]
+    layout = {seen.id: (size, Pose())}
+    found = [fit_print(gray, layout, [seen.id], dictionary, intrinsics, start) for start in starts]
+    fits = sorted((one for one in found if one is not None), key=lambda one: one.squares)
+    if not fits:
+        return seen
+    best, others = fits[0], [one for one in fits[1:] if one.pose.distance(fits[0].pose)[1] > SAME_ANGLE]
+    off = intrinsics.project(best.pose.apply(marker_points(size))) - seen.corners
+    # As of the corners: the expected cost, of two degrees of freedom, is added to both.
+    ambiguity = float(np.sqrt(2.0 / (2.0 + best.ahead_of(others[0])))) if others else 0.0
+    return replace(
+        seen, pose=best.pose, covariance=best.covariance, ambiguity=ambiguity,
+        alternative=others[0].pose if others else None,
+        reprojection_error=float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
+    )  # fmt: skip
 
 
 class _Print:
@@ -141,6 +211,11 @@ class _Print:
         self.information = (matrix[:TWIST, :TWIST] - along @ matrix[own, :TWIST]) / self._noise**2
         self.right = (right[:TWIST] - along @ right[own]) / self._noise**2
         return self._noise < _NOISIEST * float(self._x[4])
+
+    @property
+    def squares(self) -> Array:
+        """(k,) squares of the residuals; what is far off counts as four standard deviations."""
+        return np.asarray(np.minimum(self._misses[: self._count] ** 2, (4.0 * self._noise) ** 2), dtype=float)
 
     def _to_print(self, pose: Pose) -> Array:
         at = pose.compose(self._pose)

@@ -12,7 +12,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.pose import BodyObservation, body_branches
 from robot_ik.camera.pose.bodies import MarkerBody
 from robot_ik.camera.pose.branches import Branches
-from robot_ik.camera.pose.cells import fit_print
+from robot_ik.camera.pose.cells import doubtful, fit_print, seen_by_print
 from robot_ik.camera.pose.marker import MarkerObservation, marker_branches, marker_observation, marker_points
 from robot_ik.camera.refine import RefinedCorners, refine_markers
 from robot_ik.camera.sources import Frame
@@ -102,9 +102,15 @@ class MarkerTracker:
                 continue
             # Nobody knows which of two copies the last picture was about.
             choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
-            observations.append(
-                marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
+            seen = marker_observation(
+                marker_id, corners, branches, frame.time, choice.index, choice.ambiguity
             )
+            if not self._use_memory and doubtful(seen):
+                seen = seen_by_print(
+                    to_gray(frame.image), seen, self.size_of(marker_id), self.detector.dictionary,
+                    self.intrinsics,
+                )  # fmt: skip
+            observations.append(seen)
         return observations
 
     def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
@@ -132,7 +138,11 @@ class MarkerTracker:
             to_gray(frame.image), layout, seen.ids, self.detector.dictionary, self.intrinsics,
             seen.pose_camera_body, seen.covariance,
         )  # fmt: skip
-        return seen if better is None else replace(seen, pose_camera_body=better[0], covariance=better[1])
+        return (
+            seen
+            if better is None
+            else replace(seen, pose_camera_body=better.pose, covariance=better.covariance)
+        )
 
     def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
         """Corners of the wanted markers in the frame, by id; those that come twice are left out.
