@@ -48,10 +48,12 @@ class Effort:
     Attributes:
         quick: A tenth of the pictures: for a look, not for the record.
         seed: Of everything random.
+        photographs: A folder of real ones without markers; empty: none.
     """
 
     quick: bool = False
     seed: int = 1
+    photographs: str = ""
 
     def count(self, whole: int) -> int:
         """How many of ``whole`` to do."""
@@ -99,6 +101,7 @@ ROWS: tuple[Row, ...] = (
     Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "camera_accuracy:occlusion"),
     Row("overlay", "where a robot on the board is drawn", _HERE + "camera_optics:overlay"),
     Row("clutter", "goals from pictures that hold no marker", _HERE + "camera_accuracy:clutter"),
+    Row("photographs", "real pictures, of --photographs", _HERE + "camera_world:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "camera_optics:projection"),
     Row("calibration", "intrinsics from 20 views of a ChArUco board", _HERE + "camera_optics:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
@@ -113,4 +116,5 @@ ROWS: tuple[Row, ...] = (
     Row("drawing", "drawing a robot over a picture", _HERE + "camera_speed:drawing"),
     Row("loop", "picture to goal, solution and overlay", _HERE + "camera_speed:loop"),
     Row("delay", "from the grab of a picture to its goal", _HERE + "camera_speed:delay"),
+    Row("first", "the first command, without camera and display", _HERE + "camera_world:first_command"),
 )

@@ -48,6 +48,8 @@ class BenchCameraOptions:
     """Write the figures there, too."""
     seed: int = 1
     """Of pictures and noise."""
+    photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""
+    """Real pictures without markers, for false finds; with chessboards of 9 × 6 corners, for real corners."""
 
 
 @dataclass
@@ -86,7 +88,7 @@ def run_camera(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
     import_mujoco()
     rows = chosen_rows(options.rows)
-    effort, found = Effort(options.quick, options.seed), Measured()
+    effort, found = Effort(options.quick, options.seed, options.photographs), Measured()
     try:
         with console.progress() as bar:
             measure(rows, effort, found, bar)

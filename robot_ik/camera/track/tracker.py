@@ -168,16 +168,22 @@ class MarkerTracker:
             return self._seen[1]
         self.intrinsics.require_size(*frame.size)
         part, origin, detections = self._detect(frame.image)
-        refined = refine_markers(
-            part,
-            [d.corners for d in detections],
-            self.intrinsics,
-            cells=self.detector.cells,
-            origin=origin,
-        )
+        refined = self._refine(part, detections, origin)
+        if not all(one.refined for one in refined) and part.shape == frame.image.shape[:2]:
+            # The quick search's corners may be too rough to start from.
+            again = self.detector.detect(part)
+            better = self._refine(part, again, origin)
+            if sum(one.refined for one in better) > sum(one.refined for one in refined):
+                detections, refined = again, better
         found = [(d.id, corners) for d, corners in zip(detections, refined, strict=True)]
         self._seen = (frame, found)
         return found
+
+    def _refine(
+        self, part: Image, detections: list[Detection], origin: tuple[int, int]
+    ) -> list[RefinedCorners]:
+        rough = [d.corners for d in detections]
+        return refine_markers(part, rough, self.intrinsics, cells=self.detector.cells, origin=origin)
 
     def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection]]:
         """The part of the picture (grey) that was looked at, where it begins, and what is in it."""
