@@ -132,7 +132,7 @@ class Arm(Gripping):
                 raise ArmStateError("cannot read: the arm is disconnected", hint="call connect() first")
             if self.state is ArmState.CONNECTED:
                 ticks = read_all(self.bus, self.config, "present_position")
-                samples.take(ticks, self.clock.now())
+                samples.begin(ticks, self.clock.now())
             elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
                 self._latching(self._cycle.measure)
             return JointReading(samples.q[: len(self.joints)].copy(), float(samples.times.min()))

@@ -203,7 +203,7 @@ class Cycle:
         """Servo id -> ticks.  Taking the present position every time would let a loaded joint creep down."""
         goals = dict(self.goals)
         for joint in self._config.servos:
-            if _presses(joint):
+            if _presses(joint) and joint.id not in self.samples.jumped:
                 continue  # it is meant to press: yielding would let go of what it grips
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:

@@ -60,7 +60,7 @@ class Samples:
         return times
 
     def begin(self, ticks: Mapping[int, int], now: float) -> None:
-        """The arm gets torque here: a hand may have turned it since the last sample."""
+        """The arm had no torque until here: a hand may have turned it since the last sample."""
         self.ticks.clear()
         self.jumped.clear()
         self.take(ticks, now)

@@ -18,6 +18,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.fault_kinds import Fault
@@ -175,12 +176,26 @@ def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
         assert np.abs(arm.virtual_bus.true_angles(lab.config) - lab.start).max() < 0.05
 
 
+def test_a_joint_that_presses_and_loses_count_is_held_too(lab, arm_toml):
+    """What it grips keeps such a joint from its goal; here nothing would."""
+    text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
+    with lab.arm(config=ArmConfig.parse(text)) as arm:
+        before = arm.virtual_bus.true_angles(lab.config)
+        fault = lab.fault(arm, MotorFaultError, Fault("lost_turns", id=1, value=1))
+        assert fault.status == ("position_jump",)
+        arm.clock.sleep_until(arm.clock.now() + 3.0)
+        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1
+
+
 def test_an_arm_turned_by_hand_without_torque_has_not_jumped(lab):
     with lab.arm() as arm:
         arm.read()
         arm.virtual_bus.servo(1).turn_by_hand(-2100)
         arm.read()
         arm.virtual_bus.servo(1).turn_by_hand(2100)
+        arm.read()
+        arm.reconnect()
+        arm.virtual_bus.servo(1).turn_by_hand(-2100)
         arm.enable()
         lab.drive(arm)
 
