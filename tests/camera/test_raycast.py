@@ -38,6 +38,15 @@ def test_every_ray_meets_what_a_single_ray_meets(name: str) -> None:
     assert len(seen) > 0.4 * sum(groups[model.geom_group] > 0)
 
 
+def test_a_floor_is_met_although_its_body_has_what_is_only_to_be_seen() -> None:
+    shown = '<geom type="box" size=".1 .1 .1" pos="0 0 .5" contype="0" conaffinity="0"/>'
+    floor = '<geom type="plane" size="3 3 .1"/>'
+    caster = Caster(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{floor}{shown}</worldbody></mujoco>"))
+    caster.place([])
+    down = np.array([[0.0, 0.0, -1.0], [2.0, 0.0, -1.0], [5.0, 0.0, -1.0]])
+    assert caster.cast(np.array([0.0, 0.0, 1.0]), down).geom.tolist() == [1, 0, -1]
+
+
 def test_the_model_given_is_left_as_it_is() -> None:
     model = load_robot("lion").model
     before = model.bvh_aabb.copy()

@@ -129,7 +129,10 @@ def _all_hit(model: mujoco.MjModel) -> mujoco.MjModel:
     """
     model = copy.copy(model)
     body, root = model.geom_bodyid, model.body_bvhadr[model.geom_bodyid]
-    reach = np.linalg.norm(model.geom_pos - model.body_ipos[body], axis=1) + model.geom_rbound
+    # Planes have no bounding radius and no end.
+    plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    radius = np.where(plane, mujoco.mjMAXVAL, model.geom_rbound)
+    reach = np.linalg.norm(model.geom_pos - model.body_ipos[body], axis=1) + radius
     unfelt = (model.geom_contype == 0) & (model.geom_conaffinity == 0) & (root >= 0)
     for b in np.unique(body[unfelt]):
         model.bvh_aabb[model.body_bvhadr[b]] = 0, 0, 0, reach[body == b].max(), 0, 0
