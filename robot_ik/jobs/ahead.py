@@ -1,4 +1,4 @@
-"""Compiles a method in a process of its own while this one looks through the camera.
+"""Compiles in a process of its own while this one looks through the camera.
 
 Compiling takes longer than all the rest of a first run together, and Python compiles one thing at a time.
 What the other process has compiled is taken from the cache; should it fail, nothing is lost but time.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -20,7 +20,7 @@ from robot_ik.solvers.base import IterativeSolver, Solver
 from robot_ik.solvers.levenberg_marquardt import lm
 
 # A solve from the goal itself compiles everything and takes no step.
-_PROGRAM = """
+_SOLVE = """
 import sys
 import robot_ik as rik
 robot = rik.load_robot(sys.argv[1])
@@ -36,24 +36,36 @@ def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
 
 
 class CompiledAhead:
-    """Starts compiling ``solver``, if that is still to be done; ``wait`` before the first solve.
+    """Starts a Python program that compiles something, if that is still to be done; ``wait`` before its use.
 
     Args:
-        robot: As for ``load_robot``.
-        solver: Name of a method.
+        kernels: Where one of them has been compiled, nothing is to be done.
+        what: They are, in the line that tells the user.
+        arguments: Of Python.
     """
 
-    def __init__(self, robot: str, solver: str) -> None:
+    def __init__(self, kernels: Sequence[Callable[..., None]], what: str, *arguments: str) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        kernels = _kernels_of(make_solver(solver))
         if any(jit.compiled(kernel) for kernel in kernels):
             return
-        jit.announce(kernels[0], f"solver {solver!r}")
+        jit.announce(kernels[0], what)
         quiet = subprocess.DEVNULL
         with contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, robot, solver], stdin=quiet, stdout=quiet, stderr=quiet
+                [sys.executable, *arguments], stdin=quiet, stdout=quiet, stderr=quiet
             )
+
+    @classmethod
+    def solver(cls, robot: str, solver: str) -> Self:
+        """A method, by its name, for a robot as for ``load_robot``."""
+        return cls(_kernels_of(make_solver(solver)), f"solver {solver!r}", "-c", _SOLVE, robot, solver)
+
+    @classmethod
+    def overlay(cls) -> Self:
+        """What draws a robot into a picture with a board."""
+        from robot_ik.camera.drawing.scanline import fill_faces
+
+        return cls((fill_faces,), "the painter", "-m", "robot_ik.jobs.ar_first_use")
 
     def wait(self) -> None:
         """Returns when it is done, or has failed."""

@@ -24,6 +24,7 @@ from robot_ik.camera.made_up.synthetic import look_at
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.ahead import CompiledAhead
 from robot_ik.jobs.ar_files import open_sink
 from robot_ik.jobs.ar_motion import Motion, Replay, make_motion
 from robot_ik.jobs.ar_scene import AT_REST, BOARD, FOLLOWED, synthetic_stage
@@ -140,6 +141,7 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
     """
     robot = load_robot(request.robot)
     with contextlib.ExitStack() as stack:
+        ahead = stack.enter_context(CompiledAhead.overlay())
         figure = _figure(request, robot)
         motion = make_motion(request.motion, robot, figure, stack)
         frames, intrinsics, total = _open(request, motion, stack)
@@ -156,6 +158,7 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
                 begin = tracked.time if begin is None else begin
                 start = time.perf_counter()
                 seen = registrar.track(tracked)
+                ahead.wait()
                 qpos = robot.qpos(motion.q(shown.time - begin, seen))
                 made = registrar.compose(seen, shown, qpos)
                 spent += time.perf_counter() - start

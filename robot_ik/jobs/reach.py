@@ -75,7 +75,7 @@ def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: N
         )  # fmt: skip
     method = request.solver or find_robot(request.robot)[1].solver or "auto"
     with contextlib.ExitStack() as stack:
-        ahead = stack.enter_context(CompiledAhead(request.robot, method))
+        ahead = stack.enter_context(CompiledAhead.solver(request.robot, method))
         limbs = prepare_limbs(request)
         frame = limbs.frame
         eyes = open_eyes(request, limbs, frame, stack)
