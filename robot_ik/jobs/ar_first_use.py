@@ -1,4 +1,4 @@
-"""What a first ``robot-ik ar`` compiles, by a process of its own: ``python -m robot_ik.jobs.ar_first_use``."""
+"""What a first ``robot-ik ar`` compiles, as a program: ``python -m robot_ik.jobs.ar_first_use``."""
 
 from __future__ import annotations
 
