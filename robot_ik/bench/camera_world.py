@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.boards.patterns import ChessboardPattern, FoundPattern
+from robot_ik.camera.boards.found_pattern import FoundPattern
+from robot_ik.camera.boards.patterns import ChessboardPattern
 from robot_ik.camera.calibrate import calibrate
 from robot_ik.camera.detect import MarkerDetector
 from robot_ik.errors import ConfigError

@@ -13,7 +13,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
+from robot_ik.camera.boards.found_pattern import FoundPattern
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern
 from robot_ik.camera.calibrate import CalibrationResult, View, calibrate
 from robot_ik.camera.calibrate.coverage import LEANS, coverage_picture
 from robot_ik.camera.intrinsics import CameraIntrinsics

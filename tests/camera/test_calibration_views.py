@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
+from robot_ik.camera.boards.found_pattern import FoundPattern
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.calibrate.views import ViewGatherer, missing_words
 from robot_ik.camera.drawing.raster import paint_boxes
 from robot_ik.camera.made_up.pattern_set import render_pattern

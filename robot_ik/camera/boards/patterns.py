@@ -16,37 +16,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.chess_corner import refine_corners
+from robot_ik.camera.boards.found_pattern import FEWEST_CORNERS, CornerGrid, FoundPattern, fitted_pattern
 from robot_ik.camera.opencv import dictionary_size, marker_bits, marker_dictionary, quiet
+from robot_ik.camera.reduction import reduced, reduction_for
 from robot_ik.errors import CalibrationError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
-_FEWEST_CORNERS = 6
 # How far from a corner its picture is its own, in gaps between square and marker: the nearest marker's corner
 # is the root of 2 away, and blur takes some of that.
 _GAP_REACH = 1.2
+# The same on a chessboard, in squares.
+_SQUARE_REACH = 0.45
 # A view needs corners on both sides of the board: two lines of them at least.
 _FEWEST_LINES = 2
-
-
-@dataclass(frozen=True, eq=False)
-class FoundPattern:
-    """The corners of a pattern in one picture.
-
-    Attributes:
-        points_board: (n, 3) metres, z = 0, in the board frame.
-        pixels: (n, 2) distorted pixels, integer pixel centres.
-        ids: (n,) number of each corner: column + row * columns of inner corners.
-        blur: Width of the edges at the corners, pixels (median): about 1.2 times the blur's sigma.
-    """
-
-    points_board: Array
-    pixels: Array
-    ids: NDArray[np.int64]
-    blur: float = 0.0
 
 
 class Pattern(Hashable, Protocol):
@@ -125,14 +109,17 @@ class ChessboardPattern:
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)
+        times = reduction_for(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         with quiet():
-            good, corners = cv2.findChessboardCorners(gray, (self.columns, self.rows), flags=flags)
+            good, corners = cv2.findChessboardCorners(
+                reduced(gray, times), (self.columns, self.rows), flags=flags
+            )
         if not good or corners is None:
             return None
         start = np.asarray(corners, dtype=float).reshape(-1, 2)
         ids = np.arange(len(start))
-        return _found(gray, start, ids, self, reach=0.45)
+        return fitted_pattern(gray, times, start, ids, _grid(self, _SQUARE_REACH))
 
     def black(self) -> Array:
         return _black_squares(self.columns + 1, self.rows + 1, self.square, self.origin)
@@ -192,17 +179,28 @@ class CharucoPattern:
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)
+        times = reduction_for(gray)
+        found = self._find(gray, times)
+        if times > 1 and (found is None or len(found.ids) < self.corners[0] * self.corners[1]):
+            # A board far away in a large picture is too small in a reduced one.
+            whole = self._find(gray, 1)
+            if whole is not None and (found is None or len(whole.ids) > len(found.ids)):
+                return whole
+        return found
+
+    def _find(self, gray: Image, times: int) -> FoundPattern | None:
+        """The pattern as found in the picture that is so many times smaller."""
         with quiet():
-            corners, ids, _, _ = _charuco_detector(self).detectBoard(gray)
+            corners, ids, _, _ = _charuco_detector(self).detectBoard(reduced(gray, times))
         if ids is None or corners is None:
             return None
         numbers = np.asarray(ids, dtype=np.int64).reshape(-1)
         start = np.asarray(corners, dtype=float).reshape(-1, 2)
         lines = [len(np.unique(n)) for n in (numbers % self.corners[0], numbers // self.corners[0])]
-        if len(numbers) < _FEWEST_CORNERS or min(lines) < _FEWEST_LINES:
+        if len(numbers) < FEWEST_CORNERS or min(lines) < _FEWEST_LINES:
             return None
         gap = (self.square - self.marker) / 2 / self.square
-        return _found(gray, start, numbers, self, reach=_GAP_REACH * gap)
+        return fitted_pattern(gray, times, start, numbers, _grid(self, _GAP_REACH * gap))
 
     def black(self) -> Array:
         first = 0 if self._starts_black else 1
@@ -237,18 +235,9 @@ def _charuco_detector(pattern: CharucoPattern) -> Any:
     return cv2.aruco.CharucoDetector(board)
 
 
-def _found(
-    gray: Image, start: Array, ids: NDArray[np.int64], pattern: Pattern, reach: float
-) -> FoundPattern | None:
-    """Refines corners and takes away those that were none; ``reach`` is the free way in squares."""
-    columns = pattern.corners[0]
-    grid = np.stack([ids % columns, ids // columns], axis=1).astype(float)
-    pixels, good, blur = refine_corners(gray, start, grid, reach)
-    if good.sum() < _FEWEST_CORNERS:
-        return None
-    offset = np.array(pattern.origin) + pattern.square
-    points = np.hstack([offset + grid * pattern.square, np.zeros((len(grid), 1))])
-    return FoundPattern(points[good], pixels[good], ids[good], float(np.median(blur[good])))
+def _grid(pattern: Pattern, reach: float) -> CornerGrid:
+    x, y = pattern.origin
+    return CornerGrid(pattern.corners[0], pattern.square, (x + pattern.square, y + pattern.square), reach)
 
 
 def _black_squares(

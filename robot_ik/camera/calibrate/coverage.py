@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.patterns import FoundPattern
+from robot_ik.camera.boards.found_pattern import FoundPattern
 from robot_ik.camera.drawing.text import write
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.patterns import FoundPattern
+from robot_ik.camera.boards.found_pattern import FoundPattern
 from robot_ik.camera.calibrate.coverage import Coverage, cover
 from robot_ik.camera.calibrate.verdict import ENOUGH_VIEWS, Worth, doubts_of, verdict_of
 from robot_ik.camera.intrinsics import CameraIntrinsics

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.camera.boards.found_pattern import FoundPattern
 from robot_ik.camera.boards.pattern_guess import describe, fitting_pattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.calibrate.coverage import Coverage, cover
 from robot_ik.camera.calibrate.fit import View
 from robot_ik.camera.detect.dictionary_guess import guess_dictionary

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.opencv import detect_markers, dictionary_size, marker_dictionary
+from robot_ik.camera.reduction import from_reduced, reduced, reduction_for
 from robot_ik.errors import CameraError
 
 Array = NDArray[np.float64]
@@ -91,9 +92,14 @@ class MarkerDetector:
     def detect(self, image: Image) -> list[Detection]:
         """Markers in a picture (h, w) or (h, w, 3) uint8, sorted by id.
 
-        The same id may come twice when two copies of a marker are in view.
+        The same id may come twice when two copies of a marker are in view.  A large picture is searched in a
+        smaller size too: its edges may be too soft for the thresholds.
         """
-        return self._wanted(detect_markers(self._detector, to_gray(image)))
+        gray = to_gray(image)
+        found = self._wanted(detect_markers(self._detector, gray))
+        if reduction_for(gray) == 1:
+            return found
+        return _sorted(found + [one for one in self.detect_quickly(gray) if not _among(one, found)])
 
     def detect_part(
         self, image: Image, side: float, *, origin: tuple[int, int] = (0, 0), thorough: bool = False
@@ -125,11 +131,16 @@ class MarkerDetector:
     def detect_quickly(self, image: Image) -> list[Detection]:
         """As ``detect``, two times faster, with one threshold: enough for markers that are easily seen.
 
+        A large picture is searched in a smaller size only.
+
         Args:
             image: (h, w) or (h, w, 3) uint8.
         """
-        self._expect(0.0, image.shape[:2])
-        return self._wanted(detect_markers(self._quick, to_gray(image)))
+        times = reduction_for(image)
+        gray = reduced(to_gray(image), times)
+        self._expect(0.0, gray.shape, reduced=times > 1)
+        found = detect_markers(self._quick, gray)
+        return self._wanted([(i, from_reduced(corners, times)) for i, corners in found], times)
 
     def _expect(self, perimeter: float, shape: tuple[int, ...], *, reduced: bool = False) -> None:
         """Tells the quick detector how small a marker may be in a picture of this shape."""
@@ -142,14 +153,26 @@ class MarkerDetector:
             p.minMarkerPerimeterRate, p.cornerRefinementMethod = rate, how
             self._quick.setDetectorParameters(p)
 
-    def _wanted(self, found: list[tuple[int, Array]]) -> list[Detection]:
-        least = _LEAST_CELL * self.cells
+    def _wanted(self, found: list[tuple[int, Array]], times: int = 1) -> list[Detection]:
+        least = _LEAST_CELL * self.cells * times
         wanted = [
             Detection(i, corners)
             for i, corners in found
             if (self.ids is None or i in self.ids) and shortest_side(corners) >= least
         ]
-        return sorted(wanted, key=lambda d: (d.id, *d.corners[0]))
+        return _sorted(wanted)
+
+
+def _sorted(found: list[Detection]) -> list[Detection]:
+    return sorted(found, key=lambda d: (d.id, *d.corners[0]))
+
+
+def _among(one: Detection, others: list[Detection]) -> bool:
+    """Whether a marker has been found already."""
+    centre, near = one.corners.mean(axis=0), 0.5 * shortest_side(one.corners)
+    return any(
+        d.id == one.id and float(np.linalg.norm(d.corners.mean(axis=0) - centre)) < near for d in others
+    )
 
 
 def _zoomed(gray: Image, zoom: float) -> Image:

@@ -17,12 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.detect import Image, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens_kernels import CX, CY, lens_vector
+from robot_ik.camera.lens_kernels import CX, CY, FX, FY, lens_vector
+from robot_ik.camera.reduction import from_reduced, reduced, to_reduced
 from robot_ik.camera.refine.kernel import refine_corners_of
 from robot_ik.kernels.jit import announce
 
 Array = NDArray[np.float64]
 
+# What cannot be fitted may be too soft: it is tried in a smaller picture, while cells keep this width, px.
+_LEAST_CELL = 5.0
 # Corners straight from the detector scatter by 0.8 px (measured on the standard set, all distances).
 DETECTOR_SIGMA = 0.85
 
@@ -105,8 +108,45 @@ def refine_markers(
         lens[CY] -= origin[1]
         corners -= origin
     refine_corners_of(gray, lens, cells, corners, ideal, covariance, good)
+    for k in np.flatnonzero(good == 0):
+        soft = _refine_soft(gray, lens, cells, corners[k])
+        if soft is not None:
+            corners[k], ideal[k], covariance[k], good[k] = *soft, 1
     corners += origin
     return [
         RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True) if fine else unrefined(c, intrinsics)
         for c, i, v, fine in zip(corners, ideal, covariance, good, strict=True)
     ]
+
+
+def _refine_soft(gray: Image, lens: Array, cells: int, corners: Array) -> tuple[Array, Array, Array] | None:
+    """Corners, their ideal ones and their covariance from a picture reduced as often as it takes.
+
+    Args:
+        gray: (h, w).
+        lens: As for the kernels, of this picture.
+        cells: Along a side.
+        corners: (4, 2) rough ones.
+    """
+    times, side = 2, math.sqrt(abs(_area(corners)))
+    while side / times > _LEAST_CELL * cells:
+        # A part with the white round the marker that begins at a reduced pixel is enough.
+        low = np.maximum(np.floor((corners.min(axis=0) - 0.5 * side) / times), 0.0).astype(int) * times
+        high = np.ceil(corners.max(axis=0) + 0.5 * side).astype(int)
+        part = np.ascontiguousarray(reduced(gray[low[1] : high[1] + 1, low[0] : high[0] + 1], times))
+        small = lens.copy()
+        small[[FX, FY]] /= times
+        small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, times)
+        found = to_reduced(corners - low, times)[None]
+        ideal, covariance = np.empty_like(found), np.empty((1, 8, 8))
+        good = np.zeros(1, np.int64)
+        refine_corners_of(part, small, cells, found, ideal, covariance, good)
+        if good[0]:
+            return from_reduced(found[0], times) + low, ideal[0], covariance[0] * times**2
+        times *= 2
+    return None
+
+
+def _area(corners: Array) -> float:
+    x, y = corners.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))

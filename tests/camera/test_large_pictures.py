@@ -1,0 +1,72 @@
+"""Pictures of many pixels and soft edges: photographs of a telephone, enlarged ones, ones out of focus."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
+from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.made_up.pattern_set import pattern_set
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, standard_set
+from robot_ik.camera.opencv import marker_bits
+from robot_ik.camera.reduction import from_reduced, reduced, to_reduced
+from robot_ik.camera.sources import Frame
+from robot_ik.camera.track import MarkerTracker
+
+TIMES = 8  # 640 px become 5120, and a blur of 0.7 px 5.6
+
+
+def enlarged(image: np.ndarray, times: int = TIMES) -> np.ndarray:
+    return np.asarray(cv2.resize(image, (0, 0), fx=times, fy=times, interpolation=cv2.INTER_CUBIC))
+
+
+@pytest.mark.parametrize("times", [2, 3, 7])
+def test_reduced_pixels_are_where_they_were(times: int) -> None:
+    # Grey levels that say where a pixel is; the sizes are no multiples.
+    across = np.tile(np.arange(200, dtype=np.uint8), (103, 1))
+    there = reduced(across, times)
+    assert there.shape == (103 // times, 200 // times)
+    columns = np.arange(there.shape[1], dtype=float)
+    assert from_reduced(columns, times) == pytest.approx(there[0].astype(float), abs=0.5)
+    assert to_reduced(from_reduced(columns, times), times) == pytest.approx(columns)
+
+
+@pytest.mark.parametrize("ids", [None, [7]])
+def test_a_marker_in_an_enlarged_picture_is_measured_as_in_the_small_one(ids: list[int] | None) -> None:
+    small = MarkerTracker(STANDARD_CAMERA, "DICT_4X4_50", STANDARD_SIZE, ids)
+    camera = STANDARD_CAMERA.scaled(TIMES * STANDARD_CAMERA.width, TIMES * STANDARD_CAMERA.height)
+    large = MarkerTracker(camera, "DICT_4X4_50", STANDARD_SIZE, ids)
+    for view in standard_set(0.4, 3, seed=8):
+        (one,) = small.observe(Frame(view.image, 0.0, 0))
+        (other,) = large.observe(Frame(enlarged(view.image), 0.0, 0))
+        assert other.refined
+        assert to_reduced(other.corners, TIMES) == pytest.approx(one.corners, abs=0.15)
+        assert other.pose.distance(view.pose)[0] < 5e-4
+
+
+def test_a_small_marker_in_a_large_picture_is_found_at_full_size() -> None:
+    # 6 cells of 4 px: too small in the reduced picture.
+    picture = np.full((2600, 4000), 200, np.uint8)
+    picture[1500:1524, 3100:3124] = np.kron(marker_bits("DICT_4X4_50", 3), np.ones((4, 4), np.uint8))
+    (found,) = MarkerDetector("DICT_4X4_50").detect(picture)
+    assert found.id == 3
+    assert found.corners[0] == pytest.approx([3099.5, 1499.5], abs=1.0)
+
+
+def test_a_marker_found_at_both_sizes_is_one_marker() -> None:
+    (view,) = standard_set(0.4, 1, seed=2)
+    assert [d.id for d in MarkerDetector("DICT_4X4_50").detect(enlarged(view.image, 5))] == [7]
+
+
+@pytest.mark.parametrize("pattern", [CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(9, 6, 0.025)])
+def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> None:
+    (view,) = pattern_set(pattern, STANDARD_CAMERA, 1, seed=6)
+    small, large = pattern.find(view.image), pattern.find(enlarged(view.image))
+    assert small is not None and large is not None
+    assert len(large.ids) >= len(small.ids)
+    true = STANDARD_CAMERA.project(view.pose.apply(large.points_board))
+    off = to_reduced(large.pixels, TIMES) - true
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
+    assert large.blur == pytest.approx(TIMES * small.blur, rel=0.4)
