@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -205,6 +206,32 @@ def test_tracking_sees_what_single_pictures_see() -> None:
             assert two.time == frame.time
         whole += film._window._since_whole == 0
     assert whole == 2  # the first one and the tenth after it
+
+
+def test_rough_corners_that_lead_nowhere_are_sought_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    pose = Pose((0.0, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.5, 0, 0])))
+    image = render_markers(CAMERA, {3: (SIZE, pose)}, np.random.default_rng(5))
+    searches: list[str] = []
+
+    def seen_by(tracker: MarkerTracker, lead_nowhere: set[str]) -> bool:
+        """Whether corners are refined where the named searches give some that are 12 px off."""
+
+        def search(name: str, real: Callable[[Any], list[Detection]], gray: Any) -> list[Detection]:
+            searches.append(name)
+            off = 12.0 if name in lead_nowhere else 0.0
+            return [Detection(d.id, d.corners + off) for d in real(gray)]
+
+        for name in ("detect", "detect_quickly"):
+            monkeypatch.setattr(
+                tracker.detector, name, partial(search, name, getattr(tracker.detector, name))
+            )
+        searches.clear()
+        return tracker.corners(Frame(image, 0.0, 0))[3].refined
+
+    assert seen_by(MarkerTracker(CAMERA, "DICT_4X4_50", {3: SIZE}), {"detect_quickly"})
+    assert searches == ["detect_quickly", "detect"]
+    assert not seen_by(MarkerTracker(CAMERA, "DICT_4X4_50", SIZE), {"detect"})
+    assert searches == ["detect"]  # it would find the same
 
 
 # -------------------------------------------------------------------------------- compiled code

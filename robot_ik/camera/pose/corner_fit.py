@@ -124,10 +124,6 @@ class CornerData:
         return self.fit(pose).jacobian
 
 
-def _row(pose: Pose) -> Array:
-    return np.concatenate([pose.position, pose.wxyz])
-
-
 def pose_row(pose: Pose) -> Array:
     """(7,) position and quaternion wxyz, as compiled code wants them."""
     return np.concatenate([pose.position, pose.wxyz])

@@ -167,9 +167,10 @@ class MarkerTracker:
         if frame is self._seen[0]:  # several bodies in one picture: it is looked at once
             return self._seen[1]
         self.intrinsics.require_size(*frame.size)
-        part, origin, detections = self._detect(frame.image)
+        part, origin, detections, thorough = self._detect(frame.image)
         refined = self._refine(part, detections, origin)
-        if not all(one.refined for one in refined) and part.shape == frame.image.shape[:2]:
+        whole = part.shape == frame.image.shape[:2]
+        if whole and not thorough and not all(one.refined for one in refined):
             # The quick search's corners may be too rough to start from.
             again = self.detector.detect(part)
             better = self._refine(part, again, origin)
@@ -185,8 +186,8 @@ class MarkerTracker:
         rough = [d.corners for d in detections]
         return refine_markers(part, rough, self.intrinsics, cells=self.detector.cells, origin=origin)
 
-    def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection]]:
-        """The part of the picture (grey) that was looked at, where it begins, and what is in it."""
+    def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection], bool]:
+        """The part of the picture (grey) looked at, where it begins, what is in it, if by all thresholds."""
         window = self._window if self._use_window else None
         if window is not None and not window.due:
             for wide in (False, True):
@@ -198,13 +199,14 @@ class MarkerTracker:
                 found = self.detector.detect_part(part, window.side, origin=(x0, y0), thorough=wide)
                 if window.holds(found):
                     window.remember(found)
-                    return part, (x0, y0), found
+                    return part, (x0, y0), found, wide
         gray = to_gray(image)
         wanted = self.detector.ids
         # Quickly, when all that may be there is found that way.
         found = [] if wanted is None else self.detector.detect_quickly(gray)
-        if wanted is None or not {d.id for d in found} >= wanted:
+        thorough = wanted is None or not {d.id for d in found} >= wanted
+        if thorough:
             found = self.detector.detect(gray)
         if window is not None:
             window.remember(found, whole=True)
-        return gray, (0, 0), found
+        return gray, (0, 0), found, thorough
