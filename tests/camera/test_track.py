@@ -222,9 +222,8 @@ def test_rough_corners_that_lead_nowhere_are_sought_once_more(monkeypatch: pytes
             return [Detection(d.id, d.corners + off) for d in real(gray)]
 
         for name in ("detect", "detect_quickly"):
-            monkeypatch.setattr(
-                tracker.detector, name, partial(search, name, getattr(tracker.detector, name))
-            )
+            found_by = partial(search, name, getattr(tracker.detector, name))
+            monkeypatch.setattr(tracker.detector, name, found_by)
         searches.clear()
         return tracker.corners(Frame(image, 0.0, 0))[3].refined
 
@@ -254,9 +253,8 @@ def test_the_compiled_lens_is_the_lens(model: str, coefficients: tuple[float, ..
     refine_corners_of(
         np.zeros((480, 640), np.uint8), lens_vector(camera), 6, corners, ideal, covariance, good
     )
-    assert (
-        not good.any() and (corners == pixels).all()
-    )  # a black picture has no edges: the rough ones come back
+    # A black picture has no edges: the rough corners come back.
+    assert not good.any() and (corners == pixels).all()
     expected = camera.undistort(pixels.reshape(-1, 2)).reshape(ideal.shape)
     np.testing.assert_allclose(ideal, expected, atol=1e-9)
 
