@@ -154,3 +154,35 @@ def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() ->
     pose = Pose((-0.1, -0.07, 0.45), rotation_exp([0.3, 0.2, 0.0]))
     image = render_pattern(CharucoPattern(7, 5, 0.03, 0.022), STANDARD_CAMERA, pose, rng, Look(noise=2.0))
     assert CharucoPattern(8, 6, 0.03, 0.022).find(image) is None
+
+
+def test_a_board_of_which_only_a_part_was_asked_for_is_told(
+    gatherer: ViewGatherer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # In photographs OpenCV finds parts of a board too; in clean drawings it does not.
+    there = gatherer.pattern.find(frame(0).image)
+
+    def find(pattern: ChessboardPattern, image: np.ndarray) -> FoundPattern | None:
+        return there if (pattern.columns, pattern.rows) == (10, 6) else None
+
+    monkeypatch.setattr(ChessboardPattern, "find", find)
+    assert gatherer.offer(frame(0), "photo", choosy=False)
+    gatherer.finish()
+    assert gatherer.notices == [
+        "only a part of the board is used: it is a chessboard of 10x6 inner corners (squares 25 mm): "
+        "--columns 10 --rows 6"
+    ]
+
+
+def test_a_chance_find_does_not_hide_a_wrong_count() -> None:
+    gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
+    assert gatherer.offer(picture(ChessboardPattern(8, 5, 0.025)), "chance", choosy=False)
+    right = Frame(np.full_like(picture(ChessboardPattern(8, 5, 0.025)).image, 255), 0.0, 1)
+    smaller = picture(ChessboardPattern(7, 4, 0.025)).image
+    right.image[: smaller.shape[0], : smaller.shape[1]] = smaller
+    for k in range(3):
+        assert not gatherer.offer(right, f"photo {k}", choosy=False)
+    gatherer.finish()
+    assert gatherer.notices[0] == (
+        "most of the pictures show a chessboard of 7x4 inner corners (squares 25 mm): --columns 7 --rows 4"
+    )

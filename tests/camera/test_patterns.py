@@ -100,6 +100,11 @@ def test_a_miscounted_chessboard_is_counted_anew(said: tuple[int, int]) -> None:
     assert other in (CHESSBOARD, ChessboardPattern(6, 9, 0.025)) or said == (6, 9)
 
 
+def test_most_pictures_say_how_a_chessboard_is_counted() -> None:
+    odd, right = (drawn(ChessboardPattern(*n, 0.025), margin=0.02, scale=2000.0) for n in ((10, 6), (9, 6)))
+    assert fitting_pattern(ChessboardPattern(9, 5, 0.025), [odd, right, right, right]) == CHESSBOARD
+
+
 def test_nothing_fits_an_empty_picture() -> None:
     assert fitting_pattern(CHARUCO, [np.full((480, 640, 3), 200, np.uint8)]) is None
 

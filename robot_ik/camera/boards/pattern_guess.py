@@ -12,15 +12,39 @@ from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, P
 
 Image = NDArray[np.uint8]
 
+# Pictures that must show a pattern before the rest need not be asked.
+_ENOUGH_VOTES = 3
+
 
 def fitting_pattern(pattern: Pattern, images: Sequence[Image]) -> Pattern | None:
     """The pattern itself, or what it must be where only that is found in the pictures; None when nothing is.
 
     Tried: a ChArUco board of the old layout, columns and rows the other way round, and one row or column
-    more or less (a chessboard is easily miscounted: squares instead of inner corners).
+    more or less (a chessboard is easily miscounted: squares instead of inner corners).  A chance find in one
+    picture is outvoted by the others; of candidates that are found equally often the first is taken.
     """
-    for candidate in (pattern, *_relatives(pattern)):
-        if any(candidate.find(image) is not None for image in images):
+    candidates = (pattern, *_relatives(pattern))
+    votes = dict.fromkeys(candidates, 0)
+    for image in images:
+        for candidate in candidates:
+            votes[candidate] += candidate.find(image) is not None
+        if max(votes.values()) >= _ENOUGH_VOTES:
+            break
+    best = max(candidates, key=lambda one: votes[one])
+    return best if votes[best] else None
+
+
+def larger_chessboard(pattern: Pattern, images: Sequence[Image]) -> ChessboardPattern | None:
+    """The chessboard of which only a part was taken, where most of the pictures show it; None: none.
+
+    OpenCV also finds a smaller chessboard than is there: which part of it differs from picture to picture.
+    """
+    if not isinstance(pattern, ChessboardPattern):
+        return None
+    wider, taller = pattern.columns + 1, pattern.rows + 1
+    for columns, rows in ((wider, taller), (wider, pattern.rows), (pattern.columns, taller)):
+        candidate = ChessboardPattern(columns, rows, pattern.square)
+        if 2 * sum(candidate.find(image) is not None for image in images) > len(images):
             return candidate
     return None
 

@@ -251,8 +251,9 @@ def _blurred(views: Sequence[View]) -> dict[int, str]:
 def _require_views(used: int, given: int) -> None:
     if used < FEWEST_VIEWS:
         rest = "" if used == given else f" of {given}; the others were blurred or did not fit"
+        views = "view" if used == 1 else "views"
         raise CalibrationError(
-            f"{used} usable views{rest}: too few, at least {FEWEST_VIEWS} are needed",
+            f"{used} usable {views}{rest}: too few, at least {FEWEST_VIEWS} are needed",
             hint=f"take {ENOUGH_VIEWS} to 25: near and far, in every corner, tilted to each side by 20 to 40 "
             "degrees",
         )

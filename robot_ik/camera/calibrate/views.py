@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.found_pattern import FoundPattern
-from robot_ik.camera.boards.pattern_guess import describe, fitting_pattern
+from robot_ik.camera.boards.pattern_guess import describe, fitting_pattern, larger_chessboard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.calibrate.coverage import Coverage, cover
 from robot_ik.camera.calibrate.fit import View
@@ -59,6 +59,7 @@ class ViewGatherer:
         self._missed, self._ask_at = 0, _MISSES
         self._found_any = False
         self._without: list[str] = []
+        self._first: list[Image] = []
 
     @property
     def in_view(self) -> bool:
@@ -92,16 +93,19 @@ class ViewGatherer:
             return False
         self._kinds.append(kind)
         self.views.append(View(name, found))
+        if len(self._first) < _ASKED:
+            self._first.append(frame.image)
         return True
 
     def finish(self) -> None:
-        """Says what is wrong when the pattern was in none of the pictures.
+        """Says what is wrong when the pattern was in none of the pictures, or only a part of one.
 
         Raises:
             CalibrationError: It was not; the hint says what was.
         """
         if not self._found_any and self._misses:
             self._ask_what_it_is(last=True)
+        self._doubt_the_count()
         if self._without and self._found_any:
             names = ", ".join(self._without[:_NAMED]) + (", …" if len(self._without) > _NAMED else "")
             self.notices.append(f"not seen well enough in {len(self._without)} of the pictures: {names}")
@@ -154,6 +158,18 @@ class ViewGatherer:
                 hint=_other_kind(self.pattern, images),
             )
 
+    def _doubt_the_count(self) -> None:
+        """Tells a chessboard that was counted wrongly although it was found: in part, or by chance."""
+        larger = larger_chessboard(self.pattern, self._first)
+        if larger is not None:
+            self.notices.append(
+                f"only a part of the board is used: it is a {describe(larger)}{_asked(larger)}"
+            )
+        elif 0 < len(self.views) < len(self._without):
+            other = fitting_pattern(self.pattern, list(self._misses)[-_ASKED:])
+            if other is not None and other != self.pattern:
+                self.notices.append(f"most of the pictures show a {describe(other)}{_asked(other)}")
+
     def _is_still(self, found: FoundPattern, size: tuple[int, int]) -> bool:
         before = self._before
         if before is None:
@@ -187,6 +203,10 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
     if seen != pattern.dictionary:
         return f"there are markers of {seen}: --dictionary {seen}, and --columns, --rows as on the print"
     return "there are markers of its dictionary: check --columns, --rows and the two sizes against the print"
+
+
+def _asked(pattern: Pattern) -> str:
+    return f": --columns {pattern.columns} --rows {pattern.rows}"
 
 
 def _counted(pattern: Pattern) -> str:
