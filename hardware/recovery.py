@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, replace
 
 from robot_ik.errors import (
@@ -203,9 +202,9 @@ def check_turns_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
         last = before.jumped.get(id, before.ticks.get(id))
         if last is not None and abs(ticks - last) > TICKS_PER_TURN / 2:
             servo = next(s for s in config.servos if s.id == id)
-            there, here = (math.degrees(servo.to_radians(t)) for t in (last, ticks))
+            there, here = (servo.text(servo.to_radians(t)) for t in (last, ticks))
             raise HardwareError(
-                f"joint {servo.name!r} was at {there:.1f} deg and reads {here:.1f} deg after the fault",
+                f"joint {servo.name!r} was at {there} and reads {here} after the fault",
                 hint="its servo has lost count of its turns: turn the joint by hand until it reads right, or "
                 "close the arm and correct zero_ticks",
             )

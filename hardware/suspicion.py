@@ -41,11 +41,11 @@ def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
 
     It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
     """
-    there, here = (math.degrees(servo.to_radians(ticks)) for ticks in (before, now))
+    there, here = (servo.text(servo.to_radians(ticks)) for ticks in (before, now))
     return MotorFaultError(
         servo.name,
         ("position_jump",),
-        hint=f"it read {there:.1f} deg, now {here:.1f}: it lost count of its turns, or a horn is loose: "
+        hint=f"it read {there}, now {here}: it lost count of its turns, or a horn is loose: "
         "all hold. Check it, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 

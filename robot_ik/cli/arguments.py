@@ -11,7 +11,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from typing import Any, TextIO
+from typing import Any, TextIO, get_type_hints
 
 from robot_ik.errors import ConfigError, close_matches
 
@@ -46,10 +46,53 @@ def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
         if shown:
             sys.stdout.write(fold(shown, shutil.get_terminal_size().columns) + "\n")
             raise SystemExit(0)
-    options, said = _tyro(kind, prog, words, _ENDLESS)
+    gathered = gather(kind, words)
+    options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
-        raise _Slip(kind, prog, words, said).error()
+        raise _Slip(kind, prog, gathered, said).error()
     return options
+
+
+def gather(kind: Any, words: Sequence[str]) -> list[str]:
+    """Words in which an option of any number of values (``RATE …``) stands once, with all its values.
+
+    ``--baud 57600 --baud 1000000`` is ``--baud 57600 1000000``; tyro would take the last one alone.
+    """
+    flags = [_flag(word) for word in words]
+    repeated = {flag for flag in flags if flag and flags.count(flag) > 1} & set(_endless_options(kind))
+    kept: list[str] = []
+    values: dict[str, list[str]] = {flag: [] for flag in flags if flag in repeated}
+    into = kept
+    for flag, word in zip(flags, words, strict=True):
+        if flag in repeated:
+            into = values[flag]
+            into += [word.partition("=")[2]] if "=" in word else []
+            continue
+        if word.startswith("-") and not _is_number(word):
+            into = kept
+        into.append(word)
+    return kept + [word for flag, row in values.items() for word in (flag, *row)]
+
+
+def _flag(word: str) -> str:
+    """The option that a word names, as tyro understands it; empty: it is none."""
+    return word.partition("=")[0].replace("_", "-") if word.startswith("--") else ""
+
+
+def _endless_options(kind: Any) -> Iterator[str]:
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if any(
+            (getattr(told, "metavar", "") or "").endswith("…") for told in getattr(hint, "__metadata__", ())
+        ):
+            yield f"--{name.replace('_', '-')}"
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 class _Stream(io.StringIO):

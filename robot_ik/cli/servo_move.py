@@ -1,4 +1,4 @@
-"""``robot-ik servo move``: joints to angles in degrees, through the arm and its limiter."""
+"""``robot-ik servo move``: joints to angles in degrees (slides: mm), through the arm and its limiter."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class MoveOptions(BusOptions):
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
-    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …|DEG …", help_behavior_hint="")]]
+    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG|MM …|DEG|MM …", help_behavior_hint="")]]
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
@@ -85,13 +85,18 @@ def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
         ConfigError: Neither form, or no finite number.
         UnknownJointError: No such joint; close ones are named.
     """
-    form = f"JOINT=DEG, or {len(config.names)} numbers for {', '.join(config.names)}"
+    word = (
+        "JOINT=DEG"
+        if all(joint.pinion is None for joint in (*config.joints, *config.aside))
+        else "JOINT=DEG|MM"
+    )
+    form = f"{word}, or {len(config.names)} numbers for {', '.join(config.names)}"
     if all("=" in word for word in words) and words:
         pairs = [(word.partition("=")[0], word.partition("=")[2]) for word in words]
     elif len(words) == len(config.names) and not any("=" in word for word in words):
         pairs = list(zip(config.names, words, strict=True))
     else:
-        raise wrong("JOINT=DEG", " ".join(words) or "nothing to do", form)
+        raise wrong(word, " ".join(words) or "nothing to do", form)
     angles: dict[str, float] = {}
     for name, text in pairs:
         try:

@@ -17,7 +17,7 @@ from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
 from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
-from robot_ik.cli.servo_move import slowed
+from robot_ik.cli.servo_move import shown_value, slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.files import read_text, write_atomically
@@ -250,9 +250,10 @@ def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
     levers = np.array([joint.lever for joint in arm.config.joints])
     free = np.array([joint.mode != OperatingMode.CURRENT_BASED_POSITION for joint in arm.config.joints])
     error, lag = free * np.abs(done.final_error) / levers, free * done.tracking_error / levers
+    late = arm.config.joints[int(np.argmax(lag))]
     console.out().print(
         f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "
-        f"largest tracking error {math.degrees(float(np.max(lag))):.2f}°",
+        f"largest tracking error {shown_value(late, float(done.tracking_error[int(np.argmax(lag))]))}",
         markup=False,
     )
     worst = int(np.argmax(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -82,6 +83,7 @@ def run(options: SimBusOptions) -> int:
     from robot_ik.ports import RealClock
 
     _check_numbers(options)
+    _require_free(options.link)
     config = load_arm(options.arm)
     script = load_faults(options.faults, config) if options.faults is not None else FaultScript(0, ())
     seed = script.seed if options.seed is None else options.seed
@@ -103,6 +105,21 @@ def run(options: SimBusOptions) -> int:
         ended.wait()
     console.say("closed", "dim")
     return console.DONE
+
+
+def _require_free(link: Path | None) -> None:
+    """Refuses the name of a port that is there: its clients would find other servos under it.
+
+    Raises:
+        ConfigError: Another bus has this link.
+    """
+    if link is not None and link.is_symlink() and link.exists():
+        raise wrong(
+            "--link",
+            f"{link} is the name of another port, {os.readlink(link)}",
+            "a name that is free",
+            "is another robot-ik sim-bus running? If not, remove the link",
+        )
 
 
 def _home(config: ArmConfig) -> Array | None:

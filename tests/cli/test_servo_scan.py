@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from robot_ik.cli import servo_scan
+from robot_ik.cli.arguments import gather
 from robot_ik.hardware.scan import FoundServo
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
@@ -114,6 +115,30 @@ def test_nobody_answers(robot_ik: Any, desk: Any) -> None:
 def test_scan_in_process(robot_ik: Any) -> None:
     run = robot_ik("servo", "scan", "--bus", "sim", "--baud", "1000000")
     assert run.code == 0 and run.out.count("XM430-W350") == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--baud", "1000000", "--baud", "57600"),
+        ("--baud=57600", "--json", "--baud", "1000000"),
+        ("--baud", "1000000", "2000000", "--baud=57600"),
+    ],
+)
+def test_rates_may_be_given_one_by_one(words: tuple[str, ...], robot_ik: Any, desk: Any) -> None:
+    desk.servo(3).memory.set("baud_rate", 1)  # 57 600
+    run = robot_ik("servo", "scan", *desk.at, *words, *(() if "--json" in words else ("--json",)))
+    assert {(s["id"], s["baud"]) for s in json.loads(run.out)["servos"]} == {
+        (1, 1_000_000),
+        (2, 1_000_000),
+        (3, 57_600),
+    }
+
+
+def test_only_options_of_any_number_of_values_are_gathered() -> None:
+    words = ["--arm", "a", "--baud", "1", "-x", "--arm", "b", "--baud=2"]
+    assert gather(servo_scan.ScanOptions, words) == ["--arm", "a", "-x", "--arm", "b", "--baud", "1", "2"]
+    assert gather(servo_scan.ScanOptions, words[:6]) == words[:6]
 
 
 @pytest.mark.parametrize("rate", ["1234", "0", "x"])

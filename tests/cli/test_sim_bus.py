@@ -160,6 +160,16 @@ def test_a_file_in_the_place_of_the_link_is_kept(robot_ik: Any, tmp_path: Path) 
     assert precious.read_text() == "years of work" and list(tmp_path.iterdir()) == [precious]
 
 
+def test_the_name_of_a_port_that_is_there_is_not_taken_over(
+    robot_ik: Any, serve: Serve, tmp_path: Path
+) -> None:
+    with serve():
+        before = os.readlink(tmp_path / "arm")
+        run = robot_ik("sim-bus", "--link", tmp_path / "arm")
+        run.assert_one_screen_error()
+        assert before in run.err and os.readlink(tmp_path / "arm") == before
+
+
 def test_all_signals_that_end_it_are_caught_and_given_back() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         before = signal.getsignal(number)
