@@ -85,6 +85,7 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
             file=file, key="robot", allowed=f"--robot {report.robot}",
         )  # fmt: skip
     recorder = RecorderSink(limbs.robot.joints)
+    recorder.send(limbs.true_q(), limbs.clock.now())  # of a script that waits nowhere, this is all
     limbs.clock = _Witnessed(limbs.clock, run, recorder)
     run.run()
     moved = recorder.trajectory()

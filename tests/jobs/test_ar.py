@@ -19,7 +19,7 @@ from robot_ik.jobs import ar, ar_files
 from robot_ik.jobs.ar import ArRequest, run_ar
 from robot_ik.jobs.ar_motion import Replay, make_motion
 from robot_ik.jobs.ar_scene import SteppedClock, lens
-from robot_ik.jobs.ar_script import robot_of
+from robot_ik.jobs.ar_script import play_script, robot_of
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import load_robot
 
@@ -216,3 +216,11 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
         assert count == round(30 * moved.duration)
         with pytest.raises(ConfigError, match="is a script of tabletop_puma, and puma560 is drawn"):
             make_motion(str(path), load_robot("puma560"), figure, stack)
+
+
+def test_a_script_that_waits_nowhere_shows_where_the_arm_stands(tmp_path: Path) -> None:
+    path, robot = tmp_path / "still.toml", load_robot("tabletop_puma")
+    path.write_text(SCRIPT[: SCRIPT.index("[[steps]]")] + '[[steps]]\ndo = "expect"\nstate = "enabled"\n')
+    moved, notice = play_script(str(path), robot)
+    assert len(moved) == 1 and not notice
+    np.testing.assert_allclose(moved.q[0], robot.home, atol=2e-3)
