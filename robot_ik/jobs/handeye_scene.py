@@ -18,14 +18,18 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.cameras_request import ArmCameraRequest, calibration_of, open_calibrated
+from robot_ik.jobs.clearance import Clearance
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.stage import Stage, stage_for
 from robot_ik.jobs.views import ViewTask
+from robot_ik.robot import Robot
 
 # What is planned with is wrong by this much on purpose: nobody knows his camera's place before.
 _WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
 # The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
 _BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
+# Sides of the tool to carry it on, rad, and how far it must see ahead, in reaches: past the tool.
+_SIDES, _SEEN_AHEAD = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
 # The simulated board on the table: columns, rows, first id, and parts of the stage's marker.
 _GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.
@@ -112,12 +116,7 @@ def _carried_camera(
     request: HandEyeRequest, limbs: Limbs, stage: Stage, stack: contextlib.ExitStack
 ) -> HandEyeScene:
     """A camera beside the tool looks at a board of markers on the table."""
-    ball = limbs.robot.reach(limbs.frame)
-    reach = 1.0 if ball is None else ball[1]
-    place = (_BESIDE * reach, 0.0, -_BEHIND * reach)
-    camera = Pose(place, rotation_exp([0.0, -_INWARDS, 0.0])).compose(
-        Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
-    )
+    camera = _beside_the_tool(limbs.robot, limbs.frame)
     truth = Mount(camera, stage.pose_world_marker, "eye_in_hand")
     size = _MARKER_PART * stage.marker_size
     layout = grid_body(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID).markers
@@ -132,6 +131,25 @@ def _carried_camera(
     source = CarriedSource(scene, limbs.frame, camera, limbs.true_q, seed=request.seed, clock=limbs.clock)
     task = ViewTask(_roughly(request, truth), limbs.frame, layout, STANDARD_CAMERA, stage.table)
     return HandEyeScene(task, MarkerBoard(layout, stage.dictionary), stack.enter_context(source), truth)
+
+
+def _beside_the_tool(robot: Robot, frame: str) -> Pose:
+    """Where the hand carries its camera: on the first side from which nothing of the arm hides the view."""
+    ball = robot.reach(frame)
+    reach = 1.0 if ball is None else ball[1]
+    beside = Pose((_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])).compose(
+        Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
+    )
+    if reach <= 0.0:
+        return beside
+    sides = [Pose(wxyz=rotation_exp([0.0, 0.0, turn])).compose(beside) for turn in _SIDES]
+    clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
+    ahead = _SEEN_AHEAD * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
+    for side in sides:
+        camera = hand.compose(side)
+        if clearance.sees(robot.home, camera.position, camera.apply(ahead)):
+            return side
+    return beside
 
 
 def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:

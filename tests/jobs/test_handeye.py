@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from robot_ik.geometry import Pose
 from robot_ik.jobs import handeye_scene
 from robot_ik.jobs.handeye import HandEyeRequest, handeye_from_samples, run_handeye, samples_path
 from robot_ik.jobs.handeye_samples import SampleSet
+from robot_ik.robot import load_robot
 
 Array = NDArray[np.float64]
 
@@ -105,6 +107,18 @@ def test_a_carried_camera_is_found() -> None:
     assert report.parent == "gripper" == report.place().parent
     position, angle = report.true_error
     assert position < 1e-3 and angle < np.deg2rad(0.15)
+
+
+@pytest.mark.parametrize(("name", "frame"), [("panda", "hand_tcp"), ("ur5e", "gripper")])
+def test_a_carried_camera_is_not_put_into_the_arm(name: str, frame: str) -> None:
+    robot = load_robot(name)
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(robot.home)
+    mujoco.mj_forward(robot.model, data)
+    camera = robot.forward(robot.home, frame).compose(handeye_scene._beside_the_tool(robot, frame))
+    ahead = camera.apply(np.array([0.0, 0.0, 1.0])) - camera.position
+    hit = mujoco.mj_ray(robot.model, data, camera.position, ahead, None, 1, -1, np.zeros(1, np.int32), None)
+    assert hit < 0.0 or hit > 0.1
 
 
 def test_an_interruption_keeps_what_was_measured(monkeypatch: pytest.MonkeyPatch) -> None:
