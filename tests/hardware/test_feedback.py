@@ -9,6 +9,9 @@ import pytest
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.config import JointMap
+from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.suspicion import jumped
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
@@ -81,3 +84,12 @@ def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream,
     stream(arm, [start] * 3)
     assert arm.state is ArmState.ENABLED and servo.torque
     assert arm.ages[2] <= 0.011
+
+
+def test_a_slide_that_jumps_is_told_in_millimetres():
+    mode = OperatingMode.EXTENDED_POSITION
+    rack = JointMap("rack", 2, "XL330-M288", mode, 1, 0, 1.0, 0.0, 0.03, 0.05, 0.4, pinion=0.01)
+    assert "it read 0.0 mm, now 62.8 mm:" in (jumped(rack, 0, 4096).hint or "")
+    assert "it read 0.0 deg, now 360.0 deg:" in (
+        jumped(dataclasses.replace(rack, pinion=None), 0, 4096).hint or ""
+    )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING
 
 from robot_ik.errors import UnknownFrameError
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.script.faults import fault_for
 from robot_ik.jobs.script.file import Script
 from robot_ik.jobs.script.gripping import check_grip
-from robot_ik.jobs.script.moves import keyframes
+from robot_ik.jobs.script.moves import keyframes, per_unit, slides
 from robot_ik.jobs.script.steps import (
     AnyStep,
     ClearStep,
@@ -21,6 +21,9 @@ from robot_ik.jobs.script.steps import (
     RecoverStep,
 )
 from robot_ik.solution import Status
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
 
 
 def looks(step: AnyStep) -> bool:
@@ -72,15 +75,9 @@ def _check_names(script: Script, limbs: Limbs, step: AnyStep, at: str) -> None:
             robot.frame(frame)
         except UnknownFrameError:
             raise script.unknown("frame", frame, list(robot.frames), f"{at}.frame") from None
-    for joint, degrees in (getattr(step, "joints_deg", None) or {}).items():
-        if joint not in robot.joints:
-            raise script.unknown("joint", joint, list(robot.joints), f"{at}.joints_deg.{joint}")
-        k = robot.joints.index(joint)
-        low, high = float(np.degrees(robot.lower[k])), float(np.degrees(robot.upper[k]))
-        if not isinstance(step, ExpectStep) and not low - 1e-9 <= degrees <= high + 1e-9:
-            raise script.wrong(
-                f"{degrees:g}° is outside the limits", f"{at}.joints_deg.{joint}", f"{low:.1f} … {high:.1f}"
-            )
+    for key in ("joints_deg", "joints_mm"):
+        for joint, number in (getattr(step, key, None) or {}).items():
+            _check_joint(script, robot, step, key, joint, number, f"{at}.{key}.{joint}")
     keyframe = getattr(step, "keyframe", None)
     if keyframe is not None and keyframe not in (known := keyframes(robot)):
         raise script.unknown("keyframe", keyframe, list(known), f"{at}.keyframe")
@@ -90,6 +87,22 @@ def _check_names(script: Script, limbs: Limbs, step: AnyStep, at: str) -> None:
     joint = getattr(step, "joint", None)
     if isinstance(step, ExpectStep) and joint is not None and joint not in robot.joints:
         raise script.unknown("joint", joint, list(robot.joints), f"{at}.joint")
+
+
+def _check_joint(
+    script: Script, robot: Robot, step: AnyStep, key: str, joint: str, number: float, at: str
+) -> None:
+    """One joint of ``joints_deg`` or ``joints_mm``: its name, its kind, its limits."""
+    if joint not in robot.joints:
+        raise script.unknown("joint", joint, list(robot.joints), at)
+    right, unit = ("joints_mm", " mm") if slides(robot, joint) else ("joints_deg", "°")
+    if key != right:
+        problem = "a slide counts in millimetres" if right == "joints_mm" else "a hinge counts in degrees"
+        raise script.wrong(problem, at, right)
+    k, one = robot.joints.index(joint), per_unit(robot, joint)
+    low, high = float(robot.lower[k]) / one, float(robot.upper[k]) / one
+    if not isinstance(step, ExpectStep) and not low - 1e-9 <= number <= high + 1e-9:
+        raise script.wrong(f"{number:g}{unit} is outside the limits", at, f"{low:.1f} … {high:.1f}")
 
 
 def _fault(script: Script, limbs: Limbs, step: InjectStep, at: str) -> None:

@@ -60,7 +60,8 @@ def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
         off = 1e3 * float(np.linalg.norm(_place_of(now, step.thing) - step.position))
         yield _near(off, step.tolerance_mm, " mm", step.thing, "off_mm")
         return
-    if not placed and step.joints_deg is None and step.keyframe is None:
+    jointwise = any(key is not None for key in (step.joints_deg, step.joints_mm, step.keyframe))
+    if not placed and not jointwise:
         return
     q = now.limbs.true_q() if step.shafts else now.arm.read().q
     if placed:
@@ -69,10 +70,10 @@ def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
             yield _near(mm, step.tolerance_mm, " mm", step.frame or robot.tool, "off_mm")
         if deg is not None:
             yield _near(deg, step.tolerance_deg, "°", step.frame or robot.tool, "off_deg")
-    if step.joints_deg is not None or step.keyframe is not None:
+    if jointwise:
         goal = q if step.keyframe is None else keyframes(robot)[step.keyframe]
-        joint, deg = joints_miss(robot, q, with_joints(robot, goal, step.joints_deg or {}))
-        yield _near(deg, step.tolerance_deg, "°", joint, "joint_off_deg")
+        joint, off, allowed, unit = joints_miss(robot, q, with_joints(robot, goal, step), step)
+        yield _near(off, allowed, unit, joint, "joint_off_deg" if unit == "°" else "joint_off_mm")
 
 
 def _place_of(now: Situation, thing: str) -> Array:

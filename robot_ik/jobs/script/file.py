@@ -22,6 +22,7 @@ from robot_ik.jobs.script.steps import (
     ExpectStep,
     FollowStep,
     GripStep,
+    JointsStep,
     LineStep,
     ScriptFile,
     Table,
@@ -138,6 +139,8 @@ def _check_step(script: Script, step: AnyStep, at: str) -> None:
         _check_follow(script, step, at)
     if isinstance(step, ExpectStep):
         _check_expect(script, step, at)
+    if isinstance(step, JointsStep) and step.joints_deg is None and step.joints_mm is None:
+        raise script.wrong("no joint is named", f"{at}.joints_deg", "joints_deg, joints_mm (slides) or both")
     if isinstance(step, GripStep) and (step.opening is None) == (step.width_mm is None):
         raise script.wrong("a grip is to an opening or to a width", f"{at}.opening", "opening or width_mm")
     turn = getattr(step, "wxyz", None)
@@ -171,7 +174,7 @@ def _check_follow(script: Script, step: FollowStep, at: str) -> None:
 
 
 def _check_expect(script: Script, step: ExpectStep, at: str) -> None:
-    places = ("position", "wxyz", "joints_deg", "keyframe")
+    places = ("position", "wxyz", "joints_deg", "joints_mm", "keyframe")
     rest = ("state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
     wanted = (*places, "width_mm", *rest)
     if all(getattr(step, key) is None for key in wanted):

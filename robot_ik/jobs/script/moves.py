@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from robot_ik.geometry import Pose
@@ -14,6 +15,7 @@ from robot_ik.jobs.script.gripping import gripper_angles, gripper_joints
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.situation import Situation, StepFailed
 from robot_ik.jobs.script.steps import (
+    ExpectStep,
     GripStep,
     JointsStep,
     KeyframeStep,
@@ -45,11 +47,21 @@ def keyframes(robot: Robot) -> dict[str, Array]:
     return {**found, "home": robot.home}
 
 
-def with_joints(robot: Robot, q: Array, joints_deg: Mapping[str, float]) -> Array:
-    """``q`` (nq,) with these joints at these degrees."""
+def slides(robot: Robot, joint: str) -> bool:
+    """Whether a joint slides: then it counts in millimetres, else in degrees."""
+    return int(robot.model.joint(joint).type[0]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def per_unit(robot: Robot, joint: str) -> float:
+    """One degree in rad; one millimetre in m of a slide."""
+    return 1e-3 if slides(robot, joint) else float(np.radians(1.0))
+
+
+def with_joints(robot: Robot, q: Array, step: JointsStep | ExpectStep) -> Array:
+    """``q`` (nq,) with the joints that a step names at its degrees and millimetres."""
     wanted = q.copy()
-    for name, degrees in joints_deg.items():
-        wanted[robot.joints.index(name)] = np.radians(degrees)
+    for name, number in {**(step.joints_deg or {}), **(step.joints_mm or {})}.items():
+        wanted[robot.joints.index(name)] = number * per_unit(robot, name)
     return wanted
 
 
@@ -71,11 +83,15 @@ def pose_miss(
     return None if metres is None else 1e3 * metres, None if angle is None else float(np.degrees(angle))
 
 
-def joints_miss(robot: Robot, q: Array, wanted: Array) -> tuple[str, float]:
-    """The joint that is farthest off, and by how many degrees."""
-    off = np.degrees(np.abs(q - wanted))
-    worst = int(off.argmax())
-    return robot.joints[worst], float(off[worst])
+def joints_miss(
+    robot: Robot, q: Array, wanted: Array, step: Move | ExpectStep
+) -> tuple[str, float, float, str]:
+    """The joint that is farthest off: its name, by how much, what the step allows, and the unit of both."""
+    rows = []
+    for joint, off in zip(robot.joints, np.abs(q - wanted).tolist(), strict=True):
+        allowed, unit = (step.tolerance_mm, " mm") if slides(robot, joint) else (step.tolerance_deg, "°")
+        rows.append((joint, off / per_unit(robot, joint), allowed, unit))
+    return max(rows, key=lambda row: row[1] / row[2])
 
 
 # --------------------------------------------------------------------------------------- the steps
@@ -160,7 +176,7 @@ def _goal(
 
 def _angles(robot: Robot, start: Array, step: JointsStep | KeyframeStep | GripStep) -> Array:
     if isinstance(step, JointsStep):
-        return with_joints(robot, start, step.joints_deg)
+        return with_joints(robot, start, step)
     if isinstance(step, KeyframeStep):
         return keyframes(robot)[step.keyframe]
     return gripper_angles(robot, start, step.opening or 0.0)
@@ -183,8 +199,8 @@ def _by_pose(now: Situation, step: Move, frame: str | None, position: Any, wxyz:
 
 def _by_joints(now: Situation, step: Move, wanted: Array) -> Judge:
     def judge() -> tuple[bool, str, dict[str, float]]:
-        joint, deg = joints_miss(now.robot, now.arm.read().q, wanted)
-        text = f"{joint} {deg:.2f}° off; allowed {step.tolerance_deg:.2f}°"
-        return deg <= step.tolerance_deg, text, {"off_deg": round(deg, 4)}
+        joint, off, allowed, unit = joints_miss(now.robot, now.arm.read().q, wanted, step)
+        text = f"{joint} {off:.2f}{unit} off; allowed {allowed:.2f}{unit}"
+        return off <= allowed, text, {"off_deg" if unit == "°" else "off_mm": round(off, 4)}
 
     return judge

@@ -267,13 +267,15 @@ def describe(step: AnyStep) -> str:
         "position",
         "by",
         "joints_deg",
+        "joints_mm",
         "seconds",
         "opening",
         "width_mm",
     ):
         value = getattr(step, key, None)
         if isinstance(value, dict):
-            words += [f"{joint} {degrees:g}°" for joint, degrees in value.items()]
+            unit = " mm" if key == "joints_mm" else "°"
+            words += [f"{joint} {number:g}{unit}" for joint, number in value.items()]
         elif isinstance(value, list):
             words += [f"{number:g}" for number in value]
         elif value is not None:

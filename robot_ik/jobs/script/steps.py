@@ -54,7 +54,7 @@ class _Move(Action):
 
     Attributes:
         speed: Share of the speed limits.
-        tolerance_mm, tolerance_deg: Of the frame, or ``tolerance_deg`` of each joint.
+        tolerance_mm, tolerance_deg: Of the frame; or of each slide, and of each other joint.
     """
 
     speed: _Share | None = None
@@ -91,10 +91,11 @@ class LineStep(_Move):
 
 
 class JointsStep(_Move):
-    """Joints go to angles; those that are not named stay."""
+    """Joints go to angles, slides to millimetres; those that are not named stay."""
 
     do: Literal["joints"]
-    joints_deg: Annotated[dict[str, _Number], Field(min_length=1)]
+    joints_deg: Annotated[dict[str, _Number], Field(min_length=1)] | None = None
+    joints_mm: Annotated[dict[str, _Number], Field(min_length=1)] | None = None
 
 
 class KeyframeStep(_Move):
@@ -208,6 +209,7 @@ class ExpectStep(Step):
     wxyz: _Turn | None = None
     frame: str | None = None
     joints_deg: dict[str, _Number] | None = None
+    joints_mm: dict[str, _Number] | None = None
     keyframe: _Word | None = None
     tolerance_mm: _Positive = 2.0
     tolerance_deg: _Positive = 0.5
