@@ -12,6 +12,7 @@ from robot_ik.camera.made_up.pattern_set import pattern_set
 from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, standard_set
 from robot_ik.camera.opencv import marker_bits
 from robot_ik.camera.reduction import from_reduced, reduced, to_reduced
+from robot_ik.camera.refine import refine_markers
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.track import MarkerTracker
 
@@ -70,3 +71,10 @@ def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> N
     off = to_reduced(large.pixels, TIMES) - true
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
     assert large.blur == pytest.approx(TIMES * small.blur, rel=0.4)
+
+
+@pytest.mark.parametrize("at", [(1000, 1000), (-500, -500), (-300, 100), (100, 2000)])
+def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
+    rough = np.array([[0, 0], [100, 0], [100, 100], [0, 100]]) + np.array(at, dtype=float)
+    (seen,) = refine_markers(np.full((480, 640), 128, np.uint8), [rough], STANDARD_CAMERA, cells=6)
+    assert not seen.refined and (seen.corners == rough).all()

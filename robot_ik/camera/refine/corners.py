@@ -132,7 +132,9 @@ def _refine_soft(gray: Image, lens: Array, cells: int, corners: Array) -> tuple[
     while side / times > _LEAST_CELL * cells:
         # A part with the white round the marker that begins at a reduced pixel is enough.
         low = np.maximum(np.floor((corners.min(axis=0) - 0.5 * side) / times), 0.0).astype(int) * times
-        high = np.ceil(corners.max(axis=0) + 0.5 * side).astype(int)
+        high = np.maximum(np.ceil(corners.max(axis=0) + 0.5 * side), -1.0).astype(int)
+        if (np.minimum(high + 1, gray.shape[::-1]) - low < times).any():
+            return None  # none of it is in the picture
         part = np.ascontiguousarray(reduced(gray[low[1] : high[1] + 1, low[0] : high[0] + 1], times))
         small = lens.copy()
         small[[FX, FY]] /= times
