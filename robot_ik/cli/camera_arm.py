@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -128,3 +128,8 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
         elif views:
             console.say(f"they are kept in {file}, but {LEAST_VIEWS} are the least that tell anything")
         return None
+
+
+def numbers_of_seen(count: int, unseen: Sequence[int]) -> list[int]:
+    """The numbers, from 1, of the stops at which the board was seen: rows and "not seen at" count alike."""
+    return [k + 1 for k in range(count + len(unseen)) if k not in unseen]

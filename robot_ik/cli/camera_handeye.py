@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.bus_argument import bus_argument
-from robot_ik.cli.camera_arm import arm_camera_values, measured
+from robot_ik.cli.camera_arm import arm_camera_values, measured, numbers_of_seen
 from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.environment import import_mujoco
 
@@ -136,7 +136,8 @@ def _print(report: HandEyeReport) -> None:
         return
     result = report.result
     rows = console.table("view", "px", "left out: px", "mm", "deg", "sigmas", "")
-    for number, one in enumerate(result.residuals, 1):
+    numbers = numbers_of_seen(len(result.residuals), report.unseen)
+    for number, one in zip(numbers, result.residuals, strict=True):
         rows.add_row(
             str(number), f"{one.pixels:.2f}", f"{one.left_out_pixels:.2f}",
             f"{1e3 * one.left_out_position:.2f}", f"{math.degrees(one.left_out_angle):.3f}",

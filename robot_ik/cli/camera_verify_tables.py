@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_ik.cli import console
+from robot_ik.cli.camera_arm import numbers_of_seen
 
 if TYPE_CHECKING:
     from robot_ik.camera.arm_zeros.errors import PoseError
@@ -51,8 +52,9 @@ def _poses(report: VerifyReport) -> Any:
     after = () if report.fit is None else report.fit.errors
     columns = ["pose", "x", "y", "z", "off: mm", "sigma", "deg", "sigma"]
     rows = console.table(*columns, *(("then: mm", "sigma") if after else ()), "", title="poses, mm")
+    numbers = numbers_of_seen(len(report.errors), report.unseen)
     for number, one in enumerate(report.errors):
-        cells = [str(number + 1), *(f"{1e3 * x:.0f}" for x in one.place)]
+        cells = [str(numbers[number]), *(f"{1e3 * x:.0f}" for x in one.place)]
         cells += [f"{1e3 * one.distance:.2f}", f"{1e3 * one.sigma:.2f}"]
         cells += [f"{math.degrees(one.angle):.3f}", f"{math.degrees(one.sigma_angle):.3f}"]
         if after:

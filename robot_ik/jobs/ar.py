@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 # On the made-up table a robot is drawn so high, metres; films of it are this long unless said otherwise.
 _TABLE_SIZE, _SECONDS = 0.40, 4.0
 _RATE_HZ = 30.0
+_OUT_OF_VIEW = "nothing of the robot is in view, its board is: try a smaller --scale, or another --base"
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
         stack.callback(getattr(artist, "close", lambda: None))
         registrar = _registrar(request, intrinsics, artist, figure)
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ))
-        count = drawn = 0
+        count = drawn = in_view = 0
         spent, errors, begin = 0.0, [], None
         interrupted = False
         try:
@@ -164,6 +165,7 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
                 spent += time.perf_counter() - start
                 sink.write(made.image, shown.time)
                 count, drawn = count + 1, drawn + (made.drawing is not None)
+                in_view += made.drawing is not None and bool(made.drawing.robot.coverage.any())
                 errors += _errors(seen, made)
                 progress(count, total)
         except KeyboardInterrupt:
@@ -174,6 +176,8 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
             f"the board {request.board} was seen in none of {count} pictures; they are in {file}",
             hint="check --board and --dictionary against the print: robot-ik camera detect",
         )
+    if drawn and not in_view:
+        notice = "; ".join(filter(None, (notice, _OUT_OF_VIEW)))
     mean = float(np.mean(errors)) if errors else float("nan")
     return ArReport(count, drawn, mean, spent, figure.scale, artist.name, notice, file, interrupted)
 

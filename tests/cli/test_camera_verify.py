@@ -119,6 +119,9 @@ def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> No
     ):
         assert words in run.out
     assert "ahead by" not in run.out
+    poses = run.out.split("the arm as it is")[0].splitlines()
+    numbers = [int(line.split()[0]) for line in poses if line.split()[:1] and line.split()[0].isdigit()]
+    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], "rows are numbered as the stops that were planned"
     assert robot_ik("camera", "verify", "--allowed-mm", "60").code == 0
     said = json.loads(robot_ik("camera", "verify", "--json").out)
     assert said["passed"] is False and "fit" not in said

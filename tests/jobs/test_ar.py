@@ -134,6 +134,13 @@ def test_a_board_that_is_nowhere_is_an_error(request_for: ArRequest, tmp_path: P
         run_ar(replace(request_for, board="marker:40:50", out=tmp_path / "o"))
 
 
+def test_a_robot_out_of_view_is_told(request_for: ArRequest, tmp_path: Path) -> None:
+    far = replace(request_for, base=(30.0, 0.0, 0.0, 0.0), out=tmp_path / "far")
+    report = run_ar(far)
+    assert report.drawn == COUNT and "nothing of the robot is in view" in report.notice
+    assert run_ar(replace(request_for, out=tmp_path / "near")).notice == ""
+
+
 def test_a_real_camera_needs_a_calibration(request_for: ArRequest) -> None:
     with pytest.raises(CalibrationError, match="no calibration"):
         run_ar(replace(request_for, intrinsics=None))
