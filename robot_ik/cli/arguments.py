@@ -11,6 +11,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import is_dataclass
 from typing import Any, TextIO, get_type_hints
 
 from robot_ik.errors import ConfigError, close_matches
@@ -79,12 +80,15 @@ def _flag(word: str) -> str:
     return word.partition("=")[0].replace("_", "-") if word.startswith("--") else ""
 
 
-def _endless_options(kind: Any) -> Iterator[str]:
+def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        if any(
+        flag = prefix + name.replace("_", "-")
+        if is_dataclass(hint):
+            yield from _endless_options(hint, f"{flag}.")
+        elif any(
             (getattr(told, "metavar", "") or "").endswith("…") for told in getattr(hint, "__metadata__", ())
         ):
-            yield f"--{name.replace('_', '-')}"
+            yield flag
 
 
 def _is_number(word: str) -> bool:

@@ -11,6 +11,7 @@ import pytest
 
 from robot_ik.cli import servo_scan
 from robot_ik.cli.arguments import gather
+from robot_ik.cli.reach import ReachOptions
 from robot_ik.hardware.scan import FoundServo
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
@@ -139,6 +140,8 @@ def test_only_options_of_any_number_of_values_are_gathered() -> None:
     words = ["--arm", "a", "--baud", "1", "-x", "--arm", "b", "--baud=2"]
     assert gather(servo_scan.ScanOptions, words) == ["--arm", "a", "-x", "--arm", "b", "--baud", "1", "2"]
     assert gather(servo_scan.ScanOptions, words[:6]) == words[:6]
+    flag = "--rehearse.zero-offset"  # of options within options
+    assert gather(ReachOptions, [flag, "a=1", flag, "b=2"]) == [flag, "a=1", "b=2"]
 
 
 @pytest.mark.parametrize("rate", ["1234", "0", "x"])
