@@ -71,7 +71,7 @@ class MarkerBody:
             return
         raise CameraError(
             f"the markers of the body {self.name!r} are of {self.dictionary}, but {dictionary} is looked for",
-            hint=f"make the tracker with the dictionary {self.dictionary}",
+            hint=f"look for theirs: --dictionary {self.dictionary}",
         )
 
 
