@@ -78,3 +78,16 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
     # what was said to be known to a micrometre is not left for something farther off
     beside = Pose(pose.position + np.array([2e-4, 0.0, 0.0]), pose.wxyz)
     assert fit_print(image, BOARD, [0], DICTIONARY, STANDARD_CAMERA, beside, 1e-12 * np.eye(6)) is None
+
+
+@pytest.mark.parametrize(("seed", "distance"), [(75, 1.8), (106, 1.4), (162, 1.4)])
+def test_the_mirror_image_is_not_taken_for_sure(seed: int, distance: float) -> None:
+    """Both poses are judged by the same pixels: by those of each its own, these were 10 degrees off."""
+    rng = np.random.default_rng(seed)
+    pose, _ = random_pose(STANDARD_CAMERA, rng, distance, tilt_deg=(1, 30))
+    image = render_marker(STANDARD_CAMERA, pose, rng, marker_id=7)
+    (seen,) = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {7: 0.05}).observe(frame_of(image))
+    mirrored = seen.alternative is not None and (
+        seen.alternative.distance(pose)[1] < seen.pose.distance(pose)[1]
+    )
+    assert not mirrored or seen.ambiguity > 0.6

@@ -82,6 +82,7 @@ def fit_print(
     intrinsics: CameraIntrinsics,
     start: Pose,
     covariance: Array | None = None,
+    look: Pose | None = None,
 ) -> PrintFit | None:
     """A better pose than ``start``; None where the print does not agree with it.
 
@@ -93,13 +94,16 @@ def fit_print(
         intrinsics: Of the picture.
         start: ``pose_camera_body`` from the corners.
         covariance: (6, 6) of it: what is found far beyond that is not believed.
+        look: Pose by which pixels are chosen; None: ``start``.  Fits that are compared need the same pixels:
+            a tenth of other ones makes as much noise as there is between a pose and its mirror image.
     """
     announce(print_equations, "the fit of the markers' prints")
     prints = [_Print(gray, _black(dictionary, i), *layout[i], intrinsics) for i in ids]
     pose = start
     for turn in range(_ROUNDS):
         # A print that is covered or spoilt says nothing; its corners have had their say.
-        prints = [one for one in prints if one.take(pose, light_only=turn == 0)]
+        at = (look or start) if turn == 0 else pose
+        prints = [one for one in prints if one.take(at, light_only=turn == 0)]
         if turn == 0:
             continue
         information = sum((one.information for one in prints), np.zeros((TWIST, TWIST)))
@@ -147,7 +151,9 @@ def seen_by_print(
     """
     starts = [seen.pose] if seen.alternative is None else [seen.pose, seen.alternative]
     layout = {seen.id: (size, Pose())}
-    found = [fit_print(gray, layout, [seen.id], dictionary, intrinsics, start) for start in starts]
+    found = [
+        fit_print(gray, layout, [seen.id], dictionary, intrinsics, start, look=seen.pose) for start in starts
+    ]
     fits = sorted((one for one in found if one is not None), key=lambda one: one.squares)
     if not fits:
         return seen
