@@ -59,7 +59,7 @@ class Counters:
         cycles: Reads of many servos at once.
         asked: Measurements wanted in them, one per servo; always the sum of the next three.
         answered: … that came; ``refused``: … for which an error number came; ``timeouts``: … that never came.
-            Single reads and writes that nobody answered count as ``timeouts`` too.
+            Single reads and writes that nobody answered count as ``asked`` and ``timeouts`` too.
         corrupt: Answers that came and could not be trusted (checksum, length).
         late: Answers that came after their question was given up; nothing of them was used.
         retries: Requests repeated because of the above.

@@ -249,6 +249,7 @@ class DynamixelBus:
                 f"answers of servo id {id} on {self.port} ({what}) are damaged: checksum or length wrong",
                 hint="check the cable, the baud rate and whether two servos have this id",
             )
+        self.counters.asked += 1
         self.counters.timeouts += 1
         since = self._wire.last_good.get(id)
         age = None if since is None else self._wire.now() - since

@@ -151,25 +151,31 @@ class GroupTraffic:
             end = self._wire.now() + (CYCLE_TIME if within is None else within)
             self._counters.cycles += 1
             self._counters.asked += len(registers)
-            for attempt in range(1 + self._retries):
-                self._counters.retries += attempt > 0
-                extra = self._phase if guarded else 0
-                asked = registers
-                if extra or attempt or self._silent:
-                    asked = {id: _widened(registers[id], extra) if extra else registers[id] for id in missing}
-                    plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
-                self._once(port, plan, before, _Wanted(registers, asked, found))
-                before = b""
-                if len(found) == len(registers):
-                    missing = []
-                    break
-                missing = [id for id in missing if id not in found]
-                if guarded:
-                    self._phase = (self._phase + 1) % PHASES
-                if self._silent.issuperset(missing):
-                    break
-                if self._wire.now() + self._patience(plan, port) > end:
-                    break
+            try:
+                for attempt in range(1 + self._retries):
+                    self._counters.retries += attempt > 0
+                    extra = self._phase if guarded else 0
+                    asked = registers
+                    if extra or attempt or self._silent:
+                        asked = {
+                            id: _widened(registers[id], extra) if extra else registers[id] for id in missing
+                        }
+                        plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
+                    self._once(port, plan, before, _Wanted(registers, asked, found))
+                    before = b""
+                    if len(found) == len(registers):
+                        missing = []
+                        break
+                    missing = [id for id in missing if id not in found]
+                    if guarded:
+                        self._phase = (self._phase + 1) % PHASES
+                    if self._silent.issuperset(missing):
+                        break
+                    if self._wire.now() + self._patience(plan, port) > end:
+                        break
+            except BaseException:  # the port went, or a signal came: who has not answered never will
+                self._counters.timeouts += len(registers) - len(found)
+                raise
             if missing:
                 self._wire.missed()
         self._counters.timeouts += len(missing)

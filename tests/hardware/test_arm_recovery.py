@@ -112,6 +112,8 @@ def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, strea
     stream(any_arm, smooth(start, start + 0.1, 0.4))
     any_arm.close()
     assert torque(any_arm) == [False] * 6
+    c = any_arm.bus.counters  # of the cycle in which the port went, too
+    assert c.asked == c.answered + c.refused + c.timeouts and c.timeouts >= 6
 
 
 def test_other_servos_behind_the_port_are_refused(arm, stream, start):
