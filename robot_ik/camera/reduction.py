@@ -32,11 +32,11 @@ def reduced(gray: Image, times: int) -> Image:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def to_reduced(pixels: Array, times: int) -> Array:
+def to_reduced(pixels: Array, times: float) -> Array:
     """Places (…, 2) of a picture in the one that is so many times smaller, pixel centres being whole."""
     return (pixels + 0.5) / times - 0.5
 
 
-def from_reduced(pixels: Array, times: int) -> Array:
+def from_reduced(pixels: Array, times: float) -> Array:
     """The way back."""
     return (pixels + 0.5) * times - 0.5

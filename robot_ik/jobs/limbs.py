@@ -269,7 +269,7 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
             if robot.tree.kind[k] != HINGE:
                 raise UnsupportedJointError(
                     f"joint {joint!r} is no hinge, and a generic servo arm turns hinges only",
-                    hint="give an arm file (--arm) for the joints that have servos; reach works without (--bus none)",
+                    hint="give an arm file (--arm) for the joints with servos; reach needs none: --bus none",
                 )
         return robot, ArmConfig.generic(
             robot.name, robot.joints, robot.lower, robot.upper,

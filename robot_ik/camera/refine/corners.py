@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,6 +26,7 @@ from robot_ik.kernels.jit import announce
 Array = NDArray[np.float64]
 
 # What cannot be fitted may be too soft: it is tried in a smaller picture, while cells keep this width, px.
+# With smaller cells it may be too sharp for its pixels: it is tried in a larger one.
 _LEAST_CELL = 5.0
 # Corners straight from the detector scatter by 0.8 px (measured on the standard set, all distances).
 DETECTOR_SIGMA = 0.85
@@ -109,9 +111,9 @@ def refine_markers(
         corners -= origin
     refine_corners_of(gray, lens, cells, corners, ideal, covariance, good)
     for k in np.flatnonzero(good == 0):
-        soft = _refine_soft(gray, lens, cells, corners[k])
-        if soft is not None:
-            corners[k], ideal[k], covariance[k], good[k] = *soft, 1
+        other = _refine_in_another_size(gray, lens, cells, corners[k])
+        if other is not None:
+            corners[k], ideal[k], covariance[k], good[k] = *other, 1
     corners += origin
     return [
         RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True) if fine else unrefined(c, intrinsics)
@@ -119,8 +121,10 @@ def refine_markers(
     ]
 
 
-def _refine_soft(gray: Image, lens: Array, cells: int, corners: Array) -> tuple[Array, Array, Array] | None:
-    """Corners, their ideal ones and their covariance from a picture reduced as often as it takes.
+def _refine_in_another_size(
+    gray: Image, lens: Array, cells: int, corners: Array
+) -> tuple[Array, Array, Array] | None:
+    """Corners, their ideal ones and their covariance from a larger picture, or one reduced until it is sharp.
 
     Args:
         gray: (h, w).
@@ -128,25 +132,35 @@ def _refine_soft(gray: Image, lens: Array, cells: int, corners: Array) -> tuple[
         cells: Along a side.
         corners: (4, 2) rough ones.
     """
-    times, side = 2, math.sqrt(abs(_area(corners)))
-    while side / times > _LEAST_CELL * cells:
-        # A part with the white round the marker that begins at a reduced pixel is enough.
-        low = np.maximum(np.floor((corners.min(axis=0) - 0.5 * side) / times), 0.0).astype(int) * times
+    side = math.sqrt(abs(_area(corners)))
+    sizes = [2.0**k for k in range(1, 8) if side / 2.0**k > _LEAST_CELL * cells]
+    for reduction in sizes or [0.5]:
+        # A part with the white round the marker is enough; it begins at a pixel of the smaller picture.
+        grid = max(round(reduction), 1)
+        low = np.maximum(np.floor((corners.min(axis=0) - 0.5 * side) / grid), 0.0).astype(int) * grid
         high = np.maximum(np.ceil(corners.max(axis=0) + 0.5 * side), -1.0).astype(int)
-        if (np.minimum(high + 1, gray.shape[::-1]) - low < times).any():
+        if (np.minimum(high + 1, gray.shape[::-1]) - low < grid).any():
             return None  # none of it is in the picture
-        part = np.ascontiguousarray(reduced(gray[low[1] : high[1] + 1, low[0] : high[0] + 1], times))
+        part = gray[low[1] : high[1] + 1, low[0] : high[0] + 1]
         small = lens.copy()
-        small[[FX, FY]] /= times
-        small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, times)
-        found = to_reduced(corners - low, times)[None]
+        small[[FX, FY]] /= reduction
+        small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, reduction)
+        found = to_reduced(corners - low, reduction)[None]
         ideal, covariance = np.empty_like(found), np.empty((1, 8, 8))
         good = np.zeros(1, np.int64)
-        refine_corners_of(part, small, cells, found, ideal, covariance, good)
+        refine_corners_of(_resized(part, reduction), small, cells, found, ideal, covariance, good)
         if good[0]:
-            return from_reduced(found[0], times) + low, ideal[0], covariance[0] * times**2
-        times *= 2
+            # Pixels between pixels know nothing new: the covariance stays that of as many as there are.
+            known = max(reduction, 1.0)
+            return from_reduced(found[0], reduction) + low, ideal[0], covariance[0] * known**2
     return None
+
+
+def _resized(part: Image, reduction: float) -> Image:
+    if reduction >= 1.0:
+        return np.ascontiguousarray(reduced(part, round(reduction)))
+    larger = cv2.resize(part, (0, 0), fx=1.0 / reduction, fy=1.0 / reduction, interpolation=cv2.INTER_CUBIC)
+    return np.asarray(larger, dtype=np.uint8)
 
 
 def _area(corners: Array) -> float:
