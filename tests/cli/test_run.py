@@ -68,6 +68,7 @@ def test_failed_is_1_and_json_may_go_to_stdout(script: Path, robot_ik: Any) -> N
         (["{script}", "--json", "no/such/folder/r.json"], "no such folder"),
         (["{script}", "--arm", "no.toml"], "no.toml"),
         (["overload", "--bus", "/dev/nowhere"], "steps[0].do"),
+        (["{script}", "--seed", "-1"], "seed: not -1"),
     ],
 )
 def test_wrong_input_is_2(arguments: list[str], said: str, script: Path, robot_ik: Any) -> None:

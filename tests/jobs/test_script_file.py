@@ -38,6 +38,7 @@ def error_of(text: str) -> ConfigError:
         ("schema = 2\nname = 'x'\n[[steps]]\ndo = 'hold'", "schema", "2"),
         (HEAD + "steps = []", "steps", "at least 1"),
         (HEAD + "sed = 3\n[[steps]]\ndo = 'hold'", "sed", "did you mean seed"),
+        (HEAD + "seed = -3\n[[steps]]\ndo = 'hold'", "seed", "greater than or equal to 0"),
         (with_step("seconds = 1"), "steps[0].do", "pose, position"),
         (with_step("do = 'wiat'"), "steps[0].do", "did you mean wait"),
         (with_step("do = 'wait'"), "steps[0].seconds", "missing"),

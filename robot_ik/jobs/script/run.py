@@ -87,6 +87,8 @@ class ScriptRun:
         content = script.content
         self._script = script
         self._seed = content.seed if request.seed is None else request.seed
+        if self._seed < 0:
+            raise script.wrong(f"not {self._seed}", "seed", "0, 1, 2, …")
         robot = request.robot or seen_from(script, content.robot)
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:

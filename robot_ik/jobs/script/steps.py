@@ -284,7 +284,7 @@ class ScriptFile(Table):
     about: str = ""
     robot: _Word = "tabletop_puma"
     arm: str | None = None
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     speed: _Share = 0.5
     marker_at: Annotated[list[_Number], Field(min_length=3, max_length=4)] | None = None
     physics: bool = False
