@@ -256,4 +256,5 @@ def _require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]]) -> Non
         {id: f"{joint}: {name(number)}" for id, (joint, number) in wanted.items()},
         {id: name(number) for id, number in found.items()},
         port=bus.port,
+        source="the backup",
     )

@@ -89,7 +89,7 @@ def states_table(states: Sequence[ServoState]) -> Table:
     for s in states:
         current = _number(s.current_ma, " mA", 0)
         if s.load_percent is not None:
-            current = f"{s.load_percent:.0f} % load"
+            current = f"{round(s.load_percent)} % load"  # not -0
         errors = Text(", ".join(s.errors) or ("none" if s.answered else "no answer"))
         errors.stylize("bold red" if s.errors or not s.answered else "green")
         shown.add_row(

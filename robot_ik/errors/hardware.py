@@ -74,15 +74,21 @@ class ServoRefusedError(HardwareError):
 
 
 class ServoMismatchError(HardwareError):
-    """The servos found on the bus are not the ones the arm file names.
+    """The servos found on the bus are not the ones that the arm file, or another ``source``, names.
 
     Attributes:
-        expected: Servo id -> "joint: model" as the arm file says.
+        expected: Servo id -> "joint: model" as the source says.
         found: Servo id -> model as the bus says.
     """
 
     def __init__(
-        self, expected: Mapping[int, str], found: Mapping[int, str], *, port: str, hint: str = ""
+        self,
+        expected: Mapping[int, str],
+        found: Mapping[int, str],
+        *,
+        port: str,
+        hint: str = "",
+        source: str = "the arm file",
     ) -> None:
         self.expected = dict(expected)
         self.found = dict(found)
@@ -92,8 +98,7 @@ class ServoMismatchError(HardwareError):
         rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
         rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
         super().__init__(
-            f"the servos on {port} are not those of the arm file; nothing was switched on\n"
-            + "\n".join(rows),
+            f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows),
             hint=hint
             or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
         )

@@ -68,6 +68,7 @@ def test_restore_refuses_another_model_before_it_writes(robot_ik: Any, saved: Pa
     saved.write_text(json.dumps(content))
     desk.servo(1).memory.set("velocity_limit", 200)
     run = robot_ik("servo", "restore", saved, *desk.at)
+    assert "are not those of the backup" in run.err
     run.assert_one_screen_error()
     assert "joint2: XL330-M288" in run.err and "XL430-W250" in run.err
     assert desk.servo(1).memory.get("velocity_limit") == 200
