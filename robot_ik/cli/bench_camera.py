@@ -88,6 +88,8 @@ def run_camera(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
     import_mujoco()
     rows = chosen_rows(options.rows)
+    if "photographs" in options.rows and not options.photographs:
+        raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
     effort, found = Effort(options.quick, options.seed, options.photographs), Measured()
     try:
         with console.progress() as bar:

@@ -32,7 +32,6 @@ FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
 _MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
 _CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
 _MADE_UP_IDS = (20, 21, 22, 23)
-_DISTORTION = (-0.12, 0.05, 0.0005, -0.0003, 0.0)
 _TRIES = 60
 # Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
 _GOOD_VIEW, _WORST_VIEW = 0.45, 0.25

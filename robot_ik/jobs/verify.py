@@ -187,7 +187,8 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
                 "the camera's place on file was found with another calibration",
                 hint="give the place that was found with this one: --camera-place FILE",
             )
-        samples.intrinsics = lens
+        samples = replace(samples, intrinsics=lens)
+        known = replace(known, samples=samples)
     place = _given_place(request, samples.intrinsics)
     if place is not None:
         known = replace(known, camera=_known_camera(place), by_arm=_by_arm(place))

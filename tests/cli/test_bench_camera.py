@@ -34,6 +34,11 @@ def test_an_unknown_row_names_the_close_ones(capsys: pytest.CaptureFixture[str])
     assert "did you mean 'prediction'" in told and "Traceback" not in told
 
 
+def test_the_row_of_real_pictures_asks_for_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "camera", "--rows", "photographs"]) == 2
+    assert "--photographs" in capsys.readouterr().err
+
+
 def failing(_: Effort) -> Iterator[Figure]:
     yield Figure("depth", 3.0, "mm", 2.0)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import cv2
@@ -238,16 +237,3 @@ class _Remembering(BoardWatcher):
 
     def see(self, frame: Frame) -> Seen | None:
         return self._looks[frame.sequence]
-
-
-def drawing_time(
-    artist: Artist, figure: Figure, qpos: ArrayLike, camera: CameraIntrinsics, eye: Pose
-) -> float:
-    """Seconds that one drawing takes, laid over a picture: the median of 15."""
-    image = np.full((camera.height, camera.width, 3), 128, dtype=np.uint8)
-    taken = []
-    for _ in range(17):
-        start = time.perf_counter()
-        artist.draw(figure, qpos, camera, eye).over(image)
-        taken.append(time.perf_counter() - start)
-    return float(np.median(taken[2:]))
