@@ -106,7 +106,10 @@ class DynamixelBus:
             port.clear()
             port.send(build(BROADCAST_ID, PING, b""))
             end = self._wire.now() + listening_time(self.baud)
-            while data := port.receive(end):
+            over, data = False, b"begin"
+            while data and not over:
+                over = self._wire.now() > end  # a line may never fall silent: this is the last look
+                data = port.receive(end)
                 for answer in parser.feed(data):
                     if len(answer.data) == PING_DATA:
                         found[answer.id] = answer.data[0] | answer.data[1] << 8
