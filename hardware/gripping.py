@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from robot_ik.errors import HardwareError, UnsafeCommandError
+from robot_ik.errors import HardwareError, UnsafeCommandError, apart
 from robot_ik.hardware.arm_base import MOVABLE, ArmBase
 from robot_ik.hardware.config import JointMap
 from robot_ik.hardware.config_check import current_unit
@@ -91,9 +91,9 @@ class Gripping(ArmBase):
             lower, upper = self.config.joint(name).limits
             if not lower <= to <= upper:
                 joint = self.config.joint(name)
-                raise UnsafeCommandError(
-                    f"{name!r} at {joint.text(to)}", f"{joint.text(lower)} to {joint.text(upper)}"
-                )
+                asked, low, high = apart(*(value / joint.per_unit for value in (to, lower, upper)))
+                unit = joint.unit
+                raise UnsafeCommandError(f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}")
             goals[name] = float(to)
         return goals
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.catalogue import RobotFile
 from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
+from robot_ik.files import LARGEST_NUMBER
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, V_WIDTH, Tree
 
@@ -42,7 +43,8 @@ def read_model(path: Path) -> mujoco.MjModel:
     """MuJoCo's model of an MJCF or URDF file.
 
     Raises:
-        ModelError: With the file and MuJoCo's reason; or a joint whose lower limit is not below its upper.
+        ModelError: With the file and MuJoCo's reason; a joint whose lower limit is not below its upper; a
+            number that is not finite or beyond ``LARGEST_NUMBER``.
     """
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -54,8 +56,29 @@ def read_model(path: Path) -> mujoco.MjModel:
             reason=reason,
             hint="MJCF and URDF files are read; meshes must lie where the file says",
         ) from error
+    _refuse_numbers(model, path)
     _refuse_ranges(model, path)
     return model
+
+
+def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
+    """Raises ``ModelError`` for numbers that nobody can reckon with; MuJoCo reads "nan" and 1e308."""
+    for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "jnt_range", "site_pos", "site_quat",
+                 "geom_pos", "geom_quat", "geom_size", "body_mass", "body_inertia", "body_ipos", "body_iquat",
+                 "qpos0", "key_qpos"):  # fmt: skip
+        rows = np.atleast_1d(getattr(model, name))
+        wrong = ~(np.abs(rows) <= LARGEST_NUMBER)
+        if wrong.any():
+            owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}
+            kind, _, what = name.partition("_")
+            number = int(np.argwhere(wrong)[0, 0])
+            whose = f" of {kind} {owner[kind](number).name or number!r}" if kind in owner else ""
+            raise ModelError(
+                f"{path}: {what or name}{whose} is {rows[number]}",
+                path=path,
+                reason=f"{what or name}{whose} is not finite, or too large",
+                hint=f"finite numbers up to {LARGEST_NUMBER:g} are read",
+            )
 
 
 def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
