@@ -1,8 +1,8 @@
-"""Bytes of the control cycle, on the host's side: group requests, and the answers to them.
+"""Bytes of the control cycle, on the host's side: group requests, and the answers to them; the ping to all.
 
-A cycle is the one thing that must be quick; everything else leaves packets to the Dynamixel SDK.  It takes an
-answer apart byte by byte in Python; here whole answers are found and checked at once.  The tests hold these
-bytes to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
+A cycle is the one thing that must be quick; requests to one servo are left to the Dynamixel SDK.  That takes
+an answer apart byte by byte in Python; here whole answers are found and checked at once.  The tests hold the
+requests to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
 """
 
 from __future__ import annotations
