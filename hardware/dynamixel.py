@@ -1,8 +1,8 @@
-"""Servo bus over a serial port or pty: single requests by the official Dynamixel SDK, the rest by ``packets``.
+"""Servo bus over a serial port or pty: single requests by the Dynamixel SDK, the rest by ``packets``.
 
 The SDK builds, stuffs, finds and checks the packets of ``ping``, ``read``, ``write`` and ``reboot``.  What it
-leaves open is closed here and in ``wire``: a lock, a length check before any byte is decoded, and retries with
-a bound.  Requests to many servos and their answers, those of a ping to all among them, are built and taken
+leaves open is closed here and in ``wire``: a lock, a length check before any byte is decoded, retries with a
+bound.  Requests to many servos and their answers, those of a ping to all among them, are built and taken
 apart in ``packets``: quickly, and so that the answers which did arrive are kept, with their alert bits.
 """
 

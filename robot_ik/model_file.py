@@ -39,6 +39,13 @@ class Frame:
     local: Pose
 
 
+_NUMBERS = (
+    "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
+    "jnt_range", "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "qpos0", "key_qpos",
+)  # fmt: skip
+"""Arrays of MuJoCo's model, one row a body, joint, …"""
+
+
 def read_model(path: Path) -> mujoco.MjModel:
     """MuJoCo's model of an MJCF or URDF file.
 
@@ -62,21 +69,22 @@ def read_model(path: Path) -> mujoco.MjModel:
 
 
 def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
-    """Raises ``ModelError`` for numbers that nobody can reckon with; MuJoCo reads "nan" and 1e308."""
-    for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "jnt_range", "site_pos", "site_quat",
-                 "geom_pos", "geom_quat", "geom_size", "body_mass", "body_inertia", "body_ipos", "body_iquat",
-                 "qpos0", "key_qpos"):  # fmt: skip
-        rows = np.atleast_1d(getattr(model, name))
-        wrong = ~(np.abs(rows) <= LARGEST_NUMBER)
+    """Raises ``ModelError`` for numbers without use; MuJoCo takes "nan", 1e308 and axes without length."""
+    for name in _NUMBERS:
+        rows = np.asarray(getattr(model, name))
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        wrong = ~(np.abs(rows) <= LARGEST_NUMBER).all(axis=1)
+        if name.endswith(("axis", "quat")):
+            wrong |= ~(np.linalg.norm(rows, axis=1) > 0.5)  # MuJoCo makes them 1 long; 1e308 becomes 0
         if wrong.any():
-            owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}
             kind, _, what = name.partition("_")
-            number = int(np.argwhere(wrong)[0, 0])
-            whose = f" of {kind} {owner[kind](number).name or number!r}" if kind in owner else ""
+            number = int(np.argmax(wrong))
+            owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}.get(kind)
+            whose = f"{what} of {kind} {owner(number).name or number!r}" if owner else name
             raise ModelError(
-                f"{path}: {what or name}{whose} is {rows[number]}",
+                f"{path}: {whose} is {rows[number].tolist()}",
                 path=path,
-                reason=f"{what or name}{whose} is not finite, or too large",
+                reason=f"{whose} is not finite, too large or of no length",
                 hint=f"finite numbers up to {LARGEST_NUMBER:g} are read",
             )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 import re
 import shutil
 import sys
@@ -118,11 +117,8 @@ def _motion() -> Trajectory:
 def _robot_folder(path: Path) -> object:
     """``path`` as the robot.toml beside a model."""
     folder = path.with_suffix(".robot")
-    folder.mkdir(exist_ok=True)
-    source = Path(str(ROBOT.path)).parent
-    for file in source.iterdir():
-        if file.is_file():
-            shutil.copyfile(file, folder / file.name)
+    if not folder.exists():
+        shutil.copytree(Path(str(ROBOT.path)).parent, folder)
     shutil.copyfile(path, folder / "robot.toml")
     return load_robot(folder)
 
@@ -133,6 +129,11 @@ def _saved(save: Callable[[Path], object]) -> Callable[[Path], str]:
         return (folder / "saved").read_text(encoding="utf-8")
 
     return text
+
+
+def _recording(folder: Path) -> str:
+    save_motion(folder / "saved.json", _motion())
+    return (folder / "saved.json").read_text(encoding="utf-8")
 
 
 def _backup(path: Path) -> None:
@@ -188,9 +189,7 @@ ROWS = {
     ),
     "samples": Row(lambda p: SampleSet.load(p).samples(ROBOT), "h.json", _saved(_samples().save)),
     "verify": Row(lambda p: VerifySamples.load(p).arm(ROBOT.arm_file), "v.json", _saved(_verify().save)),  # type: ignore[arg-type]
-    "recording": Row(
-        _json_motion, "r.json", _saved(lambda p: save_motion(p.with_suffix(".json"), _motion()))
-    ),
+    "recording": Row(_json_motion, "r.json", _recording),
     "motion": Row(lambda p: load_motion(p, ROBOT.joints), "t.csv", _saved(_motion().save_csv)),
     "results": Row(read_results, "bench.json", lambda _: results_text(_results())),
 }
@@ -395,9 +394,7 @@ def _survives(row: Row, folder: Path, text: str | bytes) -> RobotIkError | None:
     return None
 
 
-COMMON = settings(
-    max_examples=int(os.environ.get("FX", "60")), suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+COMMON = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("name", TREES)

@@ -1,4 +1,4 @@
-"""How long it takes to notice what is wrong: measured on a clock that only waiting moves, and as the docs say."""
+"""How long it takes to notice what is wrong, on a clock that only waiting moves: as the docs say."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 class WaitingPort(InProcessPort):
-    """As a serial port waits, on the servos' clock: for bytes on the wire, and for answers that do not come."""
+    """Waits as a serial port does, on the servos' clock: for bytes, and for answers that do not come."""
 
     def __init__(self, bus: VirtualBus, clock: VirtualClock, baud: int, counters: Counters) -> None:
         super().__init__(bus, "waiting", baud, counters)
