@@ -33,7 +33,8 @@ DEEPEST = 32
 """Tables and lists within each other; files of this program have six."""
 
 _LONG_INTEGER = re.compile(r"[0-9][0-9_]{4000,}")  # Python reads no integers above 4,300 digits
-_NESTED = re.compile(rf"(?:[\[{{]\s*){{{DEEPEST}}}")
+NESTED = re.compile(rf"(?:[\[{{]\s*){{{DEEPEST}}}")
+"""Brackets that open one within the other."""
 _KEY = re.compile(r"""([\w.-]{1,60})["']?\s*[=:]""")
 
 
@@ -122,7 +123,7 @@ def parse(text: str, file: Path | str, language: str, parser: Callable[[str], An
     try:
         content = parser(text)
     except RecursionError:
-        place = _NESTED.search(text)
+        place = NESTED.search(text)
         keys = _KEY.findall(text[: place.start()][-10_000:]) if place else []
         raise _too_deep(file, keys[-1] if keys else "") from None
     except MemoryError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import re
 import shutil
@@ -38,6 +39,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.lerobot_file import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.fault_file import load_faults
+from robot_ik.jobs.ar_motion import make_motion
 from robot_ik.jobs.ar_script import is_script, robot_of
 from robot_ik.jobs.handeye_samples import SampleSet
 from robot_ik.jobs.script import load_script, shipped
@@ -159,6 +161,13 @@ def _json_motion(path: Path) -> object:
     return load_motion(path, ROBOT.joints)
 
 
+def _csv_motion(path: Path) -> object:
+    drawn: Any = None  # a motion out of a file needs no figure
+    with contextlib.ExitStack() as stack:
+        make_motion(str(path), ROBOT, drawn, stack)
+    return load_motion(path, ROBOT.joints)
+
+
 ROWS = {
     "arm file": Row(ArmConfig.load, "arm.toml", lambda _: ARM.to_toml()),
     "calibration": Row(Calibration.load, "c.toml", _saved(_calibration().save)),
@@ -190,7 +199,7 @@ ROWS = {
     "samples": Row(lambda p: SampleSet.load(p).samples(ROBOT), "h.json", _saved(_samples().save)),
     "verify": Row(lambda p: VerifySamples.load(p).arm(ROBOT.arm_file), "v.json", _saved(_verify().save)),  # type: ignore[arg-type]
     "recording": Row(_json_motion, "r.json", _recording),
-    "motion": Row(lambda p: load_motion(p, ROBOT.joints), "t.csv", _saved(_motion().save_csv)),
+    "motion": Row(_csv_motion, "t.csv", _saved(_motion().save_csv)),
     "results": Row(read_results, "bench.json", lambda _: results_text(_results())),
 }
 
@@ -255,10 +264,16 @@ def _readers() -> set[str]:
     for name, tree in _sources():
         if name == "robot_ik/files.py":
             continue
+        imported = {
+            alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and node.module in ("robot_ik.files", "robot_ik.model_file")
+            for alias in node.names
+        }
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef) and node.name not in NOT_PEOPLE_S:
                 inner = {word for word, full in _calls(node) if full == word}
-                if inner & READING:
+                if inner & READING & imported:
                     found.add(f"{name}:{node.name}")
     return found
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robot_ik.camera import lens
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError
-from robot_ik.files import LARGEST_NUMBER, parse, read_text, shown, write_atomically
+from robot_ik.files import LARGEST_NUMBER, NESTED, parse, read_text, shown, write_atomically
 
 logger = logging.getLogger("robot_ik.camera")
 
@@ -100,12 +100,18 @@ _HINT = (
 )
 
 
+def _yaml(text: str) -> Any:
+    if NESTED.search(text):
+        raise RecursionError  # PyYAML takes a second to find that out
+    return yaml.load(text, Loader=_Loader)
+
+
 def _read(path: Path) -> Mapping[str, Any]:
     try:
         text = read_text(path, "the camera calibration", errors="replace")
         # FileStorage writes "%YAML:1.0", which no YAML reader accepts; the directive says nothing we need.
         text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", text)
-        content = parse(text, path, "YAML", lambda text: yaml.load(text, Loader=_Loader))
+        content = parse(text, path, "YAML", _yaml)
     except ConfigError as error:
         raise CalibrationError(error.args[0], hint=_HINT) from None
     if not isinstance(content, dict):

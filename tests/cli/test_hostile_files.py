@@ -35,7 +35,7 @@ YAML = {
     "a number": "3",
 }
 XML = {
-    "not a number": '<mujoco><worldbody><body pos="nan 0 0"><joint/><geom size="1"/></body></worldbody></mujoco>',
+    "not a number": '<mujoco><worldbody><body pos="nan 0 0"><joint/></body></worldbody></mujoco>',
     "nothing": "",
     "no model": "[" * 1000,
 }
