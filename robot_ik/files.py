@@ -145,13 +145,14 @@ def _require_usable(content: Any, most: int, file: Path | str) -> None:
         items: Iterable[tuple[Any, Any]] = holder.items() if isinstance(holder, dict) else enumerate(holder)
         for key, value in items:
             most -= 1
-            if isinstance(value, (dict, list)):
+            holds = isinstance(value, (dict, list))
+            if problem := _problem(key) or (None if holds else _problem(value)):
+                where = key_text((*path[1:], key) if path else ())
+                raise ConfigError(problem[0], file=file, key=where, allowed=problem[1])
+            if holds:
                 if len(path) > DEEPEST or most < -1:
                     raise _too_deep(file, key_text((*path[1:3], key)[:2]))
                 waiting.append((value, (*path, key)))
-            elif problem := _problem(value) or _problem(key):
-                where = key_text((*path[1:], key) if path else ())
-                raise ConfigError(problem[0], file=file, key=where, allowed=problem[1])
 
 
 def _problem(value: Any) -> tuple[str, str] | None:
@@ -181,7 +182,7 @@ def key_text(location: Iterable[int | str]) -> str:
     text = ""
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
-    return shown(text, str)
+    return shown(text.encode("utf-8", "backslashreplace").decode("utf-8"), str)
 
 
 def shown(value: object, text: Callable[[object], str] = repr) -> str:

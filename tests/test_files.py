@@ -504,3 +504,10 @@ def test_aliases_of_yaml_do_not_multiply(folder: Path) -> None:
     assert error is not None and "nested" in str(error)
     error = _survives(ROWS["intrinsics"], folder, "image_width: &a [*a]\n")
     assert error is not None and "nested" in str(error)
+
+
+@pytest.mark.parametrize("text", ['{"\\ud800": 1}', '{"\\ud800": {}}', '{"a": "\\udc00"}'])
+def test_half_a_character_is_refused_in_words_that_can_be_printed(text: str) -> None:
+    with pytest.raises(ConfigError, match="is no text") as caught:
+        files.parse_json(text, "x.json")
+    str(caught.value).encode("utf-8")
