@@ -35,6 +35,7 @@ from robot_ik.errors.hardware import (
     MotorFaultError,
     ServoMismatchError,
     ServoRefusedError,
+    StopRequestedError,
     UnsafeCommandError,
 )
 from robot_ik.errors.robot import (
@@ -75,6 +76,7 @@ __all__ = [
     "RobotIkError",
     "ServoMismatchError",
     "ServoRefusedError",
+    "StopRequestedError",
     "TrajectoryError",
     "UnknownFrameError",
     "UnknownJointError",
