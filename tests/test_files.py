@@ -225,6 +225,8 @@ ALLOWED = {
     ("robot_ik/model_file.py", "from_xml_path"): "read_model, which refuses what MuJoCo lets pass",
     ("robot_ik/camera/calibration_file.py", "yaml.load"): "handed to parse",
     ("hardware/virtual/things.py", "from_file"): "the model of a robot that load_robot has just read",
+    ("hardware/stop_file.py", "json.loads"): "between processes of this program, in a folder of mode 0700",
+    ("hardware/stop_file.py", "read_text"): "likewise",
     ("robot_ik/environment.py", "*"): "/proc, and a model that it writes itself",
     ("robot_ik/kernels/jit.py", "read_bytes"): "its own sources",
     ("robot_ik/cli/device_checks.py", "read_text"): "/sys",
@@ -237,7 +239,10 @@ ALLOWED = {
 }
 """(file, call) that reads without ``robot_ik.files``, and why it may."""
 
-NOT_PEOPLE_S = {"choose_gl": "its own cache; any error means that it is made anew"}
+NOT_PEOPLE_S = {
+    "choose_gl": "its own cache; any error means that it is made anew",
+    "requested": "from robot-ik stop; any error means that the arm shall stop",
+}
 
 
 def _sources() -> Iterator[tuple[str, ast.Module]]:
