@@ -97,7 +97,7 @@ BUSES: Mapping[str, Bus] = MappingProxyType(
         bus.name: bus
         for bus in (
             Bus("sim", "virtual servos in this process, on virtual time", True, _sim, _virtual_clock),
-            Bus("pty", "virtual servos behind a real pty and the real SDK", True, _pty, _real_clock),
+            Bus("pty", "virtual servos behind a real pty, driven as real ones", True, _pty, _real_clock),
             Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port, _real_clock),
         )
     }

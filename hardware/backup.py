@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, ServoMismatchError, ServoRefusedError
-from robot_ik.files import read_text, write_atomically
+from robot_ik.files import read_json, shown, write_atomically
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number
@@ -110,10 +110,7 @@ def load_backup(path: Path) -> list[SavedServo]:
     Raises:
         ConfigError: Unreadable, not such a file, or a value that its register cannot have.
     """
-    try:
-        content = json.loads(read_text(path, "the backup"))
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"not valid JSON: {error}", file=path) from None
+    content = read_json(path, "the backup")
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise ConfigError("this is no backup of control tables", file=path, key="schema", allowed=str(SCHEMA))
     rows = content.get("servos")
@@ -142,9 +139,8 @@ def _saved(row: Any, path: Path, at: str) -> SavedServo:
         register = servo.table[name]
         low, high = (register.minimum, register.maximum) if _restored(register) else (-(2**31), 2**32)
         if not _whole(value) or not low <= value <= high:
-            raise ConfigError(
-                f"{value!r} is not right", file=path, key=f"{at}.registers.{name}", allowed=f"{low}..{high}"
-            )
+            key, allowed = f"{at}.registers.{name}", f"{low}..{high}"
+            raise ConfigError(f"{shown(value)} is not right", file=path, key=key, allowed=allowed)
     return servo
 
 

@@ -90,6 +90,7 @@ class ServoBus(Protocol):
     not answer ``read``/``write``/``ping``), ``BusCorruptError`` (it answered nonsense every time),
     ``BusDisconnectedError`` (the port went away), ``ServoRefusedError`` (error number in the answer).
     ``sync_read`` never raises for a servo: the row of one that did not answer has ``data`` None.
+    Every call returns within its time, whatever comes in: a line may never fall silent.
     """
 
     port: str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,8 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import read_text, write_atomically
-from robot_ik.hardware.config_file import first_slip
+from robot_ik.files import config_error, read_toml, write_atomically
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS
 
 SCHEMA = 1
@@ -95,15 +93,9 @@ class Calibration:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
         try:
-            raw = tomllib.loads(read_text(path, "the calibration"))
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"not valid TOML: {error}", file=path) from None
-        try:
-            found = _File.model_validate(raw)
+            found = _File.model_validate(read_toml(path, "the calibration"))
         except ValidationError as error:
-            detail = first_slip(error)
-            key = ".".join(map(str, detail["loc"]))
-            raise ConfigError(detail["msg"].lower(), file=path, key=key) from None
+            raise config_error(error, path) from None
         joints, twins = (
             tuple(JointCalibration(**row.model_dump()) for row in rows)
             for rows in (found.joints, found.twins)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from robot_ik.errors import ConfigError, close_matches
+from robot_ik.files import parse_toml, shown
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
 from robot_ik.hardware.joint_map import ARM, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
@@ -119,11 +119,7 @@ def parse_arm_file(text: str, file: Path | str) -> ArmFile:
         ConfigError: Not TOML, or a key is unknown, missing, of another type or out of range.
     """
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}", file=file) from None
-    try:
-        arm = ArmFile.model_validate(raw)
+        arm = ArmFile.model_validate(parse_toml(text, file))
     except ValidationError as error:
         raise _explain(error, file) from None
     if arm.bus.baud not in BAUD_RATES.values():
@@ -149,12 +145,12 @@ def _explain(error: ValidationError, file: Path | str) -> ConfigError:
         name = str(first["loc"][-1])
         known = _known_keys(first["loc"][:-1])  # in degrees or in millimetres
         close = close_matches(name, known)
-        text = f"unknown key {name!r}" + (f": did you mean {' or '.join(close)}?" if close else "")
+        text = f"unknown key {shown(name)}" + (f": did you mean {' or '.join(close)}?" if close else "")
         return ConfigError(text, file=file, key=key, allowed=", ".join(known), hint=hint)
     if first["type"] == "missing":
         return ConfigError("this key is missing", file=file, key=key, allowed=_allowed(first), hint=hint)
-    given = first["input"]
-    return ConfigError(f"{given!r} is not right", file=file, key=key, allowed=_allowed(first), hint=hint)
+    given = shown(first["input"])
+    return ConfigError(f"{given} is not right", file=file, key=key, allowed=_allowed(first), hint=hint)
 
 
 def _key(location: tuple[int | str, ...]) -> str:

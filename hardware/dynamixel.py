@@ -1,8 +1,9 @@
-"""Servo bus over a serial port or pty, on the official Dynamixel SDK.
+"""Servo bus over a serial port or pty: single requests by the Dynamixel SDK, the rest by ``packets``.
 
-The SDK builds, stuffs and checks packets.  What it leaves open is closed here and in ``wire``: a lock, a
-length check before any byte is decoded, a sync read that keeps the answers which did arrive and their alert
-bits, and retries with a bound.
+The SDK builds, stuffs, finds and checks the packets of ``ping``, ``read``, ``write`` and ``reboot``.  What it
+leaves open is closed here and in ``wire``: a lock, a length check before any byte is decoded, retries with a
+bound.  Requests to many servos and their answers, those of a ping to all among them, are built and taken
+apart in ``packets``: quickly, and so that the answers which did arrive are kept, with their alert bits.
 """
 
 from __future__ import annotations
@@ -106,7 +107,10 @@ class DynamixelBus:
             port.clear()
             port.send(build(BROADCAST_ID, PING, b""))
             end = self._wire.now() + listening_time(self.baud)
-            while data := port.receive(end):
+            over, data = False, b"begin"
+            while data and not over:
+                over = self._wire.now() > end  # a line may never fall silent: this is the last look
+                data = port.receive(end)
                 for answer in parser.feed(data):
                     if len(answer.data) == PING_DATA:
                         found[answer.id] = answer.data[0] | answer.data[1] << 8

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from robot_ik.errors import HardwareError, UnsafeCommandError
+from robot_ik.errors import HardwareError, UnsafeCommandError, apart
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.config_check import current_unit
@@ -67,9 +67,9 @@ class Fingers:
             joint = config.joint(name)
             lower, upper = joint.limits
             if not lower <= to <= upper:
-                raise UnsafeCommandError(
-                    f"{name!r} at {joint.text(to)}", f"{joint.text(lower)} to {joint.text(upper)}"
-                )
+                asked, low, high = apart(*(value / joint.per_unit for value in (to, lower, upper)))
+                unit = joint.unit
+                raise UnsafeCommandError(f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}")
             self.goals[name] = float(to)
         self._config = config
         self._names = config.whole.names

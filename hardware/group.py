@@ -220,13 +220,14 @@ class GroupTraffic:
         # As many damaged packets as servos are missing: nothing more will come, ask again at once.
         damaged = 0
         while len(waiting) > damaged:
+            over = self._wire.now() > deadline  # a line may never fall silent: this is the last look
             data = port.receive(deadline, expected)
             if plan.fast and self._take_whole(data, plan, wanted):
                 waiting.clear()
                 break
-            damaged += self._take(parser.feed(data, last=not data), wanted, waiting) + parser.damaged
+            damaged += self._take(parser.feed(data, last=over or not data), wanted, waiting) + parser.damaged
             self._counters.corrupt += parser.damaged
-            if not data or (plan.fast and parser.damaged):
+            if over or not data or (plan.fast and parser.damaged):
                 break
             parser.damaged = 0
         if waiting:

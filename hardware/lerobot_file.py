@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import read_text, write_atomically
+from robot_ik.files import read_json, shown, write_atomically
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN
@@ -88,10 +88,7 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
 
 
 def _rows(path: Path) -> dict[str, dict[str, int]]:
-    try:
-        content = json.loads(read_text(path, "LeRobot's calibration"))
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"not valid JSON: {error}", file=path) from None
+    content = read_json(path, "LeRobot's calibration")
     if not isinstance(content, dict) or not content:
         raise ConfigError(
             "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
@@ -107,7 +104,7 @@ def _row(name: str, row: Any, path: Path) -> dict[str, int]:
         low, high = limits.get(key, (-MULTI_TURN_TICKS, MULTI_TURN_TICKS))
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise ConfigError(
-                f"{value!r} is not right", file=path, key=f"{name}.{key}", allowed=f"{low}..{high}"
+                f"{shown(value)} is not right", file=path, key=f"{name}.{key}", allowed=f"{low}..{high}"
             )
         found[key] = value
     if found["range_min"] >= found["range_max"]:

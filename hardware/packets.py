@@ -1,8 +1,8 @@
-"""Bytes of the control cycle, on the host's side: group requests, and the answers to them.
+"""Bytes of the control cycle, on the host's side: group requests, and the answers to them; the ping to all.
 
-A cycle is the one thing that must be quick; everything else leaves packets to the Dynamixel SDK.  It takes an
-answer apart byte by byte in Python; here whole answers are found and checked at once.  The tests hold these
-bytes to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
+A cycle is the one thing that must be quick; requests to one servo are left to the Dynamixel SDK.  That takes
+an answer apart byte by byte in Python; here whole answers are found and checked at once.  The tests hold the
+requests to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
 """
 
 from __future__ import annotations
@@ -233,16 +233,20 @@ class FastParser:
         self._expected = expected
         self._total = _fast_layout(tuple(expected)).total
         self._buffer = b""
-        self._head = -1
         self._next = self._at = self._crc = 0
         self.damaged = 0
 
     def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
         """Answers that are complete now; ``last``: nothing more will come."""
-        buffer = self._buffer = self._buffer + data
-        if self._head < 0 and not self._found_head(buffer):
-            return []
         answers: list[Answer] = []
+        if self.damaged:
+            return answers
+        buffer = self._buffer + data
+        if not self._at:
+            buffer = self._from_head(buffer)
+        self._buffer = buffer = buffer[: self._total]
+        if not self._at:
+            return answers
         while self._next < len(self._expected) and not self.damaged:
             id, size = self._expected[self._next]
             end = self._at + size + FAST_FRAME
@@ -259,16 +263,17 @@ class FastParser:
             self._next += 1
         return answers
 
-    def _found_head(self, buffer: bytes) -> bool:
-        at = -1
-        while (at := buffer.find(HEADER, at + 1)) >= 0 and len(buffer) >= at + FAST_HEAD:
-            if buffer[at + 4] != BROADCAST_ID or buffer[at + 7] != STATUS:
-                continue
-            # Stuffing would make it longer; clients differ on whether there is any: not to be trusted.
-            if (buffer[at + 5] | buffer[at + 6] << 8) + 7 != self._total:
-                self.damaged = 1
-                return False
-            self._head, self._at = at, at + FAST_HEAD
-            self._crc = crc(buffer[at : self._at])
-            return True
-        return False
+    def _from_head(self, buffer: bytes) -> bytes:
+        """The bytes from the head of a fast status on, or what may begin one; sets ``_at`` behind it."""
+        at = buffer.find(HEADER)
+        while 0 <= at <= len(buffer) - FAST_HEAD:
+            if buffer[at + 4] == BROADCAST_ID and buffer[at + 7] == STATUS:
+                # Stuffing would make it longer; clients differ on whether there is any: not to be trusted.
+                if (buffer[at + 5] | buffer[at + 6] << 8) + 7 != self._total:
+                    self.damaged = 1
+                    return b""
+                self._at = FAST_HEAD
+                self._crc = crc(buffer[at : at + FAST_HEAD])
+                return buffer[at:]
+            at = buffer.find(HEADER, at + 1)
+        return buffer[at if at >= 0 else 1 - len(HEADER) :]

@@ -23,11 +23,17 @@ from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.control_table import BAUD_RATES
 
+LONGEST_DRAIN = 0.1
+"""s after which a line that does not fall silent is no longer waited for."""
+
 ANSWER_TIME = 0.034
 """s a servo is given beyond the bytes' own time: twice a 16 ms USB latency timer and 2 ms, as in the SDK."""
 
+OVERTIME = 1024
+"""Bytes read at most after a packet's time is over: what came in while this program was held up, no more."""
+
 WRITE_TIMEOUT = 0.5
-"""s; a port that takes no bytes for so long is gone."""
+"""s beyond the bytes' own time; a port that has not taken them by then is gone."""
 
 WATCH = 1.5e-4
 """s before and after the moment an answer is expected in which the port is watched without sleeping.
@@ -78,6 +84,7 @@ class QuietPortHandler(PortHandler):
         self.seconds_per_byte = 10.0 / baud
         self._counters = counters
         self._file = -1
+        self._overtime = OVERTIME
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Opens the port, exclusively."""
@@ -115,6 +122,11 @@ class QuietPortHandler(PortHandler):
         """Until when an answer of so many bytes is waited for, from now."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.answer_time)
 
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        """So many milliseconds from now."""
+        super().setPacketTimeoutMillis(msec)
+        self._overtime = OVERTIME
+
     def send(self, data: bytes) -> None:
         """Writes all of it, or raises."""
         self.writePort(data)
@@ -123,7 +135,8 @@ class QuietPortHandler(PortHandler):
         """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing.
 
         Args:
-            deadline: On the monotonic clock, s.
+            deadline: On the monotonic clock, s.  After it there is one look at what is there: who calls again
+                and again looks at the clock himself, for a line may never fall silent.
             expected: When the answer usually comes, where that is known: shortly before and after it the
                 port is watched without sleeping, for who sleeps notices an answer late.
         """
@@ -160,7 +173,14 @@ class QuietPortHandler(PortHandler):
             termios.tcflush(self._file, termios.TCIFLUSH)
 
     def readPort(self, length: int) -> bytes:
-        """At most ``length`` bytes; sleeps until there are some or the packet's time is over."""
+        """At most ``length`` bytes; sleeps until there are some or the packet's time is over.
+
+        The SDK looks at the clock only where too few bytes came.  So after that time there are ``OVERTIME``
+        bytes at most, then none, whatever comes in.
+        """
+        if self.getTimeSinceStart() > self.packet_timeout:
+            length = min(length, self._overtime)
+            self._overtime -= max(length, 0)
         if length <= 0:
             return b""
         if not self._posix:
@@ -182,8 +202,10 @@ class QuietPortHandler(PortHandler):
         else:
             # Not pyserial's write: it reports a timeout for bytes that are out if this process was stalled.
             left = bytes(packet)
+            end = time.monotonic() + WRITE_TIMEOUT + len(left) * self.seconds_per_byte
             while left := left[self._write(left) :]:
-                if not select.select([], [self._file], [], WRITE_TIMEOUT)[1]:
+                wait = end - time.monotonic()
+                if wait <= 0.0 or not select.select([], [self._file], [], wait)[1]:
                     raise serial.SerialTimeoutException(f"the port takes no bytes for {WRITE_TIMEOUT} s")
         self._counters.bytes_sent += len(packet)
         return len(packet)
@@ -195,7 +217,7 @@ class QuietPortHandler(PortHandler):
         except BlockingIOError:
             return 0
 
-    def drain(self, quiet: float, longest: float = 0.1) -> None:
+    def drain(self, quiet: float, longest: float = LONGEST_DRAIN) -> None:
         """Throws away what comes in until the line was silent for ``quiet`` s; at most ``longest`` s."""
         end = time.monotonic() + longest
         while time.monotonic() < end:

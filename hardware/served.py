@@ -1,4 +1,4 @@
-"""Virtual servos behind a real pty, and the real SDK on it: everything but the wire is as with metal."""
+"""Virtual servos behind a real pty, and the driver of real ones on it: all but the wire is as with metal."""
 
 from __future__ import annotations
 

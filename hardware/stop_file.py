@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import HardwareError
-from robot_ik.files import write_atomically
+from robot_ik.files import read_json, write_atomically
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +86,7 @@ class StopFile:
         if not self._request or not os.path.exists(self._request):
             return None
         try:
-            policy = json.loads(Path(self._request).read_text("utf-8"))["policy"]
+            policy = read_json(Path(self._request), "the request")["policy"]
         except (OSError, ValueError, LookupError, TypeError):
             policy = None
         return policy if policy in POLICIES else "hold"  # whatever it says, somebody wants it to stop

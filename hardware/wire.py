@@ -31,7 +31,7 @@ QUIET = 0.003
 
 
 class Wire:
-    """A port and the SDK's packet code on it.  One transaction at a time, from any thread.
+    """A port, and the SDK's packet code for single requests.  One transaction at a time, from any thread.
 
     Args:
         port: Its name.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -13,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError, UnknownRobotError, close_matches
+from robot_ik.files import read_toml
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""
@@ -166,10 +166,7 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     Raises:
         ConfigError: With file, key and what is allowed.
     """
-    try:
-        raw: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot be read: {error}", file=path) from error
+    raw = read_toml(path, "robot.toml")
     if "schema" in raw:
         raw["schema_"] = raw.pop("schema")
     try:

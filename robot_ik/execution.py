@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import TrajectoryError
+from robot_ik.errors import TrajectoryError, apart
 from robot_ik.goals import Goal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
 from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
@@ -118,9 +118,10 @@ def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
     away = np.abs(q - first)
     k = int(np.argmax(away))
     if away[k] > tolerance:
+        planned, measured = apart(first[k], q[k], digits=4)
         raise TrajectoryError(
-            f"the trajectory begins with {first[k]:.4f} of joint {trajectory.joints[k]!r}, but the arm "
-            f"measures {q[k]:.4f}; at most {tolerance:g} apart is allowed; nothing was sent",
+            f"the trajectory begins with {planned} of joint {trajectory.joints[k]!r}, but the arm "
+            f"measures {measured}; at most {tolerance:g} apart is allowed; nothing was sent",
             hint="plan from where the arm is: joint_move(robot, arm.read().q, …)",
         )
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.catalogue import RobotFile
 from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
+from robot_ik.files import LARGEST_NUMBER
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, V_WIDTH, Tree
 
@@ -38,11 +39,19 @@ class Frame:
     local: Pose
 
 
+_NUMBERS = (
+    "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
+    "jnt_range", "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "qpos0", "key_qpos",
+)  # fmt: skip
+"""Arrays of MuJoCo's model, one row a body, joint, …"""
+
+
 def read_model(path: Path) -> mujoco.MjModel:
     """MuJoCo's model of an MJCF or URDF file.
 
     Raises:
-        ModelError: With the file and MuJoCo's reason; or a joint whose lower limit is not below its upper.
+        ModelError: With the file and MuJoCo's reason; a joint whose lower limit is not below its upper; a
+            number that is not finite or beyond ``LARGEST_NUMBER``.
     """
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -54,8 +63,30 @@ def read_model(path: Path) -> mujoco.MjModel:
             reason=reason,
             hint="MJCF and URDF files are read; meshes must lie where the file says",
         ) from error
+    _refuse_numbers(model, path)
     _refuse_ranges(model, path)
     return model
+
+
+def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
+    """Raises ``ModelError`` for numbers without use; MuJoCo takes "nan", 1e308 and axes without length."""
+    for name in _NUMBERS:
+        rows = np.asarray(getattr(model, name))
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        wrong = ~(np.abs(rows) <= LARGEST_NUMBER).all(axis=1)
+        if name.endswith(("axis", "quat")):
+            wrong |= ~(np.linalg.norm(rows, axis=1) > 0.5)  # MuJoCo makes them 1 long; 1e308 becomes 0
+        if wrong.any():
+            kind, _, what = name.partition("_")
+            number = int(np.argmax(wrong))
+            owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}.get(kind)
+            whose = f"{what} of {kind} {owner(number).name or number!r}" if owner else name
+            raise ModelError(
+                f"{path}: {whose} is {rows[number].tolist()}",
+                path=path,
+                reason=f"{whose} is not finite, too large or of no length",
+                hint=f"finite numbers up to {LARGEST_NUMBER:g} are read",
+            )
 
 
 def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.catalogue import RobotFile
 from robot_ik.couplings import Coupling, narrowed
-from robot_ik.errors import ModelError, UnknownFrameError
+from robot_ik.errors import ModelError, UnknownFrameError, apart
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
@@ -266,11 +266,11 @@ class Robot:
         for v in range(self.nv):
             if low[v] > high[v]:
                 joint = self.joints[int(np.searchsorted(self.tree.vadr, v, side="right")) - 1]
+                other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
+                one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
                 raise ModelError(
-                    f"no room is left for joint {joint!r}: "
-                    f"the model allows {self.lower[v]:.4f} … {self.upper[v]:.4f}, "
-                    f"the other side {np.ravel(lower)[v % np.size(lower)]:.4f} … "
-                    f"{np.ravel(upper)[v % np.size(upper)]:.4f}",
+                    f"no room is left for joint {joint!r}: the model allows {one} … {two}, "
+                    f"the other side {three} … {four}",
                     hint="check sign, zero and range of the joint in the arm file",
                 )
         tree = narrowed(self.tree.with_limits(low, high))

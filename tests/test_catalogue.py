@@ -94,7 +94,7 @@ def test_a_wrong_key_or_value_is_told_with_file_key_and_what_is_allowed(folder, 
 
 def test_what_is_no_toml_or_no_file_is_told(folder):
     (folder / "robot.toml").write_text("schema = = 1")
-    with pytest.raises(ConfigError, match=r"robot\.toml: cannot be read"):
+    with pytest.raises(ConfigError, match=r"robot\.toml: not valid TOML"):
         load_robot(folder)
     with pytest.raises(ConfigError, match="cannot be read"):
         read_robot_file(folder / "none.toml")

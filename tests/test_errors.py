@@ -69,3 +69,12 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
     assert "overheating" in str(errors.MotorFaultError("wrist", ["overheating"]))
     refused = errors.ServoRefusedError(id=4, register="goal_position", code=6, reason="data limit")
     assert refused.code == 6 and "refused goal_position: data limit (error 6)" in str(refused)
+
+
+def test_numbers_that_differ_look_different():
+    assert errors.apart(200.0, -160.0, 160.0) == ["200.0", "-160.0", "160.0"]
+    assert errors.apart(160.04, -160.0, 160.0) == ["160.04", "-160.00", "160.00"]
+    assert errors.apart(160.0 + 3e-14, 160.0)[0] != "160.0"
+    assert errors.apart(1.0, 1.0, digits=2) == ["1.00", "1.00"]
+    assert errors.apart(1.25, -1.0, 1.0, digits=6, form="g") == ["1.25", "-1", "1"]
+    assert errors.apart(1.0000001, 1.0, digits=6, form="g") == ["1.0000001", "1"]

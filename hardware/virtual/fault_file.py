@@ -18,7 +18,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError, UnknownJointError, close_matches
-from robot_ik.files import read_text
+from robot_ik.files import parse_toml, read_text, shown
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.config_file import first_slip
 from robot_ik.hardware.virtual.fault_kinds import KINDS, Fault
@@ -86,11 +85,7 @@ def load_faults(path: Path | str, config: ArmConfig) -> FaultScript:
 def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultScript:
     """The same from text; ``file`` appears in errors."""
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}", file=file) from None
-    try:
-        parsed = _File.model_validate(raw)
+        parsed = _File.model_validate(parse_toml(text, file))
     except ValidationError as error:
         raise _explain(first_slip(error), file) from None
     faults = tuple(_fault(entry, f"faults[{k}]", config, file) for k, entry in enumerate(parsed.faults))
@@ -105,11 +100,13 @@ def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
         known = [info.alias or field for field, info in fields.items()]
         close = close_matches(name, known)
         hint = f"did you mean {' or '.join(close)}?" if close else ""
-        return ConfigError(f"unknown key {name!r}", file=file, key=key, allowed=", ".join(known), hint=hint)
+        return ConfigError(
+            f"unknown key {shown(name)}", file=file, key=key, allowed=", ".join(known), hint=hint
+        )
     if detail["type"] == "missing":
         return ConfigError("this key is missing", file=file, key=key, allowed="a value")
     allowed = detail["msg"].removeprefix("Input should be a valid ").removeprefix("Input should be ")
-    return ConfigError(f"{detail['input']!r} is not right", file=file, key=key, allowed=allowed)
+    return ConfigError(f"{shown(detail['input'])} is not right", file=file, key=key, allowed=allowed)
 
 
 def _fault(entry: _Entry, at: str, config: ArmConfig, file: Path | str) -> Fault:
@@ -120,7 +117,7 @@ def _fault(entry: _Entry, at: str, config: ArmConfig, file: Path | str) -> Fault
     if kind is None:
         close = close_matches(entry.kind, KINDS)
         hint = f"did you mean {' or '.join(close)}?" if close else ""
-        raise wrong(f"no fault is called {entry.kind!r}", "kind", ", ".join(KINDS), hint)
+        raise wrong(f"no fault is called {shown(entry.kind)}", "kind", ", ".join(KINDS), hint)
     for one, other in (("joint", "id"), ("at_s", "at_packet"), ("for_s", "for_packets")):
         if getattr(entry, one) is not None and getattr(entry, other) is not None:
             raise wrong(f"{one} and {other} say the same", other, f"{one} or {other}")
@@ -146,7 +143,7 @@ def _servo_id(entry: _Entry, config: ArmConfig, wrong: Any) -> int | None:
             names = config.whole.names
             close = close_matches(entry.joint, names)
             hint = f"did you mean {' or '.join(close)}?" if close else ""
-            raise wrong(f"no joint is called {entry.joint!r}", "joint", ", ".join(names), hint) from None
+            raise wrong(f"no joint is called {shown(entry.joint)}", "joint", ", ".join(names), hint) from None
     if entry.id is not None and entry.id not in config.servo_ids:
         raise wrong(f"no servo has the id {entry.id}", "id", ", ".join(map(str, config.servo_ids)))
     return entry.id

@@ -1,7 +1,7 @@
 """Dynamixel Protocol 2.0, the servo's side: packets to bytes and a stream of bytes to packets.
 
-The host side of this project speaks through the official SDK; this codec is written apart from it, so
-that the two check each other.  Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
+The host side of this project speaks through the official SDK and ``hardware/packets.py``; this codec is
+written apart from both, so that they check each other.  Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
 """
 
 from __future__ import annotations

@@ -15,7 +15,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot_ik.batch import usable_cores
-from robot_ik.errors import ConfigError
+from robot_ik.files import config_error, read_json
+
+_MADE_BY = "robot-ik bench makes such files (version 1)"
 
 #: A larger step of a joint between two warm answers is a jump to another branch, rad.
 JUMP = 0.2
@@ -170,15 +172,11 @@ def read_results(path: Path) -> Results:
         ConfigError: It cannot be read, or is not such a file.
     """
     try:
-        return Results.model_validate_json(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot be read: {error}", file=path) from error
+        return Results.model_validate(read_json(path, "the results", _MADE_BY))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise ConfigError(
-            first["msg"], file=path, key=key, allowed="a file of robot-ik bench, version 1"
-        ) from error
+        found = config_error(error, path)
+        found.hint = _MADE_BY
+        raise found from error
 
 
 def results_text(results: Results) -> str:

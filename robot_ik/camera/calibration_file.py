@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from robot_ik.camera import lens
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.errors import CalibrationError
-from robot_ik.files import write_atomically
+from robot_ik.errors import CalibrationError, ConfigError
+from robot_ik.files import LARGEST_NUMBER, NESTED, parse, read_text, shown, write_atomically
 
 logger = logging.getLogger("robot_ik.camera")
 
@@ -79,7 +79,7 @@ def load_intrinsics(path: Path | str) -> CameraIntrinsics:
             model=model,
             rms=_optional(content, "avg_reprojection_error", path),
             std=tuple(_numbers(content.get("intrinsics_std_dev", []), "standard deviations", path)),
-            views=_views(content),
+            views=_views(content, path),
             name=str(content.get("camera_name", "camera")),
             date=str(content.get("calibration_time", content.get("calibration_date", ""))),
         )
@@ -100,20 +100,20 @@ _HINT = (
 )
 
 
+def _yaml(text: str) -> Any:
+    if NESTED.search(text):
+        raise RecursionError  # PyYAML takes a second to find that out
+    return yaml.load(text, Loader=_Loader)
+
+
 def _read(path: Path) -> Mapping[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise CalibrationError(
-            f"cannot read the camera calibration {path}: {error.strerror}", hint=_HINT
-        ) from None
-    # FileStorage writes "%YAML:1.0", which no YAML reader accepts; the directive says nothing we need.
-    text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", text)
-    try:
-        content = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
-        place = " ".join(str(error).split())
-        raise CalibrationError(f"{path} is not a YAML camera calibration: {place}", hint=_HINT) from None
+        text = read_text(path, "the camera calibration", errors="replace")
+        # FileStorage writes "%YAML:1.0", which no YAML reader accepts; the directive says nothing we need.
+        text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", text)
+        content = parse(text, path, "YAML", _yaml)
+    except ConfigError as error:
+        raise CalibrationError(error.args[0], hint=_HINT) from None
     if not isinstance(content, dict):
         raise CalibrationError(f"{path} is not a camera calibration: it has no keys", hint=_HINT)
     return content
@@ -132,7 +132,9 @@ def _numbers(value: Any, what: str, path: Path) -> Array:
     try:
         flat = [float(v) for v in _flatten(data)]
     except (TypeError, ValueError):
-        raise CalibrationError(f"{path}: the {what} must be numbers, not {data!r}", hint=_HINT) from None
+        raise CalibrationError(f"{path}: the {what} must be numbers, not {shown(data)}", hint=_HINT) from None
+    if not all(abs(value) <= LARGEST_NUMBER for value in flat):  # words such as "nan" are numbers to YAML
+        raise CalibrationError(f"{path}: the {what} must be finite, not {shown(flat)}", hint=_HINT)
     return np.array(flat)
 
 
@@ -147,17 +149,22 @@ def _flatten(value: Any) -> Iterable[Any]:
 def _whole(content: Mapping[str, Any], key: str, path: Path) -> int:
     value = _first(content, (key,), path)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
-        raise CalibrationError(f"{path}: {key} must be a whole number of pixels, not {value!r}", hint=_HINT)
+        given = shown(value)
+        raise CalibrationError(f"{path}: {key} must be a whole number, not {given}", hint=_HINT)
     return int(value)
 
 
 def _optional(content: Mapping[str, Any], key: str, path: Path) -> float | None:
-    return float(_numbers(content[key], key, path)[0]) if key in content else None
+    if key not in content:
+        return None
+    found = _numbers(content[key], key, path)
+    if found.size != 1:
+        raise CalibrationError(f"{path}: {key} must be one number, not {shown(content[key])}", hint=_HINT)
+    return float(found[0])
 
 
-def _views(content: Mapping[str, Any]) -> int | None:
-    value = content.get("views", content.get("nframes"))
-    return value if isinstance(value, int) else None
+def _views(content: Mapping[str, Any], path: Path) -> int | None:
+    return next((_whole(content, key, path) for key in ("views", "nframes") if key in content), None)
 
 
 def _model(content: Mapping[str, Any], numbers: Array, path: Path) -> tuple[str, tuple[float, ...]]:

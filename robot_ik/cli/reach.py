@@ -47,7 +47,7 @@ class ReachOptions:
     """Sees a marker, moves the arm's gripper above it, and lets a camera judge how far off it is.
 
     With no options everything is simulated, on real parts: a synthetic camera with exact optics, the PUMA
-    560, and six virtual servos that the real Dynamixel SDK drives through a real serial line (a pty).
+    560, and six virtual servos behind a real serial line (a pty), driven as real ones are.
 
     Exit code 0: servos and camera agree that the goal is reached. 1: it is not reached, or not proven.
     2: wrong input or environment; nothing was sent to a servo.

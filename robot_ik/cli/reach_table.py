@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.text import Text
 
 from robot_ik.cli import console
+from robot_ik.errors import apart
 
 if TYPE_CHECKING:
     from robot_ik.jobs.limbs import JointLimits
@@ -122,11 +123,11 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
     if report.read_back is not None:
         judged = report.read_back
         why = "servo ticks" if report.limbs.arm is not None else "tolerance of the solver"
-        rows.append(("read back", f"{_miss(judged)}; allowed {_bound(judged)} ({why})"))
+        rows.append(("read back", f"{_judged(judged)} ({why})"))
     if report.by_camera is not None:
         judged = report.by_camera
         sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
-        rows.append(("camera", f"{_miss(judged)}; allowed {_bound(judged)} (3 σ + ticks, {sigma})"))
+        rows.append(("camera", f"{_judged(judged)} (3 σ + ticks, {sigma})"))
     return rows
 
 
@@ -162,9 +163,7 @@ def _mm(position: Any) -> str:
     return " ".join(f"{1e3 * float(v):.1f}" for v in position)
 
 
-def _miss(judged: Any) -> str:
-    return f"{1e3 * judged.position:.2f} mm, {math.degrees(judged.angle):.2f}°"
-
-
-def _bound(judged: Any) -> str:
-    return f"{1e3 * judged.allowed.position:.2f} mm, {math.degrees(judged.allowed.angle):.2f}°"
+def _judged(judged: Any) -> str:
+    mm, most_mm = apart(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
+    deg, most_deg = apart(math.degrees(judged.angle), math.degrees(judged.allowed.angle), digits=2)
+    return f"{mm} mm, {deg}°; allowed {most_mm} mm, {most_deg}°"

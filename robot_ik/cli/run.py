@@ -13,6 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
 from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import OutputError
@@ -52,9 +53,12 @@ class RunOptions:
 def run(options: RunOptions) -> int:
     """Runs the script; 0 passed, 1 not."""
     import_mujoco()
-    from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script
+    from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 
     if not options.script:
+        if options != RunOptions():
+            hint = f"scripts that come along: {', '.join(shipped())}"
+            raise wrong("FILE.toml|NAME", "no script is named, so nothing was run", "a script", hint)
         return _list()
     script = load_script(find_script(options.script))
     for file in (options.junit, options.json):

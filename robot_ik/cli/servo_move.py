@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
+from robot_ik.errors import apart
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -118,8 +119,9 @@ def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
         joint = config.joint(name)
         lower, upper = joint.limits
         if not lower - 1e-9 <= q <= upper + 1e-9:
-            allowed = f"{lower / joint.per_unit:.1f} to {joint.text(upper)}"
-            raise wrong(name, f"{joint.text(q)} is outside its limits", allowed)
+            asked, low, high = apart(*(value / joint.per_unit for value in (q, lower, upper)))
+            unit = joint.unit
+            raise wrong(name, f"{asked} {unit} is outside its limits", f"{low} to {high} {unit}")
 
 
 def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:

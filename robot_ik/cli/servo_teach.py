@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
@@ -19,8 +20,8 @@ from robot_ik.cli.servo_calibrate import require_limp
 from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
 from robot_ik.cli.servo_move import shown_value, slowed
 from robot_ik.cli.servo_prompt import Prompts
-from robot_ik.errors import ConfigError, HardwareError
-from robot_ik.files import read_text, write_atomically
+from robot_ik.errors import ConfigError, HardwareError, TrajectoryError
+from robot_ik.files import config_error, read_json, write_atomically
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
@@ -134,12 +135,19 @@ def save_motion(path: Path, motion: Trajectory) -> None:
     write_atomically(path, json.dumps({**content, "q_rad": motion.q.tolist()}) + "\n")
 
 
+class _Recording(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    joints: list[str]
+    time_s: list[float]
+    q_rad: list[list[float]]
+
+
 def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
     """Reads what ``save_motion`` has written, in the order of ``joints``.
 
     Raises:
-        ConfigError: It cannot be read, or is of other joints.
-        TrajectoryError: Numbers that are no motion.
+        ConfigError: It cannot be read, its numbers are no motion, or it is of other joints.
     """
     from robot_ik.motion import Trajectory
 
@@ -147,16 +155,14 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
     if path.suffix == ".csv":
         motion = Trajectory.load_csv(path)
     else:
-        text = read_text(path, "the recording")
         try:
-            content = json.loads(text)
-            if not isinstance(content, dict):
-                raise ValueError("it is not one JSON object")
-            motion = Trajectory(content["time_s"], content["q_rad"], content["joints"])
-        except (ValueError, KeyError, TypeError) as error:
-            reason = f"{error} is missing" if isinstance(error, KeyError) else error
-            raise ConfigError(f"this is no recording: {reason}", file=path) from error
-    if set(motion.joints) != set(joints):
+            content = _Recording.model_validate(read_json(path, "the recording"))
+            motion = Trajectory(content.time_s, content.q_rad, content.joints)
+        except ValidationError as error:
+            raise config_error(error, path) from error
+        except (TrajectoryError, ValueError) as error:  # ValueError: rows of different lengths
+            raise ConfigError(f"this is no motion: {error.args[0]}", file=path, key="q_rad") from error
+    if sorted(motion.joints) != sorted(joints):
         raise ConfigError(
             f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}"
         )

@@ -7,6 +7,7 @@ without reading the text.  "No solution" is not an error: it is a ``Solution`` w
 
 from robot_ik.errors.base import (
     RobotIkError,
+    apart,
     close_matches,
     unknown_name_text,
 )
@@ -85,6 +86,7 @@ __all__ = [
     "UnsupportedGoalError",
     "UnsupportedJointError",
     "ViewerError",
+    "apart",
     "close_matches",
     "unknown_name_text",
 ]

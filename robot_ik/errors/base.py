@@ -16,7 +16,8 @@ def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
 
 def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
     """One sentence for an unknown name: the close ones first, then what exists."""
-    text = f"unknown {kind} {name!r}"
+    shown = repr(name)
+    text = f"unknown {kind} {shown if len(shown) <= 60 else shown[:59] + '…'}"
     close = close_matches(name, known)
     if close:
         text += f"; did you mean {' or '.join(repr(c) for c in close)}?"
@@ -26,6 +27,24 @@ def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
     else:
         text += f"; there is no {kind} at all here."
     return text
+
+
+def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
+    """Numbers as text, with as many digits as it takes to tell those that differ from each other.
+
+    "160.0 is outside; allowed: -160.0 to 160.0" explains nothing: 160.04 does.
+
+    Args:
+        values: A value and its limits, say.
+        digits: At least so many behind the point (``form`` "f") or in all ("g").
+        form: As of ``format``.
+    """
+    texts: list[str] = []
+    for count in range(digits, 18):
+        texts = [f"{value:.{count}{form}}" for value in values]
+        if len(set(texts)) >= len(set(values)):
+            break
+    return texts
 
 
 class RobotIkError(Exception):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import read_text
+from robot_ik.files import read_text, read_toml
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 from robot_ik.jobs.script.run import seen_from
 from robot_ik.motion.record import RecorderSink
@@ -42,8 +41,8 @@ def is_script(text: str) -> bool:
         return True
     path = Path(text).expanduser()
     try:
-        return path.suffix == ".toml" and "steps" in tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return path.suffix == ".toml" and "steps" in read_toml(path, "the script")
+    except ConfigError:
         return False
 
 

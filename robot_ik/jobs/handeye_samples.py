@@ -6,17 +6,18 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye.model import MOUNTINGS, HandEyeSample, Mounting
+from robot_ik.camera.handeye.model import HandEyeSample, Mounting
 from robot_ik.camera.handeye.places import today
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CameraError, RobotIkError
-from robot_ik.files import plain, write_atomically
+from robot_ik.files import config_error, plain, read_json, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot
 
@@ -99,17 +100,16 @@ class SampleSet:
         """What ``as_values`` gave, through JSON.
 
         Raises:
-            ValueError, TypeError, KeyError, RobotIkError: It is something else.
+            ValueError (pydantic's ValidationError among them), RobotIkError: It is something else.
         """
-        if data["schema"] != _SCHEMA or data["mounting"] not in MOUNTINGS:
-            raise ValueError("another schema or an unknown mounting")
-        found = cls(
-            str(data["robot"]), tuple(data["joints"]), str(data["frame"]), data["mounting"],
-            CameraIntrinsics(**data["intrinsics"]), str(data["date"]),
-        )  # fmt: skip
-        for one in data["samples"]:
-            pose = Pose(one["position"], one["wxyz"])
-            found.add(np.array(one["q"]), BoardView(one["points"], one["pixels"], pose, one["sigma"]))
+        file = _File.model_validate(data)
+        lens = CameraIntrinsics(**file.intrinsics.model_dump())
+        found = cls(file.robot, tuple(file.joints), file.frame, file.mounting, lens, file.date)
+        for k, one in enumerate(file.samples):
+            if len(one.q) != len(file.joints):
+                raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
+            view = BoardView(one.points, one.pixels, Pose(one.position, one.wxyz), one.sigma)
+            found.add(np.array(one.q), view)
         return found
 
     def save(self, path: Path) -> None:
@@ -130,6 +130,45 @@ class SampleSet:
         return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
 
 
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+
+Place = Annotated[list[float], Field(min_length=3, max_length=3)]
+Turn = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class _Lens(_Table):
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: list[float]
+    model: str
+
+
+class _Sample(_Table):
+    q: list[float]
+    points: list[Place]
+    pixels: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+    sigma: float
+    position: Place
+    wxyz: Turn
+
+
+class _File(_Table):
+    version: Annotated[Literal[1], Field(alias="schema")]
+    robot: str
+    joints: list[str]
+    frame: str
+    mounting: Mounting
+    intrinsics: _Lens
+    date: str
+    samples: list[_Sample]
+
+
 Made = TypeVar("Made")
 
 
@@ -140,11 +179,11 @@ def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str)
         CameraError: It is missing, or ``made`` can make nothing of it.
     """
     try:
-        return made(json.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise CameraError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, TypeError, KeyError, RobotIkError) as error:
+        return made(read_json(path, "the file of samples"))
+    except (ValueError, RobotIkError) as error:
+        found = config_error(error, path) if isinstance(error, ValidationError) else error
+        reason = str(found.args[0]).removeprefix(f"{path}: ")
         raise CameraError(
-            f"{path} holds no samples of {of} ({error})",
+            f"{path} holds no samples of {of} ({reason})",
             hint=f"give the file that robot-ik camera {command} leaves beside its result",
         ) from error

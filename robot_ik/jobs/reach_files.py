@@ -24,6 +24,7 @@ from robot_ik.camera.overlay import (
     draw_marker_outline,
     draw_robot,
 )
+from robot_ik.errors import apart
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.reach_report import ReachReport
@@ -126,9 +127,10 @@ def _sight(report: ReachReport) -> str:
 def _outcome(report: ReachReport) -> str:
     if report.by_camera is not None:
         judged = report.by_camera
+        off, allowed = apart(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
         return (
             f"{'reached' if report.reached else 'NOT reached'}\nthe camera sees the {report.frame} "
-            f"{1e3 * judged.position:.2f} mm from the goal, {1e3 * judged.allowed.position:.2f} mm allowed"
+            f"{off} mm from the goal, {allowed} mm allowed"
         )
     if report.problem is not None:
         return "NOT reached"

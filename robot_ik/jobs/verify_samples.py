@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from robot_ik.camera.arm_zeros.model import KnownPose
 from robot_ik.errors import ConfigError
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.handeye_samples import SampleSet, read_samples
+from robot_ik.jobs.handeye_samples import Place, SampleSet, Turn, read_samples
 
 Array = NDArray[np.float64]
 
@@ -69,16 +70,17 @@ class VerifySamples:
 
     @classmethod
     def _of_values(cls, data: Any) -> VerifySamples:
-        if data["job"] != "verify":
-            raise ValueError(f"they are of {data['job']}, which does not know the camera's place")
-        offsets = data["true_offsets"]
+        file = _File.model_validate(data)
+        if file.job != "verify":
+            raise ValueError(f"they are of {file.job}, which does not know the camera's place")
+        offsets = file.true_offsets
         return cls(
             SampleSet.of_values(data),
-            _pose_of(data["camera"]),
-            _pose_of(data["board"]),
-            bool(data["by_arm"]),
+            _pose_of(file.camera),
+            _pose_of(file.board),
+            file.by_arm,
             None if offsets is None else np.array(offsets, dtype=float),
-            tuple(data["servos"]),
+            tuple(row.model_dump() for row in file.servos),
         )
 
     def arm(self, file: Path) -> ArmConfig:
@@ -97,6 +99,11 @@ class VerifySamples:
                     f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
                     file=file, key="joints", hint="measure again",
                 )  # fmt: skip
+        if unknown := [name for name in self.samples.joints if name not in by_name]:
+            raise ConfigError(
+                f"there is no joint {unknown[0]!r}, of which the samples are",
+                file=file, key="joints", allowed=", ".join(by_name),
+            )  # fmt: skip
         return replace(config, joints=tuple(by_name[name] for name in self.samples.joints))
 
 
@@ -110,5 +117,33 @@ def _pose_values(known: KnownPose) -> dict[str, Any]:
     return {"position": known.pose.position, "wxyz": known.pose.wxyz, "covariance": known.covariance}
 
 
-def _pose_of(data: Any) -> KnownPose:
-    return KnownPose(Pose(data["position"], data["wxyz"]), data["covariance"])
+def _pose_of(data: _Known) -> KnownPose:
+    return KnownPose(Pose(data.position, data.wxyz), np.array(data.covariance))
+
+
+_Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+
+
+class _Known(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    position: Place
+    wxyz: Turn
+    covariance: Annotated[list[_Six], Field(min_length=6, max_length=6)]
+
+
+class _Servo(BaseModel):
+    model_config = ConfigDict(extra="allow")
+
+    name: str
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    job: str
+    camera: _Known
+    board: _Known
+    by_arm: bool
+    true_offsets: list[float] | None
+    servos: list[_Servo]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import TrajectoryError, UnsupportedJointError
+from robot_ik.errors import TrajectoryError, UnsupportedJointError, apart
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
@@ -48,9 +48,10 @@ def require_inside(robot: Robot, q: Array) -> None:
     outside = np.maximum(robot.lower - q, q - robot.upper)
     k = int(np.argmax(outside))
     if outside[k] > _LIMIT_ROUNDING:
+        asked, low, high = apart(q[k], robot.lower[k], robot.upper[k], digits=6, form="g")
         raise TrajectoryError(
-            f"the goal asks {q[k]:.6g} of joint {robot.joints[k]!r}; allowed: "
-            f"{robot.lower[k]:.6g} to {robot.upper[k]:.6g} (rad, m for slides)",
+            f"the goal asks {asked} of joint {robot.joints[k]!r}; "
+            f"allowed: {low} to {high} (rad, m for slides)",
             hint="solve within the limits, or widen them with robot.with_limits",
         )
 

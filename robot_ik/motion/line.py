@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import TrajectoryError
+from robot_ik.errors import TrajectoryError, apart
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
@@ -218,9 +218,10 @@ class _Tracer:
                 hint="shorten the line, start from another configuration, or use joint_move",
             )
         k = int(np.argmax(np.abs(beyond - q)))
+        jump, most = apart(abs(beyond[k] - q[k]), self.max_jump, digits=3)
         return TrajectoryError(
             f"{self.frame!r} can follow only {reached}: there joint {self.robot.joints[k]!r} would jump by "
-            f"{abs(beyond[k] - q[k]):.3f}; at most {self.max_jump:g} is allowed (rad, m for slides)",
+            f"{jump}; at most {most} is allowed (rad, m for slides)",
             hint="a limit or a singularity is in the way: start from another configuration or use joint_move",
         )
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError
-from robot_ik.files import read_text, write_atomically
+from robot_ik.files import read_csv, write_atomically
 from robot_ik.motion.limits import joint_vector, motion_limits, require_inside, require_positive
 from robot_ik.motion.profiles import PROFILES
 from robot_ik.ports import Array
@@ -153,7 +153,7 @@ class Trajectory:
             ConfigError: The file is missing or is not such a table; names the line.
         """
         source = Path(path)
-        rows = list(csv.reader(read_text(source, "the motion").splitlines()))
+        rows = read_csv(source, "the motion")
         head = rows[0] if rows else []
         if head[:1] != [_TIME_COLUMN] or len(head) < 2:
             raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")

@@ -199,7 +199,7 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
     [
         ("[[body]]", "[[bodies]]", r"bodies: unknown key 'bodies'; did you mean 'body'"),
         (GOOD, "", "describes no body"),
-        (GOOD, "x = ", "is not TOML"),
+        (GOOD, "x = ", "not valid TOML"),
         ('name = "flag"\n', "", r"body\[1\].name: a body needs a name"),
         ('name = "flag"', 'name = "cube"', r"two bodies are named 'cube'"),
         ("size = 0.05", "side = 0.05", r"markers\[0\].side: unknown key 'side'"),
@@ -227,7 +227,7 @@ def test_what_is_wrong_in_the_file_is_told(tmp_path: Path, old: str, new: str, t
 
 
 def test_a_missing_file_and_a_marker_on_two_bodies(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none.toml: cannot be read: No such file"):
+    with pytest.raises(ConfigError, match=r"none.toml: .* cannot be read: No such file"):
         load_bodies(tmp_path / "none.toml")
     file = tmp_path / "two.toml"
     file.write_text(GOOD.replace('dictionary = "DICT_5X5_50"\n', "").replace("id = 3", "id = 20"))

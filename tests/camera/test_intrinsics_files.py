@@ -103,8 +103,8 @@ def test_plain_ros_files_are_read(tmp_path: Path, model: str, data: str, expecte
     [
         ("width: 3\n", "lacks the key image_width; it has width"),
         ("just words", "it has no keys"),
-        ("a: [1, 2\nb: }", "not a YAML camera calibration"),
-        ("\x89PNG\x00\x01", "(not a YAML|no keys)"),
+        ("a: [1, 2\nb: }", "not valid YAML"),
+        ("\x89PNG\x00\x01", "(not valid YAML|no keys)"),
         ("", "it has no keys"),
         (ROS.format(model="plumb_bob", data="a, b, c, d", count=4), "must be numbers"),
         (ROS.format(model="wide", data="0, 0, 0, 0", count=4), "unknown distortion_model 'wide'"),
@@ -130,7 +130,7 @@ def test_a_poor_calibration_is_read_with_a_warning(tmp_path: Path, caplog: pytes
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"none\.yaml: No such file"):
+    with pytest.raises(CalibrationError, match=r"none\.yaml: .*No such file"):
         CameraIntrinsics.load(tmp_path / "none.yaml")
 
 

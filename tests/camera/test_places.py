@@ -69,10 +69,10 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("parent = [", "no TOML"),
+        ("parent = [", "not valid TOML"),
         ("parent = 'world'", "lacks position, wxyz, covariance"),
-        (None, "cannot read"),
-        ("wxyz", "malformed"),
+        (None, "cannot be read"),
+        ("wxyz", "toml: a zero quaternion"),
         ("schema = 2", "schema 2"),
         ("covariance", "covariance"),
     ],

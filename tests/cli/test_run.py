@@ -104,3 +104,12 @@ def test_without_a_script_those_that_come_along(robot_ik: Any) -> None:
     assert run.code == 0
     for name in shipped():
         assert name in run.out
+
+
+@pytest.mark.parametrize("option", [("--junit", "f"), ("--json", "f"), ("--json", "-"), ("--seed", 3)])
+def test_options_without_a_script_are_no_wish_for_the_list(
+    tmp_path: Path, robot_ik: Any, option: tuple[Any, ...]
+) -> None:
+    run = robot_ik("run", *option)
+    assert run.code == 2 and not run.out
+    assert "no script is named, so nothing was run" in run.err and "pick_and_place" in run.err

@@ -232,3 +232,11 @@ def test_reset_fault_of_the_silent(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "reset-fault", *desk.at)
     assert run.code == 1 and "no answer" in run.out and "joint3" in run.out
     robot_ik("servo", "reset-fault", "joitn2", *desk.at).assert_one_screen_error()
+
+
+def test_a_value_just_outside_shows_the_digits_that_differ(robot_ik: Any, desk: Any) -> None:
+    upper = float(np.degrees(desk.config.upper[0]))
+    run = robot_ik("servo", "move", *desk.at, f"joint1={upper + 0.01!r}")
+    asked, allowed = run.err.partition(" deg is outside its limits; allowed: ")[::2]
+    assert run.code == 2 and asked.split()[-1] not in allowed.partition(" deg")[0], run
+    assert float(asked.split()[-1]) == pytest.approx(upper + 0.01, abs=0.006)

@@ -74,7 +74,7 @@ WRONG = [
     ('"extended_position"', '"velocity"', "joints[0].mode", "'position', 'extended_position' or"),
     ("direction = -1", "direction = 0", "joints[1].direction", "1 or -1"),
     ("ratio = 2.0", "ratio = 0.0", "joints[2].ratio", "> 0"),
-    ("ratio = 2.0", "ratio = nan", "joints[2].ratio", "> 0"),
+    ("ratio = 2.0", "ratio = nan", "joints[2].ratio", "finite"),
     ("zero_ticks = 2048", "zero_ticks = 2048.5", "joints[0].zero_ticks", "-1048575..1048575"),
     ("lower_deg = -160.0", "lower_deg = 170.0", "joints[0].lower_deg", "lower_deg < upper_deg"),
     ("lower_deg = -160.0", "lower_deg = nan", "joints[0].lower_deg", "finite"),

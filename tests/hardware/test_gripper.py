@@ -131,6 +131,8 @@ def test_a_grip_stops_at_what_is_there_and_presses_as_hard_as_told(desk_arm: Arm
     assert state.position_deg is None and state.position_mm == pytest.approx(10.0, abs=0.1)
     with pytest.raises(UnsafeCommandError, match=r"30.0 mm.*0.0 mm to 18.0 mm"):
         desk_arm.grip(0.030)
+    with pytest.raises(UnsafeCommandError, match=r"18.0004 mm.*0.0000 mm to 18.0000 mm"):
+        desk_arm.grip(0.0180004)
 
 
 def test_it_is_part_of_torque_off_and_of_faults(desk: ArmConfig) -> None:

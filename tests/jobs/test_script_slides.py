@@ -57,7 +57,14 @@ def test_slides_count_in_millimetres(tmp_path: Path) -> None:
     for wrong, told in [
         ("joints_deg = { rail = 1.0 }", "joints_deg.rail: a slide counts in millimetres; allowed: joints_mm"),
         ("joints_mm = { pan = 1.0 }", "joints_mm.pan: a hinge counts in degrees; allowed: joints_deg"),
-        ("joints_mm = { rail = 70.0 }", "joints_mm.rail: 70 mm is outside the limits; allowed: -5.0 … 60.0"),
+        (
+            "joints_mm = { rail = 70.0 }",
+            "joints_mm.rail: 70.0 mm is outside the limits; allowed: -5.0 … 60.0",
+        ),
+        (
+            "joints_mm = { rail = 60.004 }",
+            "joints_mm.rail: 60.004 mm is outside the limits; allowed: -5.000 … 60.000",
+        ),
         ("joints_mm = { rial = 1.0 }", "did you mean rail"),
         ("", "no joint is named"),
     ]:

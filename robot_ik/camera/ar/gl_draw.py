@@ -31,6 +31,7 @@ from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
+from robot_ik.files import read_json
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -63,7 +64,7 @@ def choose_gl() -> GlChoice:
         return GlChoice("", f"MUJOCO_GL={asked} forbids it")
     cache = _cache_file(asked)
     try:
-        kept = json.loads(cache.read_text())
+        kept = read_json(cache, "what worked before")
         return GlChoice(str(kept["backend"]), "worked before")
     except (OSError, ValueError, KeyError, TypeError):
         pass

@@ -10,7 +10,6 @@ They come from a MuJoCo model, or from a TOML file of boxes::
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_ik.errors import ConfigError
+from robot_ik.errors import ConfigError, ModelError
+from robot_ik.files import read_toml, shown
 from robot_ik.geometry import rotation_exp
+from robot_ik.model_file import read_model
 
 _KEYS = {"position": 3, "size": 3, "yaw_deg": 1}
 
@@ -35,13 +36,10 @@ def load_phantoms(path: Path | str) -> mujoco.MjModel:
         raise ConfigError("there is no such file", file=file, allowed="boxes in TOML, or a MuJoCo model")
     if file.suffix.lower() != ".toml":
         try:
-            return mujoco.MjModel.from_xml_path(str(file))
-        except ValueError as error:
-            raise ConfigError(f"is not a MuJoCo model: {error}", file=file) from error
-    try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"cannot be read: {error}", file=file) from error
+            return read_model(file)
+        except ModelError as error:
+            raise ConfigError(f"is not a MuJoCo model: {error.reason or error}", file=file) from error
+    data = read_toml(file, "the file of boxes")
     boxes = data.get("box")
     if not isinstance(boxes, list) or not boxes or set(data) != {"box"}:
         raise ConfigError("holds no boxes", file=file, key="box", allowed="[[box]] with position and size")
@@ -71,7 +69,7 @@ def _box(box: Any, file: Path, number: int) -> dict[str, list[float]]:
         good = all(isinstance(v, (int, float)) and np.isfinite(v) for v in numbers)
         if not good or len(numbers) != _KEYS[name]:
             raise ConfigError(
-                f"{value!r} is no {name}", file=file, key=key, allowed=f"{_KEYS[name]} finite numbers"
+                f"{shown(value)} is no {name}", file=file, key=key, allowed=f"{_KEYS[name]} finite numbers"
             )
         found[name] = [float(v) for v in numbers]
     if min(found["size"]) <= 0:

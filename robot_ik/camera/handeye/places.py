@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import datetime
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.view import BoardView
 from robot_ik.camera.handeye.model import HandEyeSample, Mount, view_derivatives
 from robot_ik.camera.handeye.rotation_average import cauchy_weight, robust_mean_pose
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.errors import CalibrationError, CameraError
-from robot_ik.files import write_atomically
+from robot_ik.errors import CalibrationError, CameraError, ConfigError
+from robot_ik.files import config_error, read_toml, write_atomically
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
@@ -112,14 +112,10 @@ class CameraPlace:
             CalibrationError: Missing, no such file, a key is missing or wrong, or other intrinsics.
         """
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise CalibrationError(
-                f"cannot read {path}: {error.strerror}", hint="make it with: robot-ik camera locate"
-            ) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise CalibrationError(f"{path} is no TOML file: {error}") from error
-        place = _from_data(data, Path(path))
+            data = read_toml(Path(path), "the place of the camera", "make it with: robot-ik camera locate")
+            place = _from_data(data, Path(path))
+        except ConfigError as error:
+            raise CalibrationError(error.args[0], hint=error.hint) from error
         if intrinsics is not None:
             place.require_intrinsics(intrinsics)
         return place
@@ -256,6 +252,24 @@ _KEYS = (
 )  # fmt: skip
 
 
+_Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    parent: str
+    position: Annotated[list[float], Field(min_length=3, max_length=3)]
+    wxyz: Annotated[list[float], Field(min_length=4, max_length=4)]
+    covariance: Annotated[list[_Six], Field(min_length=6, max_length=6)]
+    residual_px: float
+    residual_mm: float
+    date: str
+    intrinsics: str
+    method: str = ""
+    views: int = 1
+
+
 def _from_data(data: Mapping[str, Any], path: Path) -> CameraPlace:
     missing = [key for key in _KEYS if key not in data]
     if missing:
@@ -266,16 +280,19 @@ def _from_data(data: Mapping[str, Any], path: Path) -> CameraPlace:
     if data.get("schema", _SCHEMA) != _SCHEMA:
         raise CalibrationError(f"{path} is of schema {data['schema']}; this version reads {_SCHEMA}")
     try:
+        found = _File.model_validate(data)
         return CameraPlace(
-            Pose(data["position"], data["wxyz"]),
-            str(data["parent"]),
-            np.array(data["covariance"], dtype=float),
-            float(data["residual_px"]),
-            float(data["residual_mm"]),
-            str(data["date"]),
-            str(data["intrinsics"]),
-            method=str(data.get("method", "")),
-            views=int(data.get("views", 1)),
+            Pose(found.position, found.wxyz),
+            found.parent,
+            np.array(found.covariance, dtype=float),
+            found.residual_px,
+            found.residual_mm,
+            found.date,
+            found.intrinsics,
+            method=found.method,
+            views=found.views,
         )
-    except (TypeError, ValueError) as error:
-        raise CalibrationError(f"{path}: a number of it is malformed: {error}") from error
+    except ValidationError as error:
+        raise config_error(error, path) from error
+    except (CalibrationError, ValueError) as error:
+        raise CalibrationError(f"{path}: {error.args[0]}") from error

@@ -5,7 +5,6 @@ The frame of a marker: x right, y up, z out of the print, origin in its centre.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from robot_ik.camera.opencv import dictionary_size
 from robot_ik.camera.pose.marker import marker_points
 from robot_ik.errors import CameraError, ConfigError, unknown_name_text
+from robot_ik.files import read_toml, shown
 from robot_ik.geometry import Pose
 
 _BODY_KEYS = ("name", "dictionary", "markers")
@@ -161,12 +161,7 @@ def load_bodies(path: Path | str) -> dict[str, MarkerBody]:
             kind or cannot be (size, id, dictionary), or a marker is on two bodies.
     """
     file = Path(path)
-    try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror or error}", file=file) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"is not TOML: {error}", file=file) from None
+    content = read_toml(file, "the file of bodies")
     _known_keys(content, ("body",), file, "")
     rows = content.get("body")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
@@ -235,7 +230,8 @@ def _numbers(
     value = entry.get(name, list(default))
     right = isinstance(value, list) and len(value) == len(default)
     if not right or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value):
-        raise ConfigError(f"is {value!r}", file=file, key=f"{key}.{name}", allowed=f"{len(default)} numbers")
+        allowed = f"{len(default)} numbers"
+        raise ConfigError(f"is {shown(value)}", file=file, key=f"{key}.{name}", allowed=allowed)
     return tuple(float(v) for v in value)
 
 

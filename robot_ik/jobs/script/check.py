@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from robot_ik.errors import UnknownFrameError
+from robot_ik.errors import UnknownFrameError, apart
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.script.faults import fault_for
 from robot_ik.jobs.script.file import Script
@@ -102,7 +102,8 @@ def _check_joint(
     k, one = robot.joints.index(joint), per_unit(robot, joint)
     low, high = float(robot.lower[k]) / one, float(robot.upper[k]) / one
     if not isinstance(step, ExpectStep) and not low - 1e-9 <= number <= high + 1e-9:
-        raise script.wrong(f"{number:g}{unit} is outside the limits", at, f"{low:.1f} … {high:.1f}")
+        asked, lowest, highest = apart(number, low, high)
+        raise script.wrong(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
 
 
 def _fault(script: Script, limbs: Limbs, step: InjectStep, at: str) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_ik.errors import apart
 from robot_ik.jobs.script.file import error_classes
 from robot_ik.jobs.script.gripping import width_mm
 from robot_ik.jobs.script.moves import joints_miss, keyframes, pose_miss, with_joints
@@ -86,8 +87,8 @@ def _place_of(now: Situation, thing: str) -> Array:
 
 
 def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Finding:
-    wanted = f"at most {allowed:.2f}{unit}"
-    return _Finding(off <= allowed, f"{what} {off:.2f}{unit} off", wanted, {key: round(off, 4)})
+    here, most = apart(off, allowed, digits=2)
+    return _Finding(off <= allowed, f"{what} {here}{unit} off", f"at most {most}{unit}", {key: round(off, 4)})
 
 
 def _error(now: Situation, step: ExpectStep) -> Iterator[_Finding]:

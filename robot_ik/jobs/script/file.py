@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
 from robot_ik import errors
 from robot_ik.errors import ConfigError, RobotIkError, close_matches
-from robot_ik.files import read_text
+from robot_ik.files import parse_toml, read_text, shown
 from robot_ik.hardware.config_file import first_slip
 from robot_ik.jobs.script.steps import (
     STEPS,
@@ -63,7 +62,9 @@ class Script:
 
     def unknown(self, what: str, name: str, known: list[str], key: str) -> ConfigError:
         """The error for a name that does not exist; the close ones are named."""
-        return self.wrong(f"no {what} is called {name!r}", key, ", ".join(known), _did_you_mean(name, known))
+        return self.wrong(
+            f"no {what} is called {shown(name)}", key, ", ".join(known), _did_you_mean(name, known)
+        )
 
 
 def shipped() -> dict[str, Path]:
@@ -102,11 +103,7 @@ def load_script(path: Path | str) -> Script:
 def parse_script(text: str, file: Path | str = "<text>") -> Script:
     """The same from text; ``file`` appears in errors, and its folder is where paths are seen from."""
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}", file=file) from None
-    try:
-        content = ScriptFile.model_validate(raw)
+        content = ScriptFile.model_validate(parse_toml(text, file))
     except ValidationError as error:
         raise _explain(first_slip(error), file) from None
     script = Script(content, str(file), file.parent if isinstance(file, Path) else None)
@@ -154,7 +151,9 @@ def _check_things(script: Script) -> None:
         raise script.wrong("things fall and are gripped in a world with physics only", "physics", "true")
     for k, name in enumerate(names):
         if name in names[:k]:
-            raise script.wrong(f"there is a thing {name!r} already", f"things[{k}].name", "every name once")
+            raise script.wrong(
+                f"there is a thing {shown(name)} already", f"things[{k}].name", "every name once"
+            )
 
 
 def _check_follow(script: Script, step: FollowStep, at: str) -> None:
@@ -209,7 +208,7 @@ def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
         name = str(where[-1])
         known = [info.alias or field for field, info in model.model_fields.items()]
         return ConfigError(
-            f"unknown key {name!r}",
+            f"unknown key {shown(name)}",
             file=file,
             key=key,
             allowed=", ".join(known),
@@ -220,7 +219,7 @@ def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
     if detail["type"].startswith("union_tag"):
         return _explain_kind(detail, file, key)
     allowed = detail["msg"].removeprefix("Input should be a valid ").removeprefix("Input should be ")
-    return ConfigError(f"{_short(detail['input'])} is not right", file=file, key=key, allowed=allowed)
+    return ConfigError(f"{shown(detail['input'])} is not right", file=file, key=key, allowed=allowed)
 
 
 def _explain_kind(detail: ErrorDetails, file: Path | str, key: str) -> ConfigError:
@@ -229,17 +228,12 @@ def _explain_kind(detail: ErrorDetails, file: Path | str, key: str) -> ConfigErr
         return ConfigError("this key is missing", file=file, key=f"{key}.do", allowed=allowed)
     name = str(detail["ctx"]["tag"])
     return ConfigError(
-        f"no step is called {name!r}",
+        f"no step is called {shown(name)}",
         file=file,
         key=f"{key}.do",
         allowed=allowed,
         hint=_did_you_mean(name, list(STEPS)),
     )
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:59] + "…"
 
 
 __all__ = ["Action", "Script", "error_classes", "find_script", "load_script", "parse_script", "shipped"]

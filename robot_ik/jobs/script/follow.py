@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robot_ik.errors import apart
 from robot_ik.execution import follow
 from robot_ik.jobs.reach_report import SOLVE_TOLERANCE
 from robot_ik.jobs.script.report import StepResult
@@ -93,7 +94,8 @@ def _tell(
         result.numbers["picture_age_p95_s"] = round(now.eyes.delays[1].p95, 4)
     median, worst = float(np.median(behind)), max(behind)
     result.numbers.update(behind_median_mm=round(median, 4), behind_worst_mm=round(worst, 4))
-    result.found = f"median {median:.2f} mm, worst {worst:.2f} mm behind; allowed {step.tolerance_mm:.2f} mm"
+    most, allowed = apart(worst, step.tolerance_mm, digits=2)
+    result.found = f"median {median:.2f} mm, worst {most} mm behind; allowed {allowed} mm"
     if worst > step.tolerance_mm:
         raise StepFailed(f"lost the goal: {result.found}")
 

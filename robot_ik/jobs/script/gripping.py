@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from robot_ik.errors import apart
 from robot_ik.jobs.script.file import Script
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.situation import Situation, StepFailed
@@ -64,7 +65,8 @@ def check_grip(script: Script, limbs: Limbs, step: GripStep | ExpectStep, at: st
     if step.width_mm is not None:
         most = sum(1e3 * joint.limits[1] * fingers_on(limbs.robot, joint) for joint in aside)
         if step.width_mm > most + 1e-9:
-            raise script.wrong(f"{step.width_mm:g} mm is too wide", f"{at}.width_mm", f"0 to {most:g}")
+            asked, widest = apart(step.width_mm, most, digits=6, form="g")
+            raise script.wrong(f"{asked} mm is too wide", f"{at}.width_mm", f"0 to {widest}")
 
 
 def width_mm(now: Situation) -> float:

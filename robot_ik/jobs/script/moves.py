@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from robot_ik.errors import apart
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.jobs.reach_report import SOLVE_TOLERANCE
@@ -68,9 +69,15 @@ def with_joints(robot: Robot, q: Array, step: JointsStep | ExpectStep) -> Array:
 # --------------------------------------------------------------------------------------- how far
 
 
-def away_text(millimetres: float, degrees: float | None) -> str:
-    """One line for people."""
-    return f"{millimetres:.2f} mm" + ("" if degrees is None else f", {degrees:.2f}°")
+def off_text(millimetres: float, degrees: float | None, step: Move) -> str:
+    """How far off the frame is, and how far it may be, for people."""
+    pairs = [apart(millimetres, step.tolerance_mm, digits=2)]
+    pairs += [] if degrees is None else [apart(degrees, step.tolerance_deg, digits=2)]
+    off, allowed = (
+        ", ".join(f"{text}{unit}" for text, unit in zip(texts, (" mm", "°"), strict=False))
+        for texts in zip(*pairs, strict=True)
+    )
+    return f"{off} off; allowed {allowed}"
 
 
 def pose_miss(
@@ -191,8 +198,7 @@ def _by_pose(now: Situation, step: Move, frame: str | None, position: Any, wxyz:
         assert mm is not None
         numbers = {"off_mm": round(mm, 4)} | ({} if deg is None else {"off_deg": round(deg, 4)})
         inside = mm <= step.tolerance_mm and (deg is None or deg <= step.tolerance_deg)
-        allowed = away_text(step.tolerance_mm, None if deg is None else step.tolerance_deg)
-        return inside, f"{away_text(mm, deg)} off; allowed {allowed}", numbers
+        return inside, off_text(mm, deg, step), numbers
 
     return judge
 
@@ -200,7 +206,8 @@ def _by_pose(now: Situation, step: Move, frame: str | None, position: Any, wxyz:
 def _by_joints(now: Situation, step: Move, wanted: Array) -> Judge:
     def judge() -> tuple[bool, str, dict[str, float]]:
         joint, off, allowed, unit = joints_miss(now.robot, now.arm.read().q, wanted, step)
-        text = f"{joint} {off:.2f}{unit} off; allowed {allowed:.2f}{unit}"
+        here, most = apart(off, allowed, digits=2)
+        text = f"{joint} {here}{unit} off; allowed {most}{unit}"
         return off <= allowed, text, {"off_deg" if unit == "°" else "off_mm": round(off, 4)}
 
     return judge

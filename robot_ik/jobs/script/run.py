@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from robot_ik.catalogue import catalogue, find_robot
-from robot_ik.errors import RobotIkError
+from robot_ik.errors import RobotIkError, apart
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware.virtual.faults import Faults
 from robot_ik.jobs.limbs import prepare_limbs
@@ -208,7 +208,8 @@ def _take_time(now: Situation, step: Action, result: StepResult) -> None:
     over = step.time_limit_s is not None and result.seconds > step.time_limit_s + 0.5 / now.config.rate_hz
     if over and result.outcome == PASSED:
         result.outcome = FAILED
-        result.found = f"took {result.seconds:.2f} s, allowed {step.time_limit_s:g} s; {result.found}"
+        took, most = apart(result.seconds, step.time_limit_s or 0.0, digits=2)
+        result.found = f"took {took} s, allowed {most} s; {result.found}"
 
 
 def _wait(now: Situation, step: WaitStep, result: StepResult) -> None:

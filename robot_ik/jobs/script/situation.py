@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_ik.errors import apart
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.limbs import LastCommand, Limbs
@@ -124,7 +125,8 @@ class Situation:
         result.trajectory = trajectory
         result.numbers["planned_s"] = round(trajectory.duration, 6)
         if limit is not None and trajectory.duration > limit:
-            raise StepFailed(f"planned {trajectory.duration:.2f} s, allowed {limit:g} s; nothing was sent")
+            planned, most = apart(trajectory.duration, limit, digits=2)
+            raise StepFailed(f"planned {planned} s, allowed {most} s; nothing was sent")
         allowed = trajectory.duration + GRACE if limit is None else limit
         end = self.limbs.clock.now() + allowed
 

@@ -1,0 +1,190 @@
+"""Something on the wire talks without end: every call returns within its time, and nothing piles up."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+import tty
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from robot_ik.errors import HardwareError
+from robot_ik.hardware.bus import BROADCAST_ID, Counters
+from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
+from robot_ik.hardware.group import CYCLE_TIME
+from robot_ik.hardware.packets import FastParser, StatusParser
+from robot_ik.hardware.quiet_port import ANSWER_TIME, LONGEST_DRAIN, QuietPortHandler
+from robot_ik.hardware.virtual.protocol2 import build_status
+
+XM = CONTROL_TABLES["XM430-W350"]
+POSITION, GOAL = XM["present_position"], XM["goal_position"]
+IDS = range(1, 7)
+
+MARGIN = 0.3
+"""s that a busy machine may add."""
+
+STREAMS = {
+    "no header": b"\x55\x00\xaa" * 300,
+    "only 0xff": b"\xff" * 1000,
+    "headers of long packets": (b"\xff\xff\xfd\x00\x01\x00\x04\x55") * 100,
+    "headers that are no status": (b"\xff\xff\xfd\x00\x01\x04\x00\x02") * 100,
+    "another servo's answers": build_status(99, 0, b"\x01\x02\x03\x04") * 60,
+    "its own answers, damaged": (build_status(1, 0, b"\x01\x02\x03\x04")[:-1] + b"\x00") * 60,
+}
+
+_TALKER = """
+import os, select, sys
+file, text = int(sys.argv[1]), bytes.fromhex(sys.argv[2])
+os.set_blocking(file, False)
+while True:
+    try:
+        os.write(file, text)
+    except BlockingIOError:
+        select.select([], [file], [], 0.01)
+    try:
+        os.read(file, 4096)  # what the bus sends is taken: the port is not full
+    except BlockingIOError:
+        pass
+"""
+
+
+@pytest.fixture(params=STREAMS)
+def talking(request: pytest.FixtureRequest) -> Iterator[str]:
+    """A port on which another process writes as fast as it can."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    talker = subprocess.Popen(
+        [sys.executable, "-c", _TALKER, str(master), STREAMS[request.param].hex()], pass_fds=[master]
+    )
+    yield os.ttyname(slave)
+    talker.kill()
+    talker.wait()
+    os.close(master)
+    os.close(slave)
+
+
+def _seconds(call: Callable[[], object], limit: float) -> float:
+    """How long a call takes; a call that is not back after ``limit`` s fails the test, and is left behind."""
+
+    def run() -> None:
+        with contextlib.suppress(HardwareError):
+            call()
+
+    thread = threading.Thread(target=run, daemon=True)
+    begin = time.monotonic()
+    thread.start()
+    thread.join(limit)
+    assert not thread.is_alive(), f"not back after {limit:.2f} s"
+    return time.monotonic() - begin
+
+
+SINGLE = LONGEST_DRAIN + 3 * (ANSWER_TIME + 0.001) + 2 * LONGEST_DRAIN
+"""s for a question to one servo: the line is drained, and the question asked thrice."""
+GROUP = LONGEST_DRAIN + max(CYCLE_TIME, ANSWER_TIME + 0.002)
+
+CALLS: dict[str, tuple[Callable[[DynamixelBus], object], float]] = {
+    "read": (lambda bus: bus.read(1, POSITION), SINGLE),
+    "write": (lambda bus: bus.write(1, GOAL, 5), SINGLE),
+    "ping": (lambda bus: bus.ping(1), SINGLE),
+    "reboot": (lambda bus: bus.reboot(1), SINGLE),
+    "write to all": (lambda bus: bus.write(BROADCAST_ID, GOAL, 5), 0.0),
+    "sync_write": (lambda bus: bus.sync_write(GOAL, dict.fromkeys(IDS, 5)), 0.0),
+    "sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
+    "fast sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
+    "exchange": (
+        lambda bus: bus.exchange({1: (GOAL, 5)}, dict.fromkeys(IDS, POSITION), 0.01),
+        LONGEST_DRAIN + ANSWER_TIME + 0.002,
+    ),
+    "broadcast_ping": (lambda bus: bus.broadcast_ping(), LONGEST_DRAIN + listening_time(1_000_000)),
+}
+
+
+def test_every_call_returns_in_time_on_a_line_that_never_ends(talking: str) -> None:
+    bus = DynamixelBus(talking)
+    assert _seconds(bus.open, MARGIN) < MARGIN
+    for name, (call, promised) in CALLS.items():
+        bus.use_fast_reads(IDS if name.startswith("fast") else [])
+        took = _seconds(lambda call=call: call(bus), promised + MARGIN)  # type: ignore[misc]
+        assert took < promised + MARGIN, name
+    assert bus.counters.bytes_received > 10_000, "the line was silent: nothing was tried"
+    assert _seconds(bus.close, MARGIN) < MARGIN
+
+
+def test_a_line_that_never_ends_fills_no_memory(talking: str) -> None:
+    bus = DynamixelBus(talking)
+    bus.open()
+    tracemalloc.start()
+    try:
+        _seconds(lambda: bus.read(1, POSITION), 5.0)
+        _seconds(lambda: bus.sync_read(IDS, POSITION), 5.0)
+        bus.use_fast_reads(IDS)
+        _seconds(lambda: bus.sync_read(IDS, POSITION), 5.0)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        bus.close()
+    assert peak < 300_000
+
+
+@pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS)
+@pytest.mark.parametrize("make", [StatusParser, lambda: FastParser([(id, 4) for id in IDS])])
+def test_a_parser_keeps_no_more_than_a_packet(
+    make: Callable[[], StatusParser | FastParser], stream: bytes
+) -> None:
+    parser = make()
+    parser.feed(stream)
+    tracemalloc.start()
+    try:
+        for _ in range(20):
+            parser.feed(stream)
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 3000, "what was fed is kept"
+
+
+def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    port = QuietPortHandler(os.ttyname(slave), 1_000_000, Counters())
+    try:
+        port.openPort()
+        port.setPacketTimeoutMillis(1.0)
+        os.write(master, bytes(range(200)))
+        time.sleep(0.05)
+        assert port.readPort(11) + port.readPort(100) == bytes(range(111))
+        port.setPacketTimeoutMillis(1.0)
+        time.sleep(0.05)
+        os.write(master, bytes(4000))  # nobody takes an endless stream for an answer
+        assert sum(len(port.readPort(1000)) for _ in range(50)) <= 1024
+    finally:
+        port.closePort()
+        os.close(master)
+        os.close(slave)
+
+
+def test_a_port_that_takes_bytes_one_by_one_is_given_up() -> None:
+    class Slow(QuietPortHandler):
+        def _write(self, data: bytes) -> int:
+            time.sleep(0.05)
+            return 1
+
+    master, slave = os.openpty()
+    port = Slow(os.ttyname(slave), 1_000_000, Counters())
+    try:
+        port.openPort()
+        begin = time.monotonic()
+        with pytest.raises(OSError, match="takes no bytes"):
+            port.writePort(bytes(100))
+        assert time.monotonic() - begin < 0.5 + MARGIN
+    finally:
+        port.closePort()
+        os.close(master)
+        os.close(slave)

@@ -1,0 +1,161 @@
+"""How long it takes to notice what is wrong, on a clock that only waiting moves: as the docs say."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robot_ik.errors import BusTimeoutError, MotorFaultError
+from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.bus import Counters
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.quiet_port import QuietPortHandler
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.hardware.virtual.inprocess import InProcessPort
+from robot_ik.ports import VirtualClock
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+class WaitingPort(InProcessPort):
+    """Waits as a serial port does, on the servos' clock: for bytes, and for answers that do not come."""
+
+    def __init__(self, bus: VirtualBus, clock: VirtualClock, baud: int, counters: Counters) -> None:
+        super().__init__(bus, "waiting", baud, counters)
+        self.seconds_per_byte, self.tx_time_per_byte = 10.0 / baud, 10_000.0 / baud
+        self._clock = clock
+
+    def _pass(self, seconds: float) -> None:
+        self._clock.sleep_until(self._clock.now() + max(seconds, 0.0))
+
+    def getCurrentTime(self) -> float:
+        return 1000.0 * self._clock.now()
+
+    def writePort(self, packet: Sequence[int] | bytes) -> int:
+        self._pass(len(packet) * self.seconds_per_byte)
+        return super().writePort(packet)
+
+    def receive(self, deadline: float, expected: float | None = None) -> bytes:
+        data = super().receive(deadline)
+        self._pass(len(data) * self.seconds_per_byte if data else deadline - self._clock.now())
+        return data
+
+    def readPort(self, length: int) -> bytes:
+        data = super().readPort(length)
+        left = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
+        self._pass(len(data) * self.seconds_per_byte if data or length <= 0 else left + 1e-6)
+        return data
+
+    def drain(self, quiet: float, longest: float = 0.1) -> None:
+        super().drain(quiet)
+        self._pass(quiet)
+
+    # those of a real port
+    setPacketTimeout = QuietPortHandler.setPacketTimeout
+    setPacketTimeoutMillis = QuietPortHandler.setPacketTimeoutMillis
+    isPacketTimeout = QuietPortHandler.isPacketTimeout
+
+
+def _arm(config: ArmConfig, start: Any) -> Arm:
+    clock = VirtualClock()
+    servos = VirtualBus.from_config(config, clock, start=start)
+    bus = DynamixelBus(
+        "waiting",
+        config.baud,
+        make_handler=lambda name, baud, counters, wait: WaitingPort(servos, clock, baud, counters),
+        now=clock.now,
+    )
+    arm = Arm(config, bus, clock=clock, virtual_bus=servos)
+    arm.connect()
+    arm.enable()
+    return arm
+
+
+def _drive(arm: Arm, start: Any, cycles: int) -> None:
+    begin = arm.clock.now()
+    for k in range(1, cycles + 1):
+        arm.clock.sleep_until(begin + k / arm.config.rate_hz)
+        arm.send(start, arm.clock.now())
+
+
+def _seconds_to_fault(config: ArmConfig, start: Any, *, everyone: bool = False) -> tuple[float, float]:
+    """s from the last answer to the moment silence is looked into, and to the fault."""
+    arm = _arm(config, start)
+    _drive(arm, start, 20)
+    last = arm.clock.now()
+    arm.virtual_bus.inject(*(Fault("silent", id=id) for id in (config.ids if everyone else config.ids[2:3])))
+    looked: list[float] = []
+    read = arm.bus.read
+
+    def watched(id: int, register: Any) -> Any:
+        looked.append(arm.clock.now())
+        return read(id, register)
+
+    arm.bus.read = watched
+    with pytest.raises(BusTimeoutError if everyone else MotorFaultError):
+        _drive(arm, start, 200)
+    times = looked[0] - last, arm.clock.now() - last
+    arm.close()
+    return times
+
+
+def _said(page: str, pattern: str) -> list[float]:
+    """Numbers that a page states."""
+    found = re.search(pattern, (DOCS / page).read_text(encoding="utf-8"))
+    assert found is not None, f"{page} does not say: {pattern}"
+    return [float(number) for number in found.groups()]
+
+
+@pytest.mark.parametrize("everyone", [False, True])
+def test_silence_is_noticed_and_a_fault_when_the_docs_say(
+    arm_config: ArmConfig, start: Any, everyone: bool
+) -> None:
+    noticed, fast, slow = _said(
+        "safety.md",
+        r"noticed ([\d.]+) s after its last answer.*?fault after ([\d.]+) s.*?([\d.]+) s at 57 600",
+    )
+    for baud, fault in ((1_000_000, fast), (57_600, slow)):
+        config = dataclasses.replace(arm_config, baud=baud)
+        looked, given_up = _seconds_to_fault(config, start, everyone=everyone)
+        assert given_up == pytest.approx(fault, abs=0.006)
+        if baud == 1_000_000:
+            assert looked == pytest.approx(noticed, abs=0.01)
+
+
+def test_in_process_silence_is_a_fault_when_the_docs_say(arm: Arm, start: Any) -> None:
+    (said,) = _said("hardware.md", r"goes silent \(([\d.]+) s on virtual time")
+    arm.enable()
+    _drive(arm, start, 20)
+    last = arm.clock.now()
+    arm.virtual_bus.inject(Fault("silent", id=3))
+    with pytest.raises(MotorFaultError):
+        _drive(arm, start, 100)
+    assert arm.clock.now() - last == pytest.approx(said, abs=0.011)  # a cycle is 0.01 s
+
+
+@pytest.mark.parametrize("policy", ["torque_off", "hold"])
+def test_a_mute_bus_is_given_up_when_the_docs_say(arm_config: ArmConfig, start: Any, policy: str) -> None:
+    (said,) = _said("safety.md", r"leaving takes at most ([\d.]+) s")
+    arm = _arm(dataclasses.replace(arm_config, on_exit=policy), start)
+    _drive(arm, start, 20)
+    arm.virtual_bus.inject(*(Fault("silent", id=id) for id in arm_config.ids))
+    begin = arm.clock.now()
+    arm.close()
+    assert said - 0.2 <= arm.clock.now() - begin <= said
+    assert arm.exit_report is not None and len(arm.exit_report.unverified) == 6
+
+
+def test_the_sim_and_a_wire_give_the_same_answers(arm_config: ArmConfig, start: Any) -> None:
+    arm = _arm(arm_config, start)
+    _drive(arm, start, 50)
+    counters = arm.bus.counters
+    assert (counters.timeouts, counters.retries, counters.corrupt, counters.late) == (0, 0, 0, 0)
+    assert arm.read().q == pytest.approx(start, abs=0.01)
+    arm.close()

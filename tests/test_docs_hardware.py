@@ -1,0 +1,175 @@
+"""What the hardware pages state: whose packets, which goals, which test holds a promise."""
+
+from __future__ import annotations
+
+import ast
+import logging
+import re
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from dynamixel_sdk import Protocol2PacketHandler
+
+from robot_ik import joint_move, load_robot
+from robot_ik.execution import execute
+from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.inprocess import SimBus
+from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, Parser
+from robot_ik.ports import VirtualClock
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+ROBOT = load_robot("puma560")
+assert ROBOT.arm_file is not None
+CONFIG = ArmConfig.load(ROBOT.arm_file)
+POSITION, GOAL = (CONTROL_TABLES["XM430-W350"][name] for name in ("present_position", "goal_position"))
+
+CALLS: dict[str, Callable[[ServoBus], object]] = {
+    "ping": lambda bus: bus.ping(1),
+    "read": lambda bus: bus.read(1, POSITION),
+    "write": lambda bus: bus.write(1, GOAL, 2048),
+    "reboot": lambda bus: bus.reboot(2),
+    "sync_write": lambda bus: bus.sync_write(GOAL, {1: 2048}),
+    "bulk_write": lambda bus: bus.bulk_write({1: (GOAL, 2048)}),
+    "sync_read": lambda bus: bus.sync_read([1, 3], POSITION),
+    "bulk_read": lambda bus: bus.bulk_read({1: POSITION, 3: GOAL}),
+    "exchange": lambda bus: bus.exchange({1: (GOAL, 2048)}, {1: POSITION}),
+    "broadcast_ping": lambda bus: bus.broadcast_ping(),
+}
+
+
+def _servos() -> VirtualBus:
+    return VirtualBus.from_config(CONFIG, VirtualClock())
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_whose_packets_are_on_the_wire_is_said_rightly(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    used: set[str] = set()
+    for name in ("txPacket", "rxPacket"):
+        plain = getattr(Protocol2PacketHandler, name)
+
+        def noted(*arguments: Any, _plain: Any = plain, _name: str = name) -> Any:
+            used.add(_name)
+            return _plain(*arguments)
+
+        monkeypatch.setattr(Protocol2PacketHandler, name, noted)
+    bus = SimBus(_servos())
+    bus.open()
+    sent = bus.counters.bytes_sent
+    CALLS[call](bus)
+    bus.close()
+    assert bus.counters.bytes_sent > sent
+    rows = [
+        row for row in (DOCS / "hardware.md").read_text(encoding="utf-8").splitlines() if f"`{call}`" in row
+    ]
+    (row,) = [row for row in rows if row.startswith("|") and len(row.split("|")) == 5]
+    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket", "rxPacket"})
+    assert ("hardware/packets.py" in row.split("|")[3]) == (not used)
+
+
+def test_every_call_of_a_bus_is_in_that_table() -> None:
+    calls = {name for name in vars(ServoBus) if not name.startswith("_")}
+    assert calls - {"open", "close", "is_open", "use_fast_reads"} == set(CALLS)
+
+
+# ------------------------------------------------------------------------------------- the recipe
+
+
+class Wire(VirtualBus):
+    """Keeps the goals that arrive, whatever packet they come in."""
+
+    def answer(self, data: bytes, baud: int | None = None) -> Any:
+        for packet in Parser().feed(data, 0.0):
+            self.goals_seen().update(_goals(packet))
+        return super().answer(data, baud)
+
+    def goals_seen(self) -> set[tuple[int, int]]:
+        seen: set[tuple[int, int]] = self.__dict__.setdefault("_goals_seen", set())
+        return seen
+
+
+def _goals(packet: Packet) -> list[tuple[int, int]]:
+    """(id, goal) of every goal in a packet."""
+    params = packet.params
+    word = lambda at: int.from_bytes(params[at : at + 2], "little")  # noqa: E731
+    goal = lambda at: int.from_bytes(params[at : at + 4], "little", signed=True)  # noqa: E731
+    if packet.instruction == Instruction.WRITE and word(0) == GOAL.address:
+        return [(packet.id, goal(2))]
+    if packet.instruction == Instruction.SYNC_WRITE and word(0) == GOAL.address:
+        return [(params[at], goal(at + 1)) for at in range(4, len(params), 5)]
+    if packet.instruction == Instruction.BULK_WRITE:
+        found, at = [], 0
+        while at < len(params):
+            if word(at + 1) == GOAL.address:
+                found.append((params[at], goal(at + 5)))
+            at += 5 + word(at + 3)
+        return found
+    return []
+
+
+def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCaptureFixture) -> None:
+    page = (DOCS / "recipes.md").read_text(encoding="utf-8")
+    (code,) = [
+        text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class LoggedBus" in text
+    ]
+    module = types.ModuleType("logged")
+    exec(compile(code, "recipes.md", "exec", dont_inherit=True), module.__dict__)
+    servos = Wire.from_config(CONFIG, VirtualClock(), ROBOT.home)
+    bus = module.LoggedBus(servos)
+    with (
+        caplog.at_level(logging.INFO, logger=module.__name__),
+        Arm(CONFIG, bus, servos.clock, virtual_bus=servos) as arm,
+    ):
+        arm.enable()
+        execute(joint_move(ROBOT, arm.read().q, ROBOT.home + 0.1), [arm], clock=arm.clock)
+        for call in ("write", "sync_write", "bulk_write", "exchange"):
+            CALLS[call](bus)
+    logged: set[tuple[int, int]] = set()
+    for record in caplog.records:
+        if record.name == module.__name__:
+            logged |= set(ast.literal_eval(record.getMessage().partition(": ")[2]).items())
+    assert len(servos.goals_seen()) > 100
+    assert servos.goals_seen() <= logged, "a goal that is in no log"
+
+
+# ------------------------------------------------------------------------------ promises and tests
+
+
+def _rows(heading: str) -> list[list[str]]:
+    page = (DOCS / "safety.md").read_text(encoding="utf-8")
+    part = page.partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    rows = [
+        [cell.strip() for cell in row.strip("|").split("|")] for row in part.splitlines() if row[:1] == "|"
+    ]
+    return rows[2:]
+
+
+def _named_tests(cell: str) -> list[tuple[Path, str]]:
+    """(file, test) for every `tests/….py::test_…` in a cell."""
+    return [(ROOT / file, test) for file, test in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", cell)]
+
+
+def _defined(file: Path) -> set[str]:
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+LEAVING = ("the arm is left as `on_exit` says", "being switched off, nor hang the program")
+"""Promises about leaving an arm: whole files hold them."""
+
+
+def test_every_promise_names_the_test_that_holds_it() -> None:
+    rows = _rows("What is guaranteed")
+    assert len(rows) >= 11
+    for promise, _, shown in rows:
+        tests = _named_tests(shown)
+        assert tests or any(words in promise for words in LEAVING), f"no test is named for: {promise}"
+        for file, test in tests:
+            assert file.is_file() and test in _defined(file), f"{file.name}::{test} holds: {promise}"
