@@ -29,7 +29,7 @@ _PARTS = ("torque_enable", "present_position")
 
 SUSTAINED = 0.5
 """s for which every sample of a servo must lie beyond its threshold.  Setting out and stopping take a motor
-near its stall current for some tens of ms, and one sample of a temperature may be noise; a servo's own overload
+near its stall current for some tens of ms, and one sample may be noise; a servo's own overload
 shutdown takes longer."""
 
 LEAST_SAMPLES = 3
