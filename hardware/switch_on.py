@@ -98,8 +98,8 @@ def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
                 f"joint {joint.name!r} reads {joint.text(joint.to_radians(here))}, outside "
                 f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its turns; "
                 "nothing was switched on",
-                hint=f"is it wound up? then turn it back by hand. Else zero_ticks = {zero} in the arm file is "
-                "right until its power goes again",
+                hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
+                f"zero_ticks = {zero} in the arm file is right",
             )
 
 
