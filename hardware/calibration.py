@@ -16,13 +16,12 @@ from robot_ik.hardware.calibration_file import Calibration, JointCalibration, ca
 from robot_ik.hardware.calibration_sweep import Sweep, check_shadows
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.control_table_data import REVERSE
+from robot_ik.hardware.joint_map import BESIDE_TICKS
 from robot_ik.hardware.registers import read_all
 
 LEAST_OVERLAP = 0.5
 """Share of a swept range that must lie within the model's: a zero that is half a turn off has less."""
-
-OUTSIDE_TICKS = 60
-"""About 5 degrees beyond the swept range: backlash and a soft stop, not a lost turn."""
 
 _IN_ARM_FILE = ("id", "model", "direction", "zero_ticks")
 _SAME_LIMIT = 1e-6  # rad; the file keeps a millionth of a degree
@@ -111,7 +110,7 @@ def measured_calibration(
         leader = servo.id if servo.shadow_of is None else servo.shadow_of  # whose goals it takes
         direction = measured.directions[leader]
         turned = replace(servo, direction=direction)
-        zero = measured.zero[leader] - round(turned.ticks_per_radian * measured.pose[servo.name])
+        zero = measured.zero[leader] - (turned.to_ticks(measured.pose[servo.name]) - turned.zero_ticks)
         lower, upper = (q / servo.per_unit for q in measured.limits[servo.name])
         rows.append(
             JointCalibration(
@@ -224,12 +223,21 @@ def _differences(
 ) -> list[tuple[str, str, str, str]]:
     """(joint, what, expected, found) of what differs at one joint; ``limits``: of the model now, rad."""
     pairs = [(key, getattr(row, key), getattr(joint, key)) for key in _IN_ARM_FILE]
-    pairs += [(key, getattr(row, key), servo[key]) for key in ("drive_mode", "homing_offset")]
+    # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
+    # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); the two are compared when torque goes on.
+    shadow = joint.shadow_of is not None
+    if not shadow:
+        pairs.append(("homing_offset", row.homing_offset, servo["homing_offset"]))
     rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
+    # Only its reverse bit changes what a position means; the others are set as we need them.
+    if (row.drive_mode ^ servo["drive_mode"]) & REVERSE:
+        rows.append((joint.name, "drive_mode", str(row.drive_mode), str(servo["drive_mode"])))
+    if shadow:
+        return rows
     present = servo["present_position"]
     if joint.mode == OperatingMode.POSITION:
         present %= TICKS_PER_TURN
-    if not row.range_min - OUTSIDE_TICKS <= present <= row.range_max + OUTSIDE_TICKS:
+    if not row.range_min - BESIDE_TICKS <= present <= row.range_max + BESIDE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
     return rows + ([] if limits is None else _other_limits(joint, row, limits))
 

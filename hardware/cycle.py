@@ -128,8 +128,7 @@ class Cycle:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
             angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)
             self.goals = {
-                servo.id: servo.to_ticks(angle)
-                for servo, angle in zip(self._config.servos, angles, strict=True)
+                servo.id: servo.goal(angle) for servo, angle in zip(self._config.servos, angles, strict=True)
             }
             self.reports.count(report)
         self._measure(start, {s.id: (self._goal, self.goals[s.id]) for s in self._written})
@@ -152,10 +151,10 @@ class Cycle:
 
     def _measure(self, start: float, goals: Mapping[int, tuple[Register, int]]) -> None:
         """``goals`` to the servos, then their measurements; ``start``: since when no packet was sent."""
-        statuses = self._bus.exchange(goals, self.feedback.registers, within=self.period)
+        statuses = self._bus.exchange(goals, self.feedback.asked(), within=self.period)
         self._last_traffic = start
         now = self._clock.now()
-        measured = {id: self.feedback.measurement(status) for id, status in statuses.items()}
+        measured = {id: self.feedback.measurement(status, now) for id, status in statuses.items()}
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
         for servo in self._config.servos:
             if statuses[servo.id].alert:
@@ -168,6 +167,7 @@ class Cycle:
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
+        self.feedback.check_thresholds()
         silent = self.samples.silent(now)
         if silent:
             self._confirm_silence(silent, everyone=len(silent) == len(statuses))

@@ -71,9 +71,8 @@ class Fingers:
                 unit = joint.unit
                 raise UnsafeCommandError(f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}")
             self.goals[name] = float(to)
-        self._config = config
         self._names = config.whole.names
-        self._still = {name: STILL_TICKS * config.joint(name).resolution for name in self.goals}
+        self._joints = [config.joint(name) for name in self.goals]
         self._last = dict.fromkeys(self.goals, math.inf)
         self._since = -math.inf
 
@@ -81,24 +80,25 @@ class Fingers:
         """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
         at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
         sent = dict(zip(self._names, cycle.limits.q, strict=True))
-        moving = any(abs(at[name] - self._last[name]) > self._still[name] for name in self.goals)
-        if moving or any(abs(sent[name] - to) > self._still[name] for name, to in self.goals.items()):
+        moving = any(j.ticks_between(at[j.name], self._last[j.name]) > STILL_TICKS for j in self._joints)
+        if moving or any(
+            j.ticks_between(sent[j.name], self.goals[j.name]) > STILL_TICKS for j in self._joints
+        ):
             self._last, self._since = at, now
         return now - self._since >= REST
 
     def report(self, bus: ServoBus, cycle: Cycle) -> tuple[Grip, ...]:
         """How each of them came to rest."""
         at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
-        joints = [self._config.joint(name) for name in self.goals]
         return tuple(
             Grip(
                 joint.name,
                 asked,
                 at[joint.name],
-                abs(at[joint.name] - asked) > HELD_TICKS * joint.resolution,
+                joint.ticks_between(at[joint.name], asked) > HELD_TICKS,
                 _current(bus, joint),
             )
-            for joint, asked in zip(joints, self.goals.values(), strict=True)
+            for joint, asked in zip(self._joints, self.goals.values(), strict=True)
         )
 
 

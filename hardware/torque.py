@@ -107,15 +107,16 @@ def _names(servos: list[JointMap]) -> str:
 def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
     """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
     for joint in config.servos:
-        q = joint.to_radians(present[joint.id])
-        lower, upper = joint.limits
-        outside = max(lower - q, q - upper, 0.0)
-        if outside / joint.resolution > TICKS_PER_TURN / 2:
+        here = present[joint.id]
+        if turns := joint.lost_turns(here):
+            lower, upper = joint.limits
+            zero = joint.zero_ticks - TICKS_PER_TURN * turns
             raise HardwareError(
-                f"joint {joint.name!r} reads {joint.text(q)}, more than half a servo turn outside "
-                f"{joint.text(lower)} .. {joint.text(upper)}; nothing was switched on",
-                hint="the servo has probably lost count of its turns: turn the joint by hand, or correct "
-                "zero_ticks in the arm file",
+                f"joint {joint.name!r} reads {joint.text(joint.to_radians(here))}, outside "
+                f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its turns; "
+                "nothing was switched on",
+                hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
+                f"zero_ticks = {zero} in the arm file is right",
             )
 
 
@@ -123,7 +124,7 @@ def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
     """Two servos of one joint that do not agree where it is would fight each other."""
     for joint in config.whole.joints:
         angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
-        if abs(angles[-1] - angles[0]) > TWIST * joint.lever:
+        if abs(angles[-1] - angles[0]) > TWIST * joint.lever_at(angles[0]):
             raise HardwareError(
                 f"the two servos of joint {joint.name!r} read {joint.text(angles[0])} and "
                 f"{joint.text(angles[-1])}; nothing was switched on",
