@@ -125,7 +125,9 @@ def drawing(effort: Effort) -> Iterator[Figure]:
 
 
 class _Prepared(ClosingSource):
-    """Pictures made before, one after the other."""
+    """Pictures made before, one after the other; their times go on as a camera's do."""
+
+    live = True
 
     def __init__(self, frames: Sequence[Frame]) -> None:
         self._frames, self._next = frames, 0

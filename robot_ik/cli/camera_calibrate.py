@@ -187,9 +187,8 @@ def _gather_moving(
 ) -> None:
     from robot_ik.camera.boards.pattern_guess import describe
     from robot_ik.camera.calibrate.views import missing_words
-    from robot_ik.camera.sources.device import DeviceSource
 
-    live, unseen = isinstance(source, DeviceSource), 0
+    live, unseen = source.live, 0
     if live:
         console.say("show the board, hold it still, move it on; Ctrl-C when done", "cyan")
     while not getattr(source, "exhausted", False) and len(gatherer.views) < _MOST_VIEWS:
