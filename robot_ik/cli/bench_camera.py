@@ -17,7 +17,7 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import unknown_name_text
-from robot_ik.files import plain, write_atomically
+from robot_ik.files import claimed, plain, write_atomically
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -46,6 +46,8 @@ class BenchCameraOptions:
     """A tenth of the pictures: for a look, not for the record."""
     json: Annotated[str, arg(metavar="FILE", help_behavior_hint="")] = ""
     """Write the figures there, too."""
+    overwrite: bool = False
+    """Replace that file."""
     seed: int = 1
     """Of pictures and noise."""
     photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""
@@ -91,6 +93,12 @@ def run_camera(options: BenchCameraOptions) -> int:
     if "photographs" in options.rows and not options.photographs:
         raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
     effort, found = Effort(options.quick, options.seed, options.photographs), Measured()
+    file = Path(options.json) if options.json else None
+    with claimed(file, overwrite=options.overwrite):
+        return _measured_and_told(rows, effort, found, file)
+
+
+def _measured_and_told(rows: Sequence[Row], effort: Effort, found: Measured, file: Path | None) -> int:
     try:
         with console.progress() as bar:
             measure(rows, effort, found, bar)
@@ -99,9 +107,9 @@ def run_camera(options: BenchCameraOptions) -> int:
         # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
         if found.figures:
             print_figures(rows, found)
-            if options.json:
-                _write(Path(options.json), found, effort)
-    return console.DONE if options.quick or found.passed else console.NOT_ACHIEVED
+            if file is not None:
+                _write(file, found, effort)
+    return console.DONE if found.passed else console.NOT_ACHIEVED
 
 
 def chosen_rows(names: Sequence[str]) -> list[Row]:
