@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_ik.bench.camera_accuracy import rms
-from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.ar.draw import Artist, PainterArtist, RayArtist
+from robot_ik.bench.camera_rows import Effort, Figure, NotMeasuredError
+from robot_ik.camera.ar.draw import Artist
 from robot_ik.camera.ar.gl_draw import make_artist
 from robot_ik.camera.ar.registration import BENT, STRAIGHT, overlay_error, projection_identity
 from robot_ik.camera.boards.patterns import CharucoPattern
@@ -20,8 +20,6 @@ from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 
 # What is wanted of drawn spheres (RMS, worst, px) without and with a lens.
 _WANTED = {"pinhole": (STRAIGHT, 0.05, 0.15), "with distortion": (BENT, 0.08, 0.20)}
-# Places in each pixel that the back ends look at: fewer count pixels, which is coarser than they are.
-_SAMPLES = 16
 # The board: 8×6 squares of 30 mm with markers of 22 mm.
 _PATTERN = CharucoPattern(8, 6, 0.030, 0.022)
 _VIEWS, _SETS = 20, 3
@@ -30,17 +28,29 @@ _POSES, _SPREAD = 15, 25.0
 
 
 def projection(effort: Effort) -> Iterator[Figure]:
-    """Middles of spheres that painter, rays and OpenGL draw, against OpenCV's projection."""
-    artists: list[Artist] = [PainterArtist(_SAMPLES), RayArtist(_SAMPLES)]
-    if not effort.quick:
-        gl, notice = make_artist("gl")
-        artists += [] if notice else [gl]
-    for artist in artists:
-        for kind, (lens, wanted, worst) in _WANTED.items():
-            misses = projection_identity(artist, lens, seed=effort.seed)
-            what = f"{artist.name} against projectPoints, {kind}"
-            yield Figure(f"{what}, RMS", misses.rms, "px", wanted)
-            yield Figure(f"{what}, worst", misses.worst, "px", worst)
+    """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
+    for name in ("painter", "ray"):
+        yield from _identity(make_artist(name)[0], effort)
+
+
+def gl_projection(effort: Effort) -> Iterator[Figure]:
+    """The same by MuJoCo's renderer.
+
+    Raises:
+        NotMeasuredError: OpenGL does not work here.
+    """
+    artist, notice = make_artist("gl")
+    if notice:
+        raise NotMeasuredError(notice)
+    yield from _identity(artist, effort)
+
+
+def _identity(artist: Artist, effort: Effort) -> Iterator[Figure]:
+    for kind, (lens, wanted, worst) in _WANTED.items():
+        misses = projection_identity(artist, lens, seed=effort.seed)
+        what = f"{artist.name} against projectPoints, {kind}"
+        yield Figure(f"{what}, RMS", misses.rms, "px", wanted)
+        yield Figure(f"{what}, worst", misses.worst, "px", worst)
 
 
 def overlay(effort: Effort) -> Iterator[Figure]:
