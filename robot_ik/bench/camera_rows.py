@@ -105,7 +105,7 @@ ROWS: tuple[Row, ...] = (
     Row("photographs", "real pictures, of --photographs", _HERE + "camera_world:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "camera_optics:projection"),
     Row("gl", "the same, drawn by OpenGL", _HERE + "camera_optics:gl_projection"),
-    Row("calibration", "intrinsics from 20 views of a ChArUco board", _HERE + "camera_optics:calibration"),
+    Row("calibration", "intrinsics from 20 views of a board", _HERE + "camera_optics:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
     Row(
         "offsets",

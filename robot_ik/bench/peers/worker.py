@@ -106,9 +106,9 @@ class Library:
 
 def into_limits(q: Array, task: Task) -> Array:
     """Angles moved by whole turns into their range, where there is one."""
-    below, above = q < task.lower, q > task.upper
-    turns = np.where(below, np.ceil((task.lower - q) / TURN - 1e-12), 0.0)
-    return q + TURN * (turns - np.where(above, np.ceil((q - task.upper) / TURN - 1e-12), 0.0))
+    up = np.maximum(np.ceil((task.lower - q) / TURN - 1e-12), 0.0)
+    down = np.maximum(np.ceil((q - task.upper) / TURN - 1e-12), 0.0)
+    return q + TURN * (up - down)
 
 
 class RoboticsToolbox(Library):
@@ -161,20 +161,26 @@ class Eaik(Library):
         wanted = target.copy()
         wanted[:3, :3] = target[:3, :3] @ self._zero.T
         answer = self._robot.IK(wanted)
-        branches = [np.asarray(q) for q, least in zip(answer.Q, answer.is_LS) if not least]  # noqa: B905
-        branches = branches or [q for q in map(np.asarray, answer.Q) if self._meets(q, target)]
-        nearest, least_far = None, np.inf
-        for q in branches:
-            near = into_limits(start + (q - start) - TURN * np.rint((q - start) / TURN), self._task)
-            far = float(np.abs(near - start).max())
-            inside = (near >= self._task.lower - 1e-9).all() and (near <= self._task.upper + 1e-9).all()
-            if inside and far < least_far:
-                nearest, least_far = near, far
-        return nearest
+        every, least = np.array(answer.Q), np.array(answer.is_LS, dtype=bool)
+        found = None if least.all() else self._nearest(every[~least], start)
+        if found is None and least.any():  # what is marked as least squares may be exact
+            exact = [q for q in every[least] if np.abs(self.forward(q) - target).max() < 1e-4]
+            found = self._nearest(np.array(exact), start) if exact else None
+        return found
 
-    def _meets(self, q: Array, target: Array) -> bool:
-        """Branches that are marked as least squares may be exact."""
-        return bool(np.abs(self.forward(q) - target).max() < 1e-4)
+    def _nearest(self, branches: Array, start: Array) -> Array | None:
+        """The branch, turned by whole turns, that is nearest to the start and inside the limits."""
+        moves = branches - start
+        moves -= TURN * np.rint(moves / TURN)
+        lower, upper = self._task.lower, self._task.upper
+        best = start + moves[np.abs(moves).max(axis=1).argmin()]
+        if (best >= lower).all() and (best <= upper).all():  # as a rule it is the nearest of all
+            return np.asarray(best)
+        turned = into_limits(start + moves, self._task)
+        far = np.abs(turned - start).max(axis=1)
+        far[((turned < lower - 1e-9) | (turned > upper + 1e-9)).any(axis=1)] = np.inf
+        nearest = int(far.argmin())
+        return None if far[nearest] == np.inf else np.asarray(turned[nearest])
 
     def forward(self, q: Array) -> Array:
         pose = np.array(self._robot.fwdKin(q))
