@@ -143,6 +143,8 @@ def _locked(handle: int | None, path: Path) -> Iterator[None]:
             except BlockingIOError as error:
                 hint = "give a name of its own"
                 raise OutputError(f"another run is writing to {path}", hint=hint) from error
+            except OSError:  # a file system without locks
+                pass
         yield
     finally:
         os.close(handle)

@@ -67,9 +67,11 @@ class Task:
     def load(cls, folder: Path) -> Task:
         """Of a folder."""
         facts = json.loads((folder / "task.json").read_text(encoding="utf-8"))
-        arrays = {key: np.array(facts.pop(key), dtype=float) for key in ("lower", "upper", "home", "frames")}
-        names = {key: tuple(facts.pop(key)) for key in ("joints", "sites")}
-        return cls(folder=folder, **arrays, **names, **facts)
+        for key in ("lower", "upper", "home", "frames"):
+            facts[key] = np.array(facts[key], dtype=float)
+        for key in ("joints", "sites"):
+            facts[key] = tuple(facts[key])
+        return cls(folder=folder, **facts)
 
     @property
     def urdf(self) -> str:
@@ -417,7 +419,7 @@ def take_turn(name: str, folder: Path, seconds: float) -> dict[str, Any]:
         )
         saved |= {f"{key}_answers": answers, f"{key}_wall": wall, f"{key}_cpu": cpu}
         said["errors"][key] = errors  # type: ignore[index]
-    np.savez(folder / "answers.npz", **saved)
+    np.savez(folder / "answers.npz", **saved)  # type: ignore[arg-type]
     return said
 
 
