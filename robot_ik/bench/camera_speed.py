@@ -116,7 +116,7 @@ def times(effort: Effort) -> Iterator[Figure]:
             ("whole frame, any id", _SIZE, False, whole),
             ("whole frame, its id", named, False, whole),
         ):
-            tracker = MarkerTracker(camera, _DICTIONARY, sizes, window=window)  # type: ignore[arg-type]
+            tracker = MarkerTracker(camera, _DICTIONARY, sizes, window=window)
             yield from milliseconds(tracker.observe, frames).figures(f"one marker, {size}, {kind}", wanted)
 
 
