@@ -1,7 +1,11 @@
-"""Writes what was measured of the camera into its page: `python docs/make_camera_figures.py FILE`.
+"""Writes what was measured of the camera into the pages.
 
-FILE is what `robot-ik bench camera --json FILE` has written; several are joined.  A table stands between
-`<!-- measured: NAME -->` and `<!-- end -->`.
+    robot-ik bench camera --json FILE
+    python docs/make_camera_figures.py FILE    # FILE -> docs/camera.json -> the pages
+    python docs/make_camera_figures.py         # docs/camera.json, docs/performance.json -> the pages
+
+Rows of FILE take the place of those that were there; several files may be given.  A table stands between
+`<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
 """
 
 from __future__ import annotations
@@ -9,57 +13,143 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from robot_ik.bench.camera_motion import compare_filters
-from robot_ik.bench.camera_rows import ROWS as CAMERA_ROWS
 from robot_ik.bench.camera_rows import Figure
-from robot_ik.cli.bench_camera import measured, wanted
+from robot_ik.camera.ar.registration import remedy_errors
+from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
+DOCS = Path(__file__).resolve().parent
+DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
+PAGES = (DOCS / "camera.md", DOCS.parent / "README.md")
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-PAGE = Path(__file__).parent / "camera.md"
+
+Data = dict[str, Any]
+
+#: Azuma's remedies as the page names them, with their options.
+_REMEDIES = {
+    "nothing": "`--sync latest`",
+    "less delay (half)": "search only near the last find, newest picture",
+    "image shifting": "`--shift`",
+    "prediction": "`--predict`",
+    "prediction and shifting": "`--predict --shift`",
+    "delayed video": "`--sync tracked`",
+}
 
 
-def camera_table(files: Sequence[dict[str, Any]]) -> str:
-    """Quantity, value and wanted of every figure under what it is of, and the machine."""
-    lines = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"]
-    rows: dict[str, Any] = {}
+def collect(data: Data, files: Sequence[Data]) -> Data:
+    """What the pages need: each row with its machine, and what is computed without a clock."""
+    rows = dict(data.get("rows", {}))
     for facts in files:
-        rows |= facts["rows"]
-    for row in (one for one in CAMERA_ROWS if one.name in rows):
+        machine = {key: facts["machine"][key] for key in ("processor", "cores", "load", "when")}
+        for name, row in facts["rows"].items():
+            rows[name] = {"machine": machine, "seed": facts["seed"], **row}
+    moving, _ = compare_filters(hands=6)
+    return {
+        "rows": {row.name: rows[row.name] for row in ALL_ROWS if row.name in rows},
+        "prediction": [[row.delay, row.hold, row.predicted, row.calmed] for row in moving],
+        "remedies": {name: [miss.rms, miss.worst] for name, miss in remedy_errors().items()},
+    }
+
+
+def figures(row: Data) -> list[Figure]:
+    """Of a row of the data."""
+    return [Figure(**{k: v for k, v in facts.items() if k != "passed"}) for facts in row["figures"]]
+
+
+def camera(data: Data, others: Data) -> str:
+    """Quantity, value and wanted of every figure under what it is of; then where and when."""
+    lines, places = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"], {}
+    for row in ALL_ROWS:
+        if row.name not in data["rows"]:
+            lines.append(f"| **{row.about}** | not measured | |")
+            continue
         lines.append(f"| **{row.about}** | | |")
-        for facts in rows[row.name]["figures"]:
-            one = Figure(**{name: value for name, value in facts.items() if name != "passed"})
+        facts = data["rows"][row.name]
+        places.setdefault(json.dumps(facts["machine"]), []).append(row.name)
+        if facts.get("unmeasured"):
+            lines.append(f"| not measured: {facts['unmeasured']} | | |")
+        for one in figures(facts):
             missed = " (missed)" if one.passed is False else ""
             lines.append(f"| {one.quantity} | {measured(one)}{missed} | {wanted(one)} |")
-    machine = files[-1]["machine"]
-    where = f"{machine['processor']}, {machine['cores']} cores, load {machine['load']}, {machine['when']}."
-    return "\n".join([*lines, "", where, ""])
-
-
-def prediction_table() -> str:
-    """Errors of a waving hand by the age of its picture."""
-    moving, _ = compare_filters(hands=6)
-    lines = ["| age | as it was seen | predicted | 1 € filter |", "| ---: | ---: | ---: | ---: |"]
-    for row in moving:
-        errors = " | ".join(f"{1e3 * value:.1f}" for value in (row.hold, row.predicted, row.calmed))
-        lines.append(f"| {1e3 * row.delay:.0f} ms | {errors} |")
+    for where, names in places.items():
+        m = json.loads(where)
+        told = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
+        lines += ["", f"{', '.join(f'`{name}`' for name in names)}: {told}."]
     return "\n".join([*lines, ""])
 
 
+def prediction(data: Data, others: Data) -> str:
+    """Errors of a waving hand by the age of its picture."""
+    lines = ["| age | as it was seen | predicted | 1 € filter |", "| ---: | ---: | ---: | ---: |"]
+    for delay, *values in data["prediction"]:
+        lines.append(f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |")
+    return "\n".join([*lines, ""])
+
+
+def remedies(data: Data, others: Data) -> str:
+    """What is left of a delay of 66 ms, by remedy."""
+    lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
+    for name, (rms, worst) in data["remedies"].items():
+        lines.append(f"| {name} | {_REMEDIES[name]} | {rms:.1f} | {worst:.1f} |")
+    return "\n".join([*lines, ""])
+
+
+def headlines(data: Data, others: Data) -> str:
+    """A few figures for the front page, each from the table that its command makes."""
+
+    def of(row: str, start: str) -> str:
+        found = [one for one in figures(data["rows"][row]) if one.quantity.startswith(start)]
+        return " / ".join(f"{one.value:.2f}" for one in found) + f" {found[0].unit}"
+
+    cells = {(c["solver"], c["set"]): c for c in others["methods"] if c["robot"] == "puma560"}
+    cold, warm = cells["auto", "cold"], cells["lm", "warm"]
+    bench, pictures = (
+        "[`robot-ik bench`](docs/performance.md)",
+        "[`robot-ik bench camera`](docs/camera.md#how-accurate)",
+    )
+    spread = f"{cold['median']:.0f} µs median, {cold['mean']:.0f} µs mean"
+    rows = [
+        ("a PUMA's pose from home (`auto`)", f"{100 * cold['rate']:.0f} % solved; {spread}", bench),
+        ("tracking a pose in small steps (`lm`)", f"{warm['median']:.1f} µs median", bench),
+        ("a 50 mm marker at 0.3 / 0.6 / 1.0 m, RMS", of("marker", "position"), pictures),
+        ("a robot drawn on a 2×2 board at 0.7 / 1.0 m, RMS", _rms(data), pictures),
+    ]  # fmt: skip
+    lines = ["| what | measured | command |", "| --- | --- | --- |"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows), ""])
+
+
+def _rms(data: Data) -> str:
+    found = [one.value for one in figures(data["rows"]["overlay"]) if one.quantity.endswith("RMS")]
+    return " / ".join(f"{value:.2f}" for value in found) + " px"
+
+
+TABLES: dict[str, Callable[[Data, Data], str]] = {
+    make.__name__: make for make in (camera, prediction, remedies, headlines)
+}
+
+
+def filled(text: str) -> str:
+    """A page with every table as the data have it."""
+    data, others = (json.loads(path.read_text(encoding="utf-8")) for path in (DATA, OTHERS))
+    return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data, others) + m[4], text)
+
+
 def main(names: Sequence[str]) -> None:
-    """Fills the page."""
-    files = [json.loads(Path(name).read_text(encoding="utf-8")) for name in names]
-    tables = {"prediction": prediction_table()}
-    if files:
-        tables["camera"] = camera_table(files)
-    before = PAGE.read_text(encoding="utf-8")
-    after = PLACE.sub(lambda m: m[1] + tables.get(m[2], m[3]) + m[4], before)
-    if after != before:
-        PAGE.write_text(after, encoding="utf-8")
-        sys.stdout.write(f"wrote {PAGE}\n")
+    """Fills the pages."""
+    if names:
+        data = json.loads(DATA.read_text(encoding="utf-8")) if DATA.exists() else {}
+        found = collect(data, [json.loads(Path(name).read_text(encoding="utf-8")) for name in names])
+        DATA.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    for page in PAGES:
+        before = page.read_text(encoding="utf-8")
+        after = filled(before)
+        if after != before:
+            page.write_text(after, encoding="utf-8")
+            sys.stdout.write(f"wrote {page}\n")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ PAGE, DATA, IMAGES = DOCS / "performance.md", DOCS / "performance.json", DOCS / 
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
-CONTESTANTS = ("robot_ik", "robot_ik_lm", "robot_ik_analytic", "rtb_lm", "eaik", "placo", "placo_restarts")
 BENCHES = ("methods", "kernels", "batch")
 PICTURES = {
     "methods/success-puma560.png": "performance-success.png",
@@ -36,6 +35,7 @@ def collect(results: Path) -> dict[str, Any]:
     """What the page needs of a folder of results; also puts the pictures into docs/images."""
     from robot_ik.bench.results import Cell, read_results
 
+    found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
     runs = {name: read_results(results / name / "bench.json") for name in BENCHES}
 
     def summary(cell: Cell) -> dict[str, Any]:
@@ -47,8 +47,10 @@ def collect(results: Path) -> dict[str, Any]:
         shutil.copy(results / source, IMAGES / name)
     return {
         "machine": runs["methods"].machine.model_dump(),
-        "peers": collect_peers(results),
-        "four_goals": collect_four_goals((results / "four_goals.txt").read_text(encoding="utf-8")),
+        "comparison": {key: found[key] for key in ("count", "rounds", "seconds", "seed")}
+        | {"when": found["machine"]["when"], "missing": sorted({**found["missing"], **found["failed"]})},
+        "peers": collect_peers(found),
+        "four_goals": collect_four_goals(found),
         "methods": [summary(cell) for cell in runs["methods"].cells],
         "floors": [one.model_dump() for one in runs["kernels"].floors],
         "growth": [one.model_dump() for one in runs["kernels"].growth],
@@ -56,55 +58,27 @@ def collect(results: Path) -> dict[str, Any]:
     }
 
 
-def collect_peers(results: Path) -> dict[str, Any]:
-    """Contestant -> robot -> kind of problem: success over all rounds; times of the fastest round."""
-    found: dict[str, Any] = {}
-    for name in CONTESTANTS:
-        rounds = [json.loads(file.read_text()) for file in sorted(results.glob(f"round*/{name}.json"))]
-        found[name] = {"versions": rounds[0]["versions"], "calibration_us": [r["calib_us"] for r in rounds]}
-        for robot in ROBOTS:
-            kinds = [r["robots"][robot] for r in rounds if robot in r["robots"]]
-            for mode in ("cold", "warm", "singular", "unreachable"):
-                cells = [kind[mode] for kind in kinds if mode in kind]
-                if cells:
-                    found[name].setdefault(robot, {})[mode] = one_cell(cells)
-    return found
+def collect_peers(found: dict[str, Any]) -> dict[str, Any]:
+    """Contestant -> robot -> kind of problem, of what `robot_ik.bench.peers` has written."""
+    peers: dict[str, Any] = {}
+    for name, one in found["libraries"].items():
+        peers[name] = {"versions": one["versions"], "calibration_us": one["calibration_us"]}
+        for robot, cells in one["robots"].items():
+            if robot in ROBOTS:
+                peers[name][robot] = {kind: cells[kind] for kind in ("cold", "warm", "unreachable")}
+            if {"wrist", "elbow"} <= set(cells):
+                singular = [cells["wrist"], cells["elbow"]]
+                peers[name][robot]["singular"] = {
+                    "by_kind": {"wrist": singular[0]["success"], "elbow": singular[1]["success"]},
+                    "median_us": max(one["median_us"] for one in singular),
+                }
+    return peers
 
 
-def one_cell(cells: list[dict[str, Any]]) -> dict[str, Any]:
-    """Rounds of one cell put together: other work on a machine only ever adds time.
-
-    The median is of wall-clock time.  Mean and p99 are of processor time: among others on two cores they
-    would else measure the scheduler, whose slices are a hundred times longer than a solve.
-    """
-    total = sum(cell["n"] for cell in cells)
-    merged: dict[str, Any] = {
-        key: round(min(cell[source] for cell in cells), 2)
-        for key, source in (("median_us", "median_us"), ("mean_us", "cpu_mean_us"), ("p99_us", "cpu_p99_us"))
-    }
-    for key in ("success", "exact"):
-        merged[key] = round(sum(cell[key] * cell["n"] for cell in cells) / total, 5)
-    if "by_kind" in cells[0]:
-        merged["by_kind"] = cells[0]["by_kind"]
-    merged["jumps"] = max(cell.get("jumps_over_0.2", 0) for cell in cells)
-    return merged | {"n": total, "rounds": len(cells)}
-
-
-def collect_four_goals(text: str) -> dict[str, Any]:
-    """Contestant -> cold or warm: success over all rounds; times of the fastest round."""
-    line = re.compile(
-        r"^(\w+) +(cold|warm) +n=(\d+) ok= *([\d.]+)% iterations med=(\d+) "
-        r"wall med= *(\d+) mean= *(\d+) p99= *(\d+)",
-        re.MULTILINE,
-    )
-    found: dict[str, Any] = {}
-    for m in line.finditer(text):
-        row = {"n": int(m[3]), "success": float(m[4]), "iterations": int(m[5])}
-        row |= {"median_us": int(m[6]), "mean_us": int(m[7]), "p99_us": int(m[8])}
-        old = found.setdefault(m[1], {}).setdefault(m[2], row)
-        for key in ("median_us", "mean_us", "p99_us", "success"):
-            old[key] = min(old[key], row[key])
-    return found
+def collect_four_goals(found: dict[str, Any]) -> dict[str, Any]:
+    """Contestant -> cold or warm: ours by `lm`, which `auto` is here as well, and placo."""
+    figures = {name: one["robots"].get("humanoid") for name, one in found["libraries"].items()}
+    return {name: figures[name] for name in ("robot_ik", "placo") if figures.get(name)}
 
 
 Data = dict[str, Any]
@@ -213,15 +187,22 @@ def goals4(data: Data) -> str:
         cells = []
         for mode in ("cold", "warm"):
             m = modes[mode]
-            cells += [
-                f"{m['success']:.1f}",
-                f"{m['median_us']} / {m['mean_us']} / {m['p99_us']}",
-                m["iterations"],
-            ]
+            times = " / ".join(us(m[key]) for key in ("median_us", "mean_us", "p99_us"))
+            cells += [f"{100 * m['success']:.1f}", times]
         rows.append((f"`{name}`", *cells))
-    shape = ("%", "median / mean / p99 µs", "steps")
-    head = ("contestant", *(f"{mode}: {word}" for mode in ("cold", "warm") for word in shape))
-    return table(head, rows)
+    shape = ("%", "median / mean / p99 µs")
+    return table(("contestant", *(f"{mode}: {word}" for mode in ("cold", "warm") for word in shape)), rows)
+
+
+def comparison(data: Data) -> str:
+    """With what the comparison was made."""
+    asked = data["comparison"]
+    lacking = f" Not there: {', '.join(asked['missing'])}." if asked["missing"] else ""
+    return (
+        f"Measured {asked['when']}: seed {asked['seed']}, {asked['count']} problems of a kind, "
+        f"{asked['rounds']} rounds.{lacking} {asked.get('note', '')}".strip()
+        + "\n"
+    )
 
 
 def batch(data: Data) -> str:
@@ -270,7 +251,7 @@ def methods(data: Data) -> str:
 
 TABLES: dict[str, Callable[[Data], str]] = {
     make.__name__: make for make in (
-        machine, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, methods,
+        machine, comparison, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, methods,
     )
 }  # fmt: skip
 TABLES["growth_joints"] = lambda data: growth(data, "joints")

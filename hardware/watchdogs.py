@@ -157,7 +157,7 @@ def uninterrupted(function: Callable[P, R]) -> Callable[P, R]:
             over = True  # noqa: F841 - from here on a signal is raised where it comes
             _HANDLERS.deliver()
 
-    _CARRIED_THROUGH.add(carried_through.__code__)
+    _CARRIED_THROUGH.add(carried_through.__code__)  # type: ignore[attr-defined]  # functools.wraps hides it
     return carried_through
 
 

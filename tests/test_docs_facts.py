@@ -93,6 +93,12 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
             assert second in summary[first], row
 
 
+def test_contributors_are_told_every_target_of_make() -> None:
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    told = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
+    assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == told
+
+
 # ------------------------------------------------------------------------------- the architecture
 
 

@@ -150,6 +150,8 @@ def occlusion(effort: Effort) -> Iterator[Figure]:
 class _Clutter(ClosingSource):
     """Pictures full of squares of random bits: everything a marker has but the code."""
 
+    live = False
+
     def __init__(self, seed: int) -> None:
         self._rng, self._number = np.random.default_rng([seed, 7]), 0
 

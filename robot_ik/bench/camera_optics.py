@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_ik.bench.camera_accuracy import rms
-from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.ar.draw import Artist, PainterArtist, RayArtist
+from robot_ik.bench.camera_rows import Effort, Figure, NotMeasuredError
+from robot_ik.camera.ar.draw import Artist
 from robot_ik.camera.ar.gl_draw import make_artist
 from robot_ik.camera.ar.registration import BENT, STRAIGHT, overlay_error, projection_identity
-from robot_ik.camera.boards.patterns import CharucoPattern
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.calibrate import calibrate
 from robot_ik.camera.handeye import solve_handeye
 from robot_ik.camera.made_up.handeye_set import handeye_set
@@ -20,27 +20,40 @@ from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
 
 # What is wanted of drawn spheres (RMS, worst, px) without and with a lens.
 _WANTED = {"pinhole": (STRAIGHT, 0.05, 0.15), "with distortion": (BENT, 0.08, 0.20)}
-# Places in each pixel that the back ends look at: fewer count pixels, which is coarser than they are.
-_SAMPLES = 16
-# The board: 8×6 squares of 30 mm with markers of 22 mm.
-_PATTERN = CharucoPattern(8, 6, 0.030, 0.022)
+# The boards: squares of 30 mm with markers of 22 mm; 9 × 6 inner corners of squares of 25 mm.
+_PATTERNS: dict[str, Pattern] = {
+    "ChArUco 8×6": CharucoPattern(8, 6, 0.030, 0.022),
+    "chessboard 9×6": ChessboardPattern(9, 6, 0.025),
+}
 _VIEWS, _SETS = 20, 3
 # Hand-eye: how many poses, and the spread of their rotations in degrees.
 _POSES, _SPREAD = 15, 25.0
 
 
 def projection(effort: Effort) -> Iterator[Figure]:
-    """Middles of spheres that painter, rays and OpenGL draw, against OpenCV's projection."""
-    artists: list[Artist] = [PainterArtist(_SAMPLES), RayArtist(_SAMPLES)]
-    if not effort.quick:
-        gl, notice = make_artist("gl")
-        artists += [] if notice else [gl]
-    for artist in artists:
-        for kind, (lens, wanted, worst) in _WANTED.items():
-            misses = projection_identity(artist, lens, seed=effort.seed)
-            what = f"{artist.name} against projectPoints, {kind}"
-            yield Figure(f"{what}, RMS", misses.rms, "px", wanted)
-            yield Figure(f"{what}, worst", misses.worst, "px", worst)
+    """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
+    for name in ("painter", "ray"):
+        yield from _identity(make_artist(name)[0], effort)
+
+
+def gl_projection(effort: Effort) -> Iterator[Figure]:
+    """The same by MuJoCo's renderer.
+
+    Raises:
+        NotMeasuredError: OpenGL does not work here.
+    """
+    artist, notice = make_artist("gl")
+    if notice:
+        raise NotMeasuredError(notice)
+    yield from _identity(artist, effort)
+
+
+def _identity(artist: Artist, effort: Effort) -> Iterator[Figure]:
+    for kind, (lens, wanted, worst) in _WANTED.items():
+        misses = projection_identity(artist, lens, seed=effort.seed)
+        what = f"{artist.name} against projectPoints, {kind}"
+        yield Figure(f"{what}, RMS", misses.rms, "px", wanted)
+        yield Figure(f"{what}, worst", misses.worst, "px", worst)
 
 
 def overlay(effort: Effort) -> Iterator[Figure]:
@@ -53,23 +66,24 @@ def overlay(effort: Effort) -> Iterator[Figure]:
 
 
 def calibration(effort: Effort) -> Iterator[Figure]:
-    """Intrinsics from 20 pictures of a ChArUco board; worst of the sets tried."""
-    focal, centre, error, counted = [], [], [], []
-    for trial in range(1 if effort.quick else _SETS):
-        # Other seeds, other sets: none is measured twice.
-        seed = _SETS * (effort.seed - 1) + trial + 1
-        views = pattern_set(_PATTERN, STANDARD_CAMERA, _VIEWS, seed=seed)
-        found = [seen for view in views if (seen := _PATTERN.find(view.image)) is not None]
-        result = calibrate(found, STANDARD_CAMERA.size)
-        lens = result.intrinsics
-        focal.append(max(abs(lens.fx / STANDARD_CAMERA.fx - 1.0), abs(lens.fy / STANDARD_CAMERA.fy - 1.0)))
-        centre.append(float(np.hypot(lens.cx - STANDARD_CAMERA.cx, lens.cy - STANDARD_CAMERA.cy)))
-        error.append(result.rms)
-        counted.append(len(found))
-    yield Figure("focal length, off by", 100.0 * max(focal), "%", 0.15)
-    yield Figure("optical centre, off by", max(centre), "px", 2.0)
-    yield Figure("reprojection error, RMS", max(error), "px", 0.2)
-    yield Figure("views in which the board was found", min(counted), "", _VIEWS, at_least=True)
+    """Intrinsics from 20 pictures of a board; worst of the sets tried."""
+    for name, pattern in _PATTERNS.items():
+        focal, centre, error, counted = [], [], [], []
+        for trial in range(1 if effort.quick else _SETS):
+            # Other seeds, other sets: none is measured twice.
+            seed = _SETS * (effort.seed - 1) + trial + 1
+            views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed)
+            found = [seen for view in views if (seen := pattern.find(view.image)) is not None]
+            result = calibrate(found, STANDARD_CAMERA.size)
+            lens, true = result.intrinsics, STANDARD_CAMERA
+            focal.append(max(abs(lens.fx / true.fx - 1.0), abs(lens.fy / true.fy - 1.0)))
+            centre.append(float(np.hypot(lens.cx - true.cx, lens.cy - true.cy)))
+            error.append(result.rms)
+            counted.append(len(found))
+        yield Figure(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
+        yield Figure(f"{name}: optical centre, off by", max(centre), "px", 2.0)
+        yield Figure(f"{name}: reprojection error, RMS", max(error), "px", 0.2)
+        yield Figure(f"{name}: views in which the board was found", min(counted), "", _VIEWS, at_least=True)
 
 
 def handeye(effort: Effort) -> Iterator[Figure]:

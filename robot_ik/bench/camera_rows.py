@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
+
+from robot_ik.errors import RobotIkError
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,10 @@ class Effort:
         return max(3, whole // 10) if self.quick else whole
 
 
+class NotMeasuredError(RobotIkError):
+    """A row cannot be measured here; the message says why."""
+
+
 Measure = Callable[[Effort], Iterator[Figure]]
 
 
@@ -71,22 +76,18 @@ class Row:
         name: What it is called on the command line.
         about: What it does, in words.
         function: ``module:function``, imported when it is measured.
-        needs: Modules without which it cannot be.
     """
 
     name: str
     about: str
     function: str
-    needs: tuple[str, ...] = ()
-
-    @property
-    def available(self) -> bool:
-        """Whether everything it needs is there."""
-        module = self.function.partition(":")[0]
-        return all(importlib.util.find_spec(name) is not None for name in (module, *self.needs))
 
     def measure(self, effort: Effort) -> Iterator[Figure]:
-        """Measures; figures come as they are ready."""
+        """Measures; figures come as they are ready.
+
+        Raises:
+            NotMeasuredError: Something that it needs is not here.
+        """
         module, _, name = self.function.partition(":")
         measure: Measure = getattr(importlib.import_module(module), name)
         yield from measure(effort)
@@ -103,13 +104,13 @@ ROWS: tuple[Row, ...] = (
     Row("clutter", "goals from pictures that hold no marker", _HERE + "camera_accuracy:clutter"),
     Row("photographs", "real pictures, of --photographs", _HERE + "camera_world:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "camera_optics:projection"),
-    Row("calibration", "intrinsics from 20 views of a ChArUco board", _HERE + "camera_optics:calibration"),
+    Row("gl", "the same, drawn by OpenGL", _HERE + "camera_optics:gl_projection"),
+    Row("calibration", "intrinsics from 20 views of a board", _HERE + "camera_optics:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
     Row(
         "offsets",
         "joint zeros from 30 pictures of a board in the hand",
         _HERE + "camera_arm:offsets",
-        needs=("robot_ik.camera.arm_zeros",),
     ),
     Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "camera_motion:prediction"),
     Row("times", "finding and measuring a marker in a picture", _HERE + "camera_speed:times"),

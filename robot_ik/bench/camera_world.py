@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera_rows import Effort, Figure
+from robot_ik.bench.camera_rows import Effort, Figure, NotMeasuredError
 from robot_ik.camera.boards.found_pattern import FoundPattern
 from robot_ik.camera.boards.patterns import ChessboardPattern
 from robot_ik.camera.calibrate import calibrate
 from robot_ik.camera.detect import MarkerDetector
-from robot_ik.errors import ConfigError
 
 Image = NDArray[np.uint8]
 
@@ -34,14 +33,14 @@ def photographs(effort: Effort) -> Iterator[Figure]:
     """False finds in a folder of photographs; where they show chessboards, how well unseen corners are met.
 
     Raises:
-        ConfigError: The folder holds no pictures.
+        NotMeasuredError: No folder is given, or it holds no pictures.
     """
     if not effort.photographs:
-        return
+        raise NotMeasuredError("it needs photographs of yours: --photographs FOLDER")
     files = sorted(f for f in Path(effort.photographs).glob("*") if f.suffix.lower() in _SUFFIXES)
     pictures = [one for f in files if (one := cv2.imread(str(f), cv2.IMREAD_GRAYSCALE)) is not None]
     if not pictures:
-        raise ConfigError(f"no pictures in {effort.photographs}", file="command line", key="--photographs")
+        raise NotMeasuredError(f"no pictures in {effort.photographs}")
     detector = MarkerDetector("DICT_5X5_50")
     finds = sum(len(detector.detect(np.asarray(one, dtype=np.uint8))) for one in pictures)
     yield Figure(f"finds in {len(pictures)} photographs without markers (DICT_5X5_50)", finds, "", 0)

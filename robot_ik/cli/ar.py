@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from robot_ik.jobs.ar import ArReport, ArRequest
 
 
+# Sides of a picture, px; larger ones than any camera's would take all memory before they fail.
+_SIDES = (16, 16_384)
+
+
 @dataclass(frozen=True)
 class ArOptions:
     """Draws a robot into the pictures of a camera, standing on a printed board that is moved about.
@@ -70,8 +74,12 @@ class ArOptions:
     """1 hides what is behind the robot, 0 the robot."""
     shadow: bool = True
     """Draw the shadow on the board's plane."""
-    out: Annotated[str, arg(metavar="FILE.mp4|FILE.png|DIR")] = "ar.mp4"
+    out: Annotated[
+        str, arg(metavar="FILE.mp4|FILE.png|DIR", help_behavior_hint="(default: ar.mp4, else the folder ar)")
+    ] = ""
     """A film (extra `video`), the last picture, or a folder of pictures."""
+    overwrite: bool = False
+    """Replace that file, or such pictures in that folder."""
     seconds: Annotated[float, arg(help_behavior_hint="(default: all; synthetic: the motion, or 4)")] = 0.0
     """How long."""
     size: Annotated[tuple[int, ...], arg(metavar="W H", help_behavior_hint="(default: the camera's)")] = ()
@@ -140,6 +148,15 @@ def _print(report: ArReport) -> None:
     console.out().print(Text(f"written: {report.file}"), soft_wrap=True)
 
 
+def _default_out() -> str:
+    from robot_ik.jobs.ar_files import films_can_be_written
+
+    if films_can_be_written():
+        return "ar.mp4"
+    console.say('pictures go to the folder ar; for a film: pip install "robot_ik[video]"', "yellow")
+    return "ar"
+
+
 def make_request(options: ArOptions) -> ArRequest:
     """The job's request; everything that can be wrong without looking is found here.
 
@@ -152,8 +169,10 @@ def make_request(options: ArOptions) -> ArRequest:
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
         raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
-    if len(options.size) not in (0, 2) or any(v < 16 for v in options.size):
-        raise wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
+    if len(options.size) not in (0, 2) or any(not _SIDES[0] <= v <= _SIDES[1] for v in options.size):
+        raise wrong(
+            "--size", f"{options.size}", f"width and height in pixels, each {_SIDES[0]} to {_SIDES[1]}"
+        )
     if not 0.0 <= options.alpha <= 1.0:
         raise wrong("--alpha", f"{options.alpha:g}", "0 to 1")
     for name in ("scale", "delay", "seconds"):
@@ -183,7 +202,8 @@ def make_request(options: ArOptions) -> ArRequest:
         delay=options.delay,
         alpha=options.alpha,
         shadow=options.shadow,
-        out=Path(options.out),
+        out=Path(options.out or _default_out()),
+        overwrite=options.overwrite,
         seconds=options.seconds,
         size=(options.size[0], options.size[1]) if options.size else None,
         seed=options.seed,

@@ -16,8 +16,8 @@ from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import unknown_name_text
-from robot_ik.files import plain, write_atomically
+from robot_ik.errors import RobotIkError, unknown_name_text
+from robot_ik.files import claimed, plain, write_atomically
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -33,19 +33,23 @@ ALL_ROWS = (*ROWS, *JOB_ROWS)
 class BenchCameraOptions:
     """Measures the camera on synthetic pictures whose truth is known, and prints it beside what is wanted.
 
-    Accuracy is the same on every machine.  Times are processor time of one thread, the best of three rounds;
-    delays are by the clock, and depend on what else runs.
+    Accuracy is the same on every machine.  Times are processor time of one thread, the best of three rounds,
+    and beside it time by the clock, which depends on what else runs, as delays do.
     Ctrl-C keeps what is done.
 
-    Exit code 0 where all that was measured is as wanted, else 1; with --quick, 0.
+    Exit code 0 where every row was measured and is as wanted, else 1.
     """
 
     rows: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
     """Which rows of the table: corners, marker, board, …"""
+    skip: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="")] = ()
+    """Leave these rows out."""
     quick: bool = False
     """A tenth of the pictures: for a look, not for the record."""
     json: Annotated[str, arg(metavar="FILE", help_behavior_hint="")] = ""
     """Write the figures there, too."""
+    overwrite: bool = False
+    """Replace that file."""
     seed: int = 1
     """Of pictures and noise."""
     photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""
@@ -59,16 +63,20 @@ class Measured:
     Attributes:
         figures: By row.
         seconds: That each row took.
+        unmeasured: Why a row has no figures, or not all.
+        complete: Whether the run came to its end.
     """
 
     figures: dict[str, list[Figure]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    unmeasured: dict[str, str] = field(default_factory=dict)
     complete: bool = False
 
     @property
     def passed(self) -> bool:
-        """Whether nothing missed what is wanted."""
-        return all(one.passed is not False for figures in self.figures.values() for one in figures)
+        """Whether every row was measured and nothing missed what is wanted."""
+        figures = [one for figures in self.figures.values() for one in figures]
+        return not self.unmeasured and all(one.passed is not False for one in figures)
 
     def facts(self) -> dict[str, Any]:
         """For JSON."""
@@ -77,6 +85,7 @@ class Measured:
             "rows": {
                 name: {
                     "seconds": round(self.seconds.get(name, 0.0), 1),
+                    "unmeasured": self.unmeasured.get(name),
                     "figures": [f.facts() for f in figures],
                 }
                 for name, figures in self.figures.items()
@@ -87,10 +96,16 @@ class Measured:
 def run_camera(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
     import_mujoco()
-    rows = chosen_rows(options.rows)
+    rows = chosen_rows(options.rows, options.skip)
     if "photographs" in options.rows and not options.photographs:
         raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
     effort, found = Effort(options.quick, options.seed, options.photographs), Measured()
+    file = Path(options.json) if options.json else None
+    with claimed(file, overwrite=options.overwrite):
+        return _measured_and_told(rows, effort, found, file)
+
+
+def _measured_and_told(rows: Sequence[Row], effort: Effort, found: Measured, file: Path | None) -> int:
     try:
         with console.progress() as bar:
             measure(rows, effort, found, bar)
@@ -99,23 +114,26 @@ def run_camera(options: BenchCameraOptions) -> int:
         # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
         if found.figures:
             print_figures(rows, found)
-            if options.json:
-                _write(Path(options.json), found, effort)
-    return console.DONE if options.quick or found.passed else console.NOT_ACHIEVED
+            if file is not None:
+                _write(file, found, effort)
+    return console.DONE if found.passed else console.NOT_ACHIEVED
 
 
-def chosen_rows(names: Sequence[str]) -> list[Row]:
-    """The rows of these names; all that there are when none is given.
+def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
+    """The rows of these names, all when none is given, without those that are skipped.
 
     Raises:
-        ConfigError: No such row, or one that cannot be measured here.
+        ConfigError: No such row, or none is left.
     """
-    known = {row.name: row for row in ALL_ROWS if row.available}
-    for name in names:
-        if name not in known:
-            text = unknown_name_text("row", name, list(known))
-            raise wrong("--rows", text)
-    return [known[name] for name in dict.fromkeys(names)] or list(known.values())
+    known = {row.name: row for row in ALL_ROWS}
+    for option, given in (("--rows", names), ("--skip", skipped)):
+        for name in given:
+            if name not in known:
+                raise wrong(option, unknown_name_text("row", name, list(known)))
+    chosen = [known[name] for name in dict.fromkeys(names or known) if name not in skipped]
+    if not chosen:
+        raise wrong("--skip", "no row is left", "fewer names")
+    return chosen
 
 
 def measure(rows: Sequence[Row], effort: Effort, found: Measured, bar: Progress) -> None:
@@ -129,6 +147,10 @@ def measure(rows: Sequence[Row], effort: Effort, found: Measured, bar: Progress)
             for figure in row.measure(effort):
                 figures.append(figure)
                 bar.update(task, note=f"{row.about}: {figure.quantity}")
+            if not figures:
+                found.unmeasured[row.name] = "it gave no figure"
+        except RobotIkError as error:
+            found.unmeasured[row.name] = str(error.args[0])
         finally:
             found.seconds[row.name] = time.monotonic() - began
         bar.advance(task)
@@ -142,11 +164,16 @@ def print_figures(rows: Sequence[Row], found: Measured) -> None:
             shown.add_row(
                 row.name if index == 0 else "", one.quantity, measured(one), wanted(one), _verdict(one)
             )
+        if row.name in found.unmeasured:
+            why = f"not measured: {found.unmeasured[row.name]}"
+            shown.add_row(row.name, why, "", "", Text("FAIL", style="bold red"))
     console.out().print(shown)
     missed = sum(one.passed is False for figures in found.figures.values() for one in figures)
     every = sum(one.passed is not None for figures in found.figures.values() for one in figures)
     console.out().print(
-        f"{every - missed} of {every} as wanted" + ("" if found.complete else "; not all measured")
+        f"{every - missed} of {every} as wanted"
+        + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
+        + ("" if found.complete else "; not all measured")
     )
 
 

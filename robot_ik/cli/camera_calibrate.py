@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.errors import CalibrationError
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibrate import CalibrationResult
@@ -59,6 +60,8 @@ class CameraCalibrateOptions:
     """Picture size to ask of a camera, pixels."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("camera.yaml")
     """Where to write the calibration; beside it come a picture of the coverage and the views taken live."""
+    overwrite: bool = False
+    """Replace the calibration and the picture of the coverage; views taken before are kept in any case."""
     name: str = "camera"
     """Name of the camera in the file."""
     json: bool = False
@@ -67,11 +70,6 @@ class CameraCalibrateOptions:
 
 def run(options: CameraCalibrateOptions) -> int:
     """Gathers views, calibrates, writes the file and says what it is worth."""
-    import dataclasses
-
-    from robot_ik.camera.boards.pattern_kinds import PatternWish
-    from robot_ik.camera.calibrate import calibrate
-    from robot_ik.camera.calibrate.views import ViewGatherer
     from robot_ik.errors import CameraError
 
     if not options.sources:
@@ -79,6 +77,17 @@ def run(options: CameraCalibrateOptions) -> int:
             "nothing to calibrate from",
             hint="give pictures, a folder of them, a film, or a camera's index: 0",
         )
+    with claimed(options.out, _coverage_file(options.out), overwrite=options.overwrite):
+        return _calibrate(options)
+
+
+def _calibrate(options: CameraCalibrateOptions) -> int:
+    import dataclasses
+
+    from robot_ik.camera.boards.pattern_kinds import PatternWish
+    from robot_ik.camera.calibrate import calibrate
+    from robot_ik.camera.calibrate.views import ViewGatherer
+
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
     wish = PatternWish(options.pattern, *(getattr(options, field) for field in fields))
     gatherer, shelf = ViewGatherer(wish.pattern()), _Shelf(options)
@@ -187,9 +196,8 @@ def _gather_moving(
 ) -> None:
     from robot_ik.camera.boards.pattern_guess import describe
     from robot_ik.camera.calibrate.views import missing_words
-    from robot_ik.camera.sources.device import DeviceSource
 
-    live, unseen = isinstance(source, DeviceSource), 0
+    live, unseen = source.live, 0
     if live:
         console.say("show the board, hold it still, move it on; Ctrl-C when done", "cyan")
     while not getattr(source, "exhausted", False) and len(gatherer.views) < _MOST_VIEWS:
@@ -209,11 +217,15 @@ def _gather_moving(
             return
 
 
+def _coverage_file(out: Path) -> Path:
+    return out.with_name(f"{out.stem}-coverage.png")
+
+
 def _draw_coverage(result: CalibrationResult, out: Path) -> Path:
     from robot_ik.camera.calibrate.coverage import coverage_picture
     from robot_ik.camera.sources.picture_files import write_image
 
-    path = out.with_name(f"{out.stem}-coverage.png")
+    path = _coverage_file(out)
     write_image(path, coverage_picture(result.coverage))
     return path
 

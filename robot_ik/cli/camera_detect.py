@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,8 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.errors import OutputError
+from robot_ik.files import claimed_folder
 from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
@@ -54,6 +57,8 @@ class CameraDetectOptions:
     """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
     draw: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Write each picture there with what was found drawn over it."""
+    overwrite: bool = False
+    """Replace drawings of the same names in that folder."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
@@ -87,8 +92,45 @@ def run(options: CameraDetectOptions) -> int:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
+    if options.draw is None:
+        return _detect(options, intrinsics, None)
+    _refuse_own_pictures(options.images, options.draw)
+    with claimed_folder(options.draw, "*.png", overwrite=options.overwrite):
+        return _detect(options, intrinsics, _Drawings(options.draw))
+
+
+def _refuse_own_pictures(names: Sequence[str], folder: Path) -> None:
+    """Drawings have the names of their pictures, so they must not go where those are."""
+    for path in map(Path, names):
+        if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
+            raise OutputError(
+                f"the drawings would take the names of the pictures in {folder}",
+                hint="give another folder: --draw drawn",
+            )
+
+
+class _Drawings:
+    """A folder of drawings, each under the name of its picture."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._names = folder, set[str]()
+
+    def save(self, file: str, number: int | None, image: Any) -> None:
+        """Writes one; a name that this run has used gets a number behind it."""
+        from robot_ik.camera.sources.picture_files import write_image
+
+        stem = (Path(file).stem or "picture") + ("" if number is None else f"-{number:05d}")
+        names = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
+        name = next(name for name in names if name not in self._names)
+        self._names.add(name)
+        write_image(self._folder / f"{name}.png", image)
+
+
+def _detect(
+    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: _Drawings | None
+) -> int:
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
-    rows = list(_looked(options, intrinsics, blank))
+    rows = list(_looked(options, intrinsics, blank, drawings))
     failed = [row for row in rows if row.error is not None]
     if len(failed) == len(rows):
         _raise_first(failed)
@@ -146,7 +188,10 @@ def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
 
 
 def _looked(
-    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, blank: deque[Any]
+    options: CameraDetectOptions,
+    intrinsics: CameraIntrinsics | None,
+    blank: deque[Any],
+    drawings: _Drawings | None,
 ) -> Iterator[_Row]:
     """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.pose.bodies import load_bodies
@@ -178,8 +223,8 @@ def _looked(
                 if not sighting.markers:
                     blank.append(frame.image)
                 yield _Row(file, number, frame.size, as_values(sighting), in_film=in_film)
-                if options.draw is not None:
-                    _save(options.draw, file, number if in_film else None, drawn(sighting, intrinsics))
+                if drawings is not None:
+                    drawings.save(file, number if in_film else None, drawn(sighting, intrinsics))
             bar.remove_task(task)
             lookout = Lookout(*asked)
 
@@ -208,15 +253,6 @@ def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]
                 yield name, seen.sequence, seen, isinstance(source, VideoSource)
         else:
             yield name, 0, source.read(), False
-
-
-def _save(folder: Path, file: str, number: int | None, image: Any) -> None:
-    from robot_ik.camera.sources.picture_files import write_image
-    from robot_ik.files import make_folder
-
-    make_folder(folder)
-    stem = Path(file).stem or "picture"
-    write_image(folder / (f"{stem}.png" if number is None else f"{stem}-{number:05d}.png"), image)
 
 
 # ------------------------------------------------------------------------------------ tables

@@ -15,6 +15,7 @@ from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.cli.camera_arm import arm_camera_values, measured, numbers_of_seen
 from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.environment import import_mujoco
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.jobs.handeye import HandEyeReport, HandEyeRequest
@@ -63,6 +64,8 @@ class CameraHandeyeOptions:
     """Share of the joints' speed limits, above 0 and up to 1."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the camera's place goes; the samples go beside it."""
+    overwrite: bool = False
+    """Replace both."""
     samples: Annotated[str, arg(metavar="FILE.json", help_behavior_hint="(default: measure)")] = ""
     """Solve what was measured before; nothing moves."""
     dry_run: bool = False
@@ -76,12 +79,22 @@ class CameraHandeyeOptions:
 def run(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a place was found."""
     import_mujoco()
+    from robot_ik.jobs.handeye import samples_path
+
+    request = None if options.samples else make_request(options)
+    results = [] if options.dry_run else [options.out]
+    if request is not None and not options.dry_run:
+        results.append(samples_path(options.out))
+    with claimed(*results, overwrite=options.overwrite):
+        return _measure_and_solve(options, request)
+
+
+def _measure_and_solve(options: CameraHandeyeOptions, request: HandEyeRequest | None) -> int:
     from robot_ik.jobs.handeye import run_handeye, samples_path
 
-    if options.samples:
+    if request is None:
         report = _again(options)
     else:
-        request = make_request(options)
         made = measured(
             partial(run_handeye, request, dry_run=options.dry_run),
             samples_path(options.out),

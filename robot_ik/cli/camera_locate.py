@@ -15,6 +15,7 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.cli.poses import pose_option, pose_words
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.camera.boards.board import Board
@@ -31,7 +32,8 @@ _DOUBTFUL_PX = 1.0
 class CameraLocateOptions:
     """Finds where a camera stands from a board whose place is known, and writes it to a file.
 
-    Neither camera nor board may move meanwhile. The board's frame: markers and grids have their origin in
+    Neither camera nor board may move meanwhile. Exit code 1, and no file, when no picture shows the board or
+    none agrees with the others. The board's frame: markers and grids have their origin in
     the middle, x right, y up, z out of the print; chessboard and charuco have OpenCV's, z into the board.
     """
 
@@ -54,6 +56,8 @@ class CameraLocateOptions:
     """How many pictures to average, where the source has more than one."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the place goes."""
+    overwrite: bool = False
+    """Replace that file."""
     json: bool = False
     """Print one JSON object on stdout."""
 
@@ -61,7 +65,6 @@ class CameraLocateOptions:
 def run(options: CameraLocateOptions) -> int:
     """Looks, fits, writes."""
     from robot_ik.camera.boards.board import parse_board
-    from robot_ik.camera.handeye.places import locate_camera
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.geometry import Pose
 
@@ -70,6 +73,13 @@ def run(options: CameraLocateOptions) -> int:
     board = parse_board(options.board, options.dictionary)
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
     intrinsics = CameraIntrinsics.load(options.intrinsics)
+    with claimed(options.out, overwrite=options.overwrite):
+        return _locate(options, board, pose, intrinsics)
+
+
+def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: CameraIntrinsics) -> int:
+    from robot_ik.camera.handeye.places import locate_camera
+
     views, looked = _look(options, board, intrinsics)
     if not views:
         raise MarkerNotFoundError(
@@ -77,8 +87,11 @@ def run(options: CameraLocateOptions) -> int:
             hint="check its sizes and dictionary, light and focus; the whole board should be in view",
         )
     place = locate_camera(views, pose, intrinsics, parent=options.parent)
+    doubtful = _doubtful(views, place.pose_parent_camera.inverse() @ pose, intrinsics)
+    if doubtful == len(views):
+        console.say(f"no picture is believed: {options.out} is not written", "yellow")
+        return console.NOT_ACHIEVED
     place.save(options.out)
-    _tell_doubt(views, place.pose_parent_camera.inverse() @ pose, intrinsics)
     if options.json:
         console.print_json(_as_json(place, options, len(views), looked))
         return console.DONE
@@ -94,20 +107,21 @@ def run(options: CameraLocateOptions) -> int:
     return console.DONE
 
 
-def _tell_doubt(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> None:
-    """Names pictures whose board is not where all of them together have it (``seen`` by the camera)."""
+def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> int:
+    """How many pictures have the board elsewhere than all together (``seen`` by the camera); says so."""
     off = [
         float(np.median(np.linalg.norm(intrinsics.project(seen.apply(view.points)) - view.pixels, axis=1)))
         for view in views
     ]
     count = sum(miss > _DOUBTFUL_PX for miss in off)
     if not count:
-        return
+        return 0
     why = "the board is not flat or not of this size, or the calibration is of another camera"
     if len(views) > 1:
         why = f"camera or board moved, or {why}"
     told = f"doubtful: in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
     console.say(f"{told}: {why}", "yellow")
+    return count
 
 
 def _look(

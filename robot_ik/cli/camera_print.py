@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.files import claimed, write_atomically
 
 Kind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
@@ -46,12 +47,19 @@ class CameraPrintOptions:
     """Paper; it is turned when that makes it fit."""
     dpi: int = 300
     """Pixels per inch of a .png."""
+    overwrite: bool = False
+    """Replace files that are there."""
     body: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
 
 
 def run(options: CameraPrintOptions) -> int:
     """Writes the sheet and says what is on it."""
+    with claimed(options.out, options.body, overwrite=options.overwrite):
+        return _print_sheet(options)
+
+
+def _print_sheet(options: CameraPrintOptions) -> int:
     from robot_ik.camera.sheets.blocks import SheetWish
     from robot_ik.camera.sheets.page import write_sheet
     from robot_ik.camera.sheets.sheet import make_sheet_page
@@ -60,7 +68,6 @@ def run(options: CameraPrintOptions) -> int:
     page = make_sheet_page(wish)
     if options.body is not None:
         from robot_ik.camera.sheets.bodies import body_file
-        from robot_ik.files import write_atomically
 
         write_atomically(options.body, body_file(wish, options.body.stem))
         console.say(f"wrote {options.body}: where its markers are", "green")

@@ -16,6 +16,7 @@ from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.cli.camera_arm import arm_camera_values, measured
 from robot_ik.cli.poses import pose_option
 from robot_ik.environment import import_mujoco
+from robot_ik.files import claimed, make_folder, write_atomically
 
 if TYPE_CHECKING:
     from robot_ik.jobs.verify import VerifyReport, VerifyRequest
@@ -72,6 +73,8 @@ class CameraVerifyOptions:
     """Write the zeros without asking."""
     out: Annotated[Path, arg(metavar="FILE.json")] = Path("verify.samples.json")
     """Where all that is measured is kept, pose by pose."""
+    overwrite: bool = False
+    """Replace what --out and --picture name; the arm file is written as --fit says."""
     samples: Annotated[str, arg(metavar="FILE.json", help_behavior_hint="(default: measure)")] = ""
     """Judge what was measured before; nothing moves."""
     picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
@@ -91,13 +94,24 @@ class CameraVerifyOptions:
 def run(options: CameraVerifyOptions) -> int:
     """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
     import_mujoco()
-    from robot_ik.cli.camera_verify_tables import as_json, print_plan, print_report
-    from robot_ik.jobs.verify import run_verify
-    from robot_ik.jobs.verify_picture import error_picture, require_plots
+    from robot_ik.jobs.verify_picture import require_plots
 
     request = make_request(options)
     if options.picture:
         require_plots()
+    samples = None if options.samples or options.dry_run else options.out
+    picture = Path(options.picture) if options.picture and not options.dry_run else None
+    if options.fit and options.arm:
+        make_folder(Path(options.arm).parent)  # the zeros are written there in the end
+    with claimed(samples, picture, overwrite=options.overwrite):
+        return _measure_and_judge(options, request)
+
+
+def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
+    from robot_ik.cli.camera_verify_tables import as_json, print_plan, print_report
+    from robot_ik.jobs.verify import run_verify
+    from robot_ik.jobs.verify_picture import error_picture
+
     if options.samples:
         report = _again(options, request)
     else:
@@ -115,8 +129,6 @@ def run(options: CameraVerifyOptions) -> int:
     if not options.json:
         print_report(report, options.allowed_mm)
     if options.picture:
-        from robot_ik.files import write_atomically
-
         write_atomically(Path(options.picture), error_picture(report))
         console.say(f"wrote {options.picture}", "green")
     written = _keep_zeros(options, report)

@@ -17,17 +17,17 @@ from robot_ik.camera.ar.gl_draw import make_artist
 from robot_ik.camera.ar.phantoms import load_phantoms
 from robot_ik.camera.ar.registrar import BoardWatcher, Registrar, Remedies, Seen, Shown
 from robot_ik.camera.boards.board import MarkerBoard, parse_board
-from robot_ik.camera.drawing.painter import faces_in_picture
+from robot_ik.camera.drawing.painter import project, surface_points
 from robot_ik.camera.handeye.places import CameraPlace
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.synthetic import look_at
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ahead import CompiledAhead
 from robot_ik.jobs.ar_files import open_sink
 from robot_ik.jobs.ar_motion import Motion, Replay, make_motion
-from robot_ik.jobs.ar_scene import AT_REST, BOARD, FOLLOWED, synthetic_stage
+from robot_ik.jobs.ar_scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
+from robot_ik.jobs.ar_scene import Motion as BoardMotion
 from robot_ik.jobs.cameras_request import open_calibrated
 from robot_ik.robot import load_robot
 
@@ -39,6 +39,10 @@ Array = NDArray[np.float64]
 # On the made-up table a robot is drawn so high, metres; films of it are this long unless said otherwise.
 _TABLE_SIZE, _SECONDS = 0.40, 4.0
 _RATE_HZ = 30.0
+# All of it stays in the picture, with so much of the picture's size to spare; looked at in so many moments.
+_MARGIN, _MOMENTS = 0.02, 24
+# A robot that fits only below this part of the usual scale stands beside the picture, not too large in it.
+_LEAST_SHARE = 0.05
 _OUT_OF_VIEW = "nothing of the robot is in view, its board is: try a smaller --scale, or another --base"
 
 
@@ -66,6 +70,7 @@ class ArRequest:
         alpha: 1 hides what is behind the robot.
         shadow: Whether it throws one.
         out: Film, picture or folder.
+        overwrite: Whether it may be replaced.
         seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
         size: Of synthetic and live pictures.
         seed: Of the synthetic camera's noise.
@@ -89,6 +94,7 @@ class ArRequest:
     alpha: float = 1.0
     shadow: bool = True
     out: Path = Path("ar.mp4")
+    overwrite: bool = False
     seconds: float = 0.0
     size: tuple[int, int] | None = None
     seed: int = 0
@@ -140,17 +146,21 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
         MarkerNotFoundError: The board was in no picture.
         RobotIkError: Wrong input or environment.
     """
-    robot = load_robot(request.robot)
     with contextlib.ExitStack() as stack:
+        sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
+        robot = load_robot(request.robot)
         ahead = stack.enter_context(CompiledAhead.overlay())
-        figure = _figure(request, robot)
+        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
         motion = make_motion(request.motion, robot, figure, stack)
-        frames, intrinsics, total = _open(request, motion, stack)
+        frames, intrinsics, total, stage = _open(request, motion, stack)
+        if stage is not None and not request.scale:
+            figure = _figure(request, robot, _scale_in_view(request, robot, motion, stage, total))
+            if request.motion == "follow":  # it reaches with the arm as it is drawn
+                motion = make_motion(request.motion, robot, figure, stack)
         artist, notice = make_artist(request.backend)
         notice = "; ".join(filter(None, (notice, getattr(motion, "notice", ""))))
         stack.callback(getattr(artist, "close", lambda: None))
         registrar = _registrar(request, intrinsics, artist, figure)
-        sink = stack.enter_context(open_sink(request.out, _RATE_HZ))
         count = drawn = in_view = 0
         spent, errors, begin = 0.0, [], None
         interrupted = False
@@ -186,12 +196,52 @@ def _errors(seen: Seen | None, made: Shown) -> list[float]:
     return [] if seen is None or made.drawing is None else [seen.error]
 
 
-def _figure(request: ArRequest, robot: Robot) -> Figure:
+def _usual_scale(request: ArRequest, robot: Robot) -> float:
+    low, high = heights(robot)
+    return _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
+
+
+def _scale_in_view(request: ArRequest, robot: Robot, motion: Motion, stage: Stage, pictures: int) -> float:
+    """The usual scale, or the largest at which the whole robot is in all pictures of the stage.
+
+    A robot that is nowhere near the middle of the picture (``base``) keeps the usual one.
+    """
+    usual = _usual_scale(request, robot)
+    # A few moments tell as much as all of them: robot and board go on slowly.
+    times = np.linspace(0.0, pictures / _RATE_HZ, min(_MOMENTS, pictures)).tolist()
+    moments = [
+        (surface_points(robot.model, robot.qpos(motion.q(time, None))), stage.pose_board_camera(time))
+        for time in times
+    ]
+
+    def fits(scale: float) -> bool:
+        figure = _figure(request, robot, scale)
+        return all(
+            in_picture(figure.camera(camera).inverse().apply(points), stage.intrinsics)
+            for points, camera in moments
+        )
+
+    if fits(usual):
+        return usual
+    least, most = _LEAST_SHARE * usual, usual
+    if not fits(least):
+        return usual
+    while most > 1.02 * least:
+        middle = float(np.sqrt(least * most))
+        least, most = (middle, most) if fits(middle) else (least, middle)
+    return least
+
+
+def in_picture(points: Array, lens: CameraIntrinsics) -> bool:
+    """Whether all points (n, 3) in the camera frame are in the picture, ``_MARGIN`` of its size to spare."""
+    pixels, _, within = project(points, lens)
+    size = np.array(lens.size)
+    return bool(within.all() and (np.abs(pixels - 0.5 * size) < (0.5 - _MARGIN) * size).all())
+
+
+def _figure(request: ArRequest, robot: Robot, scale: float) -> Figure:
     x, y, z, yaw = request.base
-    scale = request.scale
-    low, high = extent(robot)
-    if scale <= 0.0:
-        scale = _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
+    low, _ = heights(robot)
     # its lowest point stands on the board
     base = Pose((x, y, z - scale * low), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
     phantoms = None if request.phantoms is None else load_phantoms(request.phantoms)
@@ -200,11 +250,9 @@ def _figure(request: ArRequest, robot: Robot) -> Figure:
     )
 
 
-def extent(robot: Robot) -> tuple[float, float]:
-    """Heights of the lowest and the highest point of the robot at home, metres."""
-    far = look_at((0.0, -100.0, 0.0), (0.0, 0.0, 0.0))
-    lens = CameraIntrinsics(640, 480, 5000.0, 5000.0, 319.5, 239.5)
-    up = far.apply(faces_in_picture(robot.model, robot.qpos(robot.home), lens, far).points)[:, 2]
+def heights(robot: Robot) -> tuple[float, float]:
+    """Of the lowest and the highest point of the robot at home, metres."""
+    up = surface_points(robot.model, robot.qpos(robot.home))[:, 2]
     return (float(up.min()), float(up.max())) if len(up) else (0.0, 0.0)
 
 
@@ -221,8 +269,8 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
 
 def _open(
     request: ArRequest, motion: Motion, stack: contextlib.ExitStack
-) -> tuple[Iterator[Frame], CameraIntrinsics, int]:
-    """Frames, their optics, and how many there will be (0: nobody knows)."""
+) -> tuple[Iterator[Frame], CameraIntrinsics, int, Stage | None]:
+    """Frames, their optics, how many there will be (0: nobody knows), and the made-up stage, if it is one."""
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
         things = None if request.phantoms is None else load_phantoms(request.phantoms)
@@ -231,6 +279,7 @@ def _open(
             width, height, rate_hz=_RATE_HZ, motion=still, things=things,
             follow=request.motion == "follow", seed=request.seed,
         )  # fmt: skip
+        stage = Stage(made_up.scene.intrinsics, made_up.scene.pose_world_camera, still or BoardMotion())
         seconds = request.seconds or (motion.trajectory.duration if isinstance(motion, Replay) else _SECONDS)
         count = max(1, round(seconds * _RATE_HZ))
 
@@ -239,9 +288,9 @@ def _open(
                 yield made_up.read().without_truth()
                 clock.ticks += 1
 
-        return made(), made_up.scene.intrinsics, count
+        return made(), made_up.scene.intrinsics, count, stage
     source, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
-    return _limited(source, request.seconds), lens, 0
+    return _limited(source, request.seconds), lens, 0, None
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

@@ -11,7 +11,7 @@ import importlib.util
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import MissingExtraError, OutputError
-from robot_ik.files import make_folder, write_atomically
+from robot_ik.files import claimed, claimed_folder, folder_for_results, write_atomically
 
 Image = NDArray[np.uint8]
 
@@ -30,6 +30,8 @@ PICTURES = (".png", ".jpg", ".jpeg")
 # Quality of H.264: 18 is nearly free of visible loss.
 _CRF = "20"
 _TICKS = 90_000
+# Names of a folder's pictures.
+_NUMBERED = "[0-9]" * 6 + ".png"
 
 
 class PictureSink(Protocol):
@@ -79,10 +81,7 @@ class Film(_Closing):
     """A film, H.264; each picture is shown at the time it was taken."""
 
     def __init__(self, path: Path, rate_hz: float) -> None:
-        if importlib.util.find_spec("av") is None:
-            raise MissingExtraError("av", "video", "writing a film")
         self._path = path
-        make_folder(path.parent)
         self._part = path.with_name(f".{path.stem}.part{path.suffix}")
         self._rate = rate_hz
         self._container: Any = None
@@ -138,13 +137,16 @@ class Film(_Closing):
 
 
 class Pictures(_Closing):
-    """A folder of numbered PNG files."""
+    """A folder of numbered PNG files, which take the place of ``older`` ones."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._count = make_folder(folder), 0
+    def __init__(self, folder: Path, older: Sequence[Path] = ()) -> None:
+        self._folder, self._older, self._count = folder, older, 0
 
     def write(self, image: Image, time: float) -> None:
         """See ``PictureSink``."""
+        if not self._count:
+            for path in self._older:
+                path.unlink(missing_ok=True)
         write_atomically(self._folder / f"{self._count:06d}.png", encoded(image, ".png"))
         self._count += 1
 
@@ -158,7 +160,6 @@ class LastPicture(_Closing):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        make_folder(path.parent)
         self._image: Image | None = None
 
     def write(self, image: Image, time: float) -> None:
@@ -173,17 +174,39 @@ class LastPicture(_Closing):
         return self._path
 
 
-def open_sink(out: Path, rate_hz: float) -> PictureSink:
-    """What the name asks for: a film, a picture, or else a folder.
+def films_can_be_written() -> bool:
+    """Whether the extra ``video`` is installed."""
+    return importlib.util.find_spec("av") is not None
+
+
+@contextlib.contextmanager
+def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator[PictureSink]:
+    """What the name asks for: a film, a picture or, without a suffix, a folder.
+
+    Args:
+        out: Where to.
+        rate_hz: Of a film.
+        overwrite: Whether a file, or such pictures in the folder, may be replaced.
 
     Raises:
         MissingExtraError: A film without the extra ``video``.
-        OutputError: The folder cannot be made or written to.
+        OutputError: Nothing of this kind is written, it is there already, or it cannot be written.
     """
     kind = out.suffix.lower()
-    if kind in FILMS:
-        return Film(out, rate_hz)
-    return LastPicture(out) if kind in PICTURES else Pictures(out)
+    if kind in FILMS and not films_can_be_written():
+        raise MissingExtraError("av", "video", "writing a film")
+    if kind not in (*FILMS, *PICTURES):
+        if kind and not out.is_dir():
+            raise OutputError(
+                f"cannot write {out}: neither films nor pictures of this kind are made",
+                hint=f"films: {', '.join(FILMS)}; pictures: {', '.join(PICTURES)}; a folder has no suffix",
+            )
+        with claimed_folder(out, _NUMBERED, overwrite=overwrite) as older, Pictures(out, older) as pictures:
+            yield pictures
+        return
+    sink: Film | LastPicture = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
+    with folder_for_results(out.parent), claimed(out, overwrite=overwrite), sink:
+        yield sink
 
 
 def encoded(image: Image, suffix: str) -> bytes:

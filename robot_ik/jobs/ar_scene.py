@@ -85,6 +85,19 @@ class Motion:
 AT_REST = Motion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
 
 
+@dataclass(frozen=True)
+class Stage:
+    """Where the camera stands on the made-up table, and how the board moves before it."""
+
+    intrinsics: CameraIntrinsics
+    pose_world_camera: Pose
+    motion: Motion
+
+    def pose_board_camera(self, t: float) -> Pose:
+        """The camera seen from the board at time t."""
+        return self.motion.pose(t).inverse().compose(self.pose_world_camera)
+
+
 def lens(width: int, height: int) -> CameraIntrinsics:
     """A webcam's optics at this size: distortion, middle not quite in the middle."""
     base = CameraIntrinsics(1280, 960, 1150.0, 1150.0, 648.0, 471.0, (-0.14, 0.05, 0.0005, -0.0003, 0.0))

@@ -10,11 +10,12 @@ import numpy as np
 
 from robot_ik.camera.goals.lost import WhenLost
 from robot_ik.camera.made_up.synthetic import SyntheticSource
+from robot_ik.camera.sources import ImageSource
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PostureGoal
 from robot_ik.jobs.cameras_request import calibration_of, open_calibrated
-from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, RECORDED, Eyes
+from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, Eyes
 from robot_ik.jobs.stage import Stage, stage_for
 
 if TYPE_CHECKING:
@@ -67,14 +68,14 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
         )
     source, intrinsics = open_calibrated(request.camera, calibration, stack)
     stage = _stage(request, limbs, frame)
-    if request.follow > 0.0 and not source.live:
+    if request.follow > 0.0 and isinstance(source, ImageSource):
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
             file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
         )  # fmt: skip
     pose = request.pose_world_camera or stage.pose_world_camera
     why = ""
-    if isinstance(source, RECORDED):
+    if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
     elif limbs.arm is None or limbs.arm.virtual_bus is not None:
         why = "the arm is simulated, so a real camera cannot see it"

@@ -19,12 +19,7 @@ from robot_ik.camera.goals.lost import WhenLost
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
-from robot_ik.camera.sources import (
-    FolderSource,
-    FrameSource,
-    ImageSource,
-    VideoSource,
-)
+from robot_ik.camera.sources import FrameSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
@@ -46,7 +41,6 @@ _SYNTHETIC_TRIES = 2
 FREEDOMS_OF_A_POSE = 6
 # While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
 _WANDER = 0.4
-RECORDED = (ImageSource, FolderSource, VideoSource)
 
 
 @dataclass(frozen=True)
@@ -76,8 +70,7 @@ class Eyes:
 
     Attributes:
         pose_world_camera: Where it stands.
-        live: It can look again.
-        recorded: Its pictures were taken before; a photograph is not live either.
+        live: It can look again; False where its pictures are recorded.
         sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
         last_image: The last picture taken.
         delays: After following: from grab to goal, and the age of the picture at each tick.
@@ -104,7 +97,6 @@ class Eyes:
         self.path: Wandering | None = None
         self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
         self.live = source.live
-        self.recorded = isinstance(source, RECORDED)
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
         self._seed = seed
@@ -139,7 +131,7 @@ class Eyes:
         """
         tries = _SYNTHETIC_TRIES if self._synthetic is not None else _LIVE_TRIES
         # A recording is searched to its end: there is no hurry, and nothing else to see.
-        while tries > 0 or self.recorded:
+        while tries > 0 or not self.live:
             try:
                 goal = self._goals.poll(self._limbs.clock.now())
             except FrameTimeoutError:
@@ -158,7 +150,7 @@ class Eyes:
         Raises:
             MarkerNotFoundError: As ``find_target``.
         """
-        if self.recorded and self._followed is not None:
+        if not self.live and self._followed is not None:
             return self._followed
         return self.find_target()
 
@@ -221,7 +213,7 @@ class Eyes:
             self.stage.pose_marker_tool,
             self._frame,
             motion=FilterOptions() if follow else None,
-            predict=follow and not self.recorded,
+            predict=follow and self.live,
             lead=self._lead if follow else 0.0,
             when_lost=self._when_lost if follow else WhenLost(),
             clock=self._limbs.clock,

@@ -167,14 +167,14 @@ def _real(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) ->
         )
     carried = request.mounting == "eye_in_hand"
     source, intrinsics = open_calibrated(request.camera, calibration, stack)
-    stage = stage_for(limbs.robot, limbs.frame)
-    camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
-    board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
     if not source.live:
         raise ConfigError(
             "recorded pictures do not show this arm where it goes",
             file="command line", key="--camera", allowed="a camera or a stream, or --samples FILE",
         )  # fmt: skip
+    stage = stage_for(limbs.robot, limbs.frame)
+    camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
+    board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
     layout: Layout = request.board.layout
     task = ViewTask(Mount(camera, board, request.mounting), limbs.frame, layout, intrinsics, stage.table)
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)

@@ -19,9 +19,13 @@ class Blindfold(ClosingSource):
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
-        self.live = source.live
         self.truth: Any = None
         self.image: Any = None
+
+    @property
+    def live(self) -> bool:
+        """As the source is."""
+        return self._source.live
 
     @property
     def exhausted(self) -> bool:

@@ -30,6 +30,8 @@ BLANK = np.zeros((480, 640, 3), np.uint8)
 class ListSource(ClosingSource):
     """Frames from a list."""
 
+    live = True
+
     def __init__(self, frames: list[Frame]) -> None:
         self._frames = iter(frames)
 

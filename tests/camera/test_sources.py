@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import http.server
+import os
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -13,10 +15,19 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
-from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, open_source
+from robot_ik.camera.sources import (
+    ClosingSource,
+    FolderSource,
+    Frame,
+    FrameSource,
+    ImageSource,
+    VideoSource,
+    open_source,
+)
 from robot_ik.camera.sources.frames import natural_sort, read_image
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.jobs.pictures import Blindfold
 
 
 def picture(value: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
@@ -80,6 +91,7 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
         frames = list(source)
         with pytest.raises(FrameTimeoutError, match="all 4 pictures"):
             source.read()
+        assert not source.live
     assert [int(f.image[0, 0, 0]) for f in frames] == [1, 2, 9, 10]
     assert [f.sequence for f in frames] == [0, 1, 2, 3]
     assert np.diff([f.time for f in frames]) == pytest.approx(1 / 30)
@@ -94,7 +106,7 @@ def test_natural_order_mixes_words_and_numbers() -> None:
 def test_a_film_gives_every_picture_with_its_time(film: Path) -> None:
     with open_source(str(film)) as source:
         assert isinstance(source, VideoSource)
-        assert source.live
+        assert not source.live
         frames = list(source)
         with pytest.raises(FrameTimeoutError, match="ended after 12 pictures"):
             source.read()
@@ -200,13 +212,13 @@ class QuietHandler(http.server.SimpleHTTPRequestHandler):
         """Nothing on the terminal."""
 
 
-def test_a_url_is_opened(film: Path) -> None:
+def test_a_film_on_a_server_is_opened_and_is_not_live(film: Path) -> None:
     handler = functools.partial(QuietHandler, directory=str(film.parent))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
             with open_source(f"http://127.0.0.1:{server.server_port}/clip.avi", size=(64, 48)) as source:
-                assert source.live
+                assert not source.live
                 assert source.read().size == (64, 48)
                 # A file on a server ends; a stream that ends is told.
                 with pytest.raises(FrameTimeoutError, match="stopped delivering"):
@@ -219,3 +231,45 @@ def test_a_url_is_opened(film: Path) -> None:
 def test_an_image_source_counts_as_exhausted_once_given(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), picture(1))
     assert len(list(ImageSource(tmp_path / "a.png"))) == 1
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_what_wraps_a_source_passes_on_whether_it_is_live(live: bool) -> None:
+    class Some(ClosingSource):
+        def __init__(self) -> None:
+            self.now = live
+
+        @property
+        def live(self) -> bool:
+            return self.now
+
+        def read(self) -> Frame:
+            return Frame(picture(0), 0.0, 0)
+
+    source = Some()
+    wrapped = Blindfold(Blindfold(source))
+    assert wrapped.live is live
+    source.now = not live
+    assert wrapped.live is not live
+
+
+def test_no_source_is_one_without_saying_whether_it_is_live() -> None:
+    class Silent(ClosingSource):
+        def read(self) -> Frame:
+            return Frame(picture(0), 0.0, 0)
+
+    with pytest.raises(TypeError, match="live"):
+        Silent()  # type: ignore[abstract]
+
+
+def test_a_file_in_memory_and_a_file_url_are_recordings(film: Path) -> None:
+    with open_source(film.as_uri()) as source:
+        assert isinstance(source, VideoSource) and not source.live
+    shared = Path("/dev/shm")
+    if not os.access(shared, os.W_OK):
+        pytest.skip("no /dev/shm here")
+    with tempfile.NamedTemporaryFile(dir=shared, suffix=".avi") as file:
+        file.write(film.read_bytes())
+        file.flush()
+        with open_source(file.name) as source:
+            assert isinstance(source, VideoSource) and not source.live

@@ -16,6 +16,7 @@ from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_marker
 from robot_ik.cli import ar_self_test
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
+from robot_ik.jobs import ar_files
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,6 +31,20 @@ def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixt
     assert said["pictures"] == said["drawn"] == 1
     assert said["reprojection_px"] < 0.3
     assert cv2.imread(str(tmp_path / "a.png")).shape == (480, 640, 3)
+
+
+def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(ar_files.importlib.util, "find_spec", lambda name: None)
+    assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
+    assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
+    assert sorted(f.name for f in (tmp_path / "ar").iterdir()) == ["000000.png", "000001.png"]
+    assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 2
+    assert "it holds 000000.png" in capsys.readouterr().err
+    assert main(["ar", "--out", "a.mp4", "--robot", "nowhere"]) == 2
+    assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
 
 
 def test_ctrl_c_before_the_first_picture(
@@ -53,6 +68,8 @@ def test_ctrl_c_before_the_first_picture(
         (["--base", "1", "2"], "--base"),
         (["--base", "nan", "0", "0"], "--base"),
         (["--size", "640"], "--size"),
+        (["--size", "100000", "100000"], "16 to 16384"),
+        (["--out", "a.gif"], ".mp4"),
         (["--alpha", "2"], "--alpha"),
         (["--scale", "-1"], "--scale"),
         (["--predict"], "--sync latest"),
@@ -73,7 +90,7 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["ar", *words, "--out", "a.png"]) == 2
+    assert main(["ar", "--out", "a.png", *words]) == 2
     errors = capsys.readouterr().err
     assert said in errors
     assert "Traceback" not in errors

@@ -11,6 +11,7 @@ import pytest
 from robot_ik.bench.camera_rows import Effort, Figure, Row
 from robot_ik.cli import bench_camera
 from robot_ik.cli.main import main
+from robot_ik.errors import CameraError
 
 
 def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(
@@ -41,6 +42,56 @@ def test_the_row_of_real_pictures_asks_for_them(capsys: pytest.CaptureFixture[st
 
 def failing(_: Effort) -> Iterator[Figure]:
     yield Figure("depth", 3.0, "mm", 2.0)
+
+
+def empty(_: Effort) -> Iterator[Figure]:
+    yield from ()
+
+
+def impossible(_: Effort) -> Iterator[Figure]:
+    yield Figure("first", 1.0, "mm", 2.0)
+    raise CameraError("no camera here")
+
+
+@pytest.mark.parametrize("quick", [[], ["--quick"]])
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [("failing", "FAIL"), ("empty", "it gave no figure"), ("impossible", "no camera here")],
+)
+def test_what_failed_or_was_not_measured_says_so_and_fails(
+    function: str,
+    words: str,
+    quick: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    good = Row("good", "a row of this test", f"{__name__}:fine")
+    row = Row("mine", "a row of this test", f"{__name__}:{function}")
+    monkeypatch.setattr(bench_camera, "ALL_ROWS", (row, good))
+    file = tmp_path / "figures.json"
+    assert main(["bench", "camera", *quick, "--json", str(file)]) == 1
+    out = capsys.readouterr().out
+    assert words in out and "fine" in out, "the other rows are measured"
+    if function != "failing":
+        assert "; not measured: mine" in out
+        assert words in json.loads(file.read_text(encoding="utf-8"))["rows"]["mine"]["unmeasured"]
+    assert main(["bench", "camera", *quick, "--skip", "mine"]) == 0
+
+
+def fine(_: Effort) -> Iterator[Figure]:
+    yield Figure("fine", 1.0, "mm", 2.0)
+
+
+def test_real_pictures_that_are_not_there_are_not_left_out_in_silence(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (row,) = [row for row in bench_camera.ALL_ROWS if row.name == "photographs"]
+    monkeypatch.setattr(bench_camera, "ALL_ROWS", (row,))
+    assert main(["bench", "camera"]) == 1
+    assert "not measured: it needs photographs of yours" in capsys.readouterr().out
+    assert main(["bench", "camera", "--skip", "photographs"]) == 2
+    assert "no row is left" in capsys.readouterr().err
 
 
 def interrupted(_: Effort) -> Iterator[Figure]:

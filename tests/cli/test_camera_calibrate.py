@@ -50,6 +50,8 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
 class LiveBoard(DeviceSource):
     """A board before a camera, until somebody presses Ctrl-C."""
 
+    live = True
+
     def __init__(self, ends_with: BaseException, frames: int = 22, seed: int = 3) -> None:
         self._board = open_moving(f"synthetic:charuco?frames={frames}&seed={seed}")
         self._ends_with = ends_with

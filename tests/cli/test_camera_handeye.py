@@ -60,7 +60,9 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
     assert place.parent == "gripper"
     position, angle = place.pose_parent_camera.distance(CAMERA)
     assert position < 2e-3 and angle < np.deg2rad(0.25)
-    said = json.loads(robot_ik("camera", "handeye", "--samples", "some.samples.json", "--json").out)
+    said = json.loads(
+        robot_ik("camera", "handeye", "--samples", "some.samples.json", "--json", "--overwrite").out
+    )
     assert said["outliers"] == [6] and len(said["views"]) == 10 and said["true_error"] is None
     np.testing.assert_array_equal(said["camera"]["position"], place.pose_parent_camera.position)
 

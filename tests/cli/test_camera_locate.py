@@ -39,12 +39,23 @@ def _photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     STANDARD_CAMERA.save("camera.yaml")
 
 
-def test_pictures_that_contradict_each_other_are_told(robot_ik: Any) -> None:
+def test_nothing_is_written_when_all_pictures_are_doubted(robot_ik: Any) -> None:
     image = cv2.imread("shots/1.png")
     cv2.imwrite("shots/1.png", np.roll(image, 25, axis=1))  # the camera was knocked
     run = robot_ik("camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID)
-    assert run.code == 0 and "doubtful: in 2 of 2 pictures" in run.err
-    assert "camera or board moved" in run.err
+    assert run.code == 1 and "doubtful: in 2 of 2 pictures" in run.err
+    assert "camera or board moved" in run.err and "place.toml is not written" in run.err
+    assert run.out == "" and not Path("place.toml").exists()
+
+
+def test_one_picture_that_contradicts_the_others_is_told(robot_ik: Any) -> None:
+    image = cv2.imread("shots/1.png")
+    for number in range(3, 8):
+        cv2.imwrite(f"shots/{number}.png", image)
+    cv2.imwrite("shots/8.png", np.roll(image, 25, axis=1))
+    run = robot_ik("camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID)
+    assert run.code == 0 and "doubtful: in 1 of 8 pictures" in run.err, run
+    assert CameraPlace.load("place.toml").views == 8
 
 
 def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.ar.draw import Figure
-from robot_ik.camera.ar.registrar import Remedies
+from robot_ik.camera.ar.registrar import Registrar, Remedies, Shown
 from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
 from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.catalogue import catalogue
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import ar, ar_files
@@ -48,6 +49,7 @@ def request_for(tmp_path_factory: pytest.TempPathFactory) -> ArRequest:
         dictionary="DICT_4X4_50",
         scale=0.2,
         out=folder / "out",
+        overwrite=True,
     )
 
 
@@ -97,14 +99,17 @@ def test_a_run_that_fails_leaves_the_older_film(request_for: ArRequest, tmp_path
     with pytest.raises(ConfigError):
         run_ar(replace(request_for, out=tmp_path / "a.mp4", motion="dance"))
     assert (tmp_path / "a.mp4").read_bytes() == b"older"
+    with pytest.raises(OutputError, match="it exists"):
+        run_ar(replace(request_for, out=tmp_path / "a.mp4", overwrite=False))
+    assert (tmp_path / "a.mp4").read_bytes() == b"older"
 
 
 def test_without_the_extra_a_film_says_how_to_get_it(
     request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ar_files.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match="'av'"):
-        run_ar(replace(request_for, out=tmp_path / "a.mp4"))
+    with pytest.raises(MissingExtraError, match="'av'"):  # before anything is loaded
+        run_ar(replace(request_for, out=tmp_path / "a.mp4", robot="nowhere.xml"))
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         run_ar(replace(request_for, out=tmp_path / "file" / "a.png"))
@@ -132,6 +137,68 @@ def test_latest_shows_the_next_picture_and_remedies_bring_the_robot_there(
 def test_a_board_that_is_nowhere_is_an_error(request_for: ArRequest, tmp_path: Path) -> None:
     with pytest.raises(MarkerNotFoundError, match="none of 5"):
         run_ar(replace(request_for, board="marker:40:50", out=tmp_path / "o"))
+
+
+@pytest.mark.parametrize("name", sorted(catalogue()))
+def test_all_of_a_robot_is_in_the_pictures_of_the_stage(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    width, height = 640, 360
+    drawings, compose = [], Registrar.compose
+
+    def watched(*arguments: object) -> Shown:
+        made = compose(*arguments)  # type: ignore[arg-type]
+        assert made.drawing is not None
+        drawings.append(made.drawing.robot.mask(width, height))
+        return made
+
+    monkeypatch.setattr(Registrar, "compose", watched)
+    run_ar(ArRequest(robot=name, size=(width, height), seconds=0.1, out=tmp_path / "a.png"))
+    assert len(drawings) == 3
+    for mask in drawings:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        assert rows[0] > 0 and rows[-1] < height - 1 and columns[0] > 0 and columns[-1] < width - 1
+        assert rows[-1] - rows[0] > 0.4 * height or columns[-1] - columns[0] > 0.4 * width, "and fills them"
+
+
+def test_what_is_neither_film_nor_picture_nor_folder_is_an_error(
+    request_for: ArRequest, tmp_path: Path
+) -> None:
+    for name in ("a.gif", "a.webm", "a.csv"):
+        with pytest.raises(OutputError, match="of this kind") as told:
+            run_ar(replace(request_for, out=tmp_path / name))
+        assert ".mp4" in told.value.hint and ".png" in told.value.hint
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "run.1").mkdir()
+    assert run_ar(replace(request_for, out=tmp_path / "run.1")).file == tmp_path / "run.1"
+
+
+def test_pictures_of_an_earlier_run_are_kept_or_replaced_but_never_mixed(
+    request_for: ArRequest, tmp_path: Path
+) -> None:
+    folder, once = tmp_path / "o", replace(request_for, overwrite=False, out=tmp_path / "o")
+    run_ar(once)
+    (folder / "000777.png").write_bytes(b"older")
+    (folder / "notes.txt").write_text("mine")
+    before = {f.name: f.read_bytes() for f in folder.iterdir()}
+    with pytest.raises(OutputError, match=r"it holds 000000\.png, …") as told:
+        run_ar(once)
+    assert "--overwrite" in told.value.hint
+    with pytest.raises(ConfigError, match="dance"):  # it fails before its first picture
+        run_ar(replace(once, overwrite=True, motion="dance"))
+    assert {f.name: f.read_bytes() for f in folder.iterdir()} == before
+    run_ar(replace(once, overwrite=True))
+    assert sorted(before.keys() - {"000777.png"}) == sorted(f.name for f in folder.iterdir())
+
+
+def test_two_runs_at_once_into_one_folder_are_not_mixed(request_for: ArRequest, tmp_path: Path) -> None:
+    request = replace(request_for, out=tmp_path / "o")
+
+    def second(done: int, total: int) -> None:
+        with pytest.raises(OutputError, match="another run is writing"):
+            run_ar(request)
+
+    assert run_ar(request, second).pictures == COUNT == len(list((tmp_path / "o").iterdir()))
 
 
 def test_a_robot_out_of_view_is_told(request_for: ArRequest, tmp_path: Path) -> None:
@@ -166,7 +233,9 @@ def test_motions(request_for: ArRequest, tmp_path: Path) -> None:
 
 
 def test_the_synthetic_stage_and_a_marker_that_is_followed(tmp_path: Path) -> None:
-    request = ArRequest(motion="follow", size=(640, 480), seconds=1 / 30, out=tmp_path / "a.png")
+    request = ArRequest(
+        motion="follow", size=(640, 480), seconds=1 / 30, out=tmp_path / "a.png", overwrite=True
+    )
     report = run_ar(request)
     assert (report.pictures, report.drawn) == (1, 1)
     assert report.reprojection_px < 0.2

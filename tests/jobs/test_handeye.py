@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 class Drawn(ClosingSource):
     """A light camera: the markers of the scene where the servos' shafts put them, before a wall."""
 
+    live = True
     blind = False
 
     def __init__(self, scene: SyntheticScene, *places: Any, seed: int = 0, **rest: Any) -> None:

@@ -31,6 +31,7 @@ HIDDEN = {"joint1": 2.0, "joint2": -2.5, "joint3": 1.5, "joint4": -3.0, "joint5"
 class Drawn(ClosingSource):
     """A light camera: the markers of the scene where the servos' shafts put them, before a wall."""
 
+    live = True
     blind: tuple[int, ...] = ()
 
     def __init__(self, scene: SyntheticScene, true_q: Any, *, seed: int = 0, **rest: Any) -> None:
@@ -123,9 +124,7 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
 
     def opened(name: str, **rest: Any) -> Drawn:
         limbs = made[0]
-        source = Drawn(handeye_scene.stage_for(limbs.robot, limbs.frame).scene(limbs.robot), limbs.true_q)
-        source.live = True
-        return source
+        return Drawn(handeye_scene.stage_for(limbs.robot, limbs.frame).scene(limbs.robot), limbs.true_q)
 
     monkeypatch.setattr(cameras_request, "open_source", opened)
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"

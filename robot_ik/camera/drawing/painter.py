@@ -87,6 +87,15 @@ def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Po
     return rotation, np.asarray(data.geom_xpos) @ turn.T + camera.position
 
 
+def surface_points(model: mujoco.MjModel, qpos: ArrayLike) -> Array:
+    """Vertices (v, 3) of what is drawn of the model, in its world, metres."""
+    rotation, position = geom_placement(model, qpos, Pose())
+    mesh = cached_mesh(model)
+    points = np.empty_like(mesh.vertices)
+    vertices.place(mesh.vertices, mesh.vertex_geom, rotation[mesh.geoms], position[mesh.geoms], points)
+    return points
+
+
 def project(points: Array, intrinsics: CameraIntrinsics) -> tuple[Array, Array, Mask]:
     """Pixels (n, 2), one over depth (n,), and which of the points (n, 3) the lens can see."""
     pixels, inverse, within = np.empty((len(points), 2)), np.empty(len(points)), np.empty(len(points), bool)

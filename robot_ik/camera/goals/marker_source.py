@@ -16,7 +16,7 @@ from robot_ik.camera.goals.lost import WhenLost
 from robot_ik.camera.goals.one_euro import OneEuro
 from robot_ik.camera.goals.sight import Choice, Sight, goal_weight, sigmas_at
 from robot_ik.camera.pose import BodyObservation, MarkerObservation
-from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.track import MarkerTracker
 from robot_ik.errors import MarkerNotFoundError
 from robot_ik.geometry import Pose
@@ -31,8 +31,6 @@ Layout = Mapping[int, tuple[float, Pose]]
 
 # Without a new picture for this long the last goal is history.
 _MAX_AGE_S = 0.5
-# Pictures that were taken before do not tell where anything is now.
-_RECORDED = (ImageSource, FolderSource, VideoSource)
 
 
 class MarkerGoalSource:
@@ -108,7 +106,7 @@ class MarkerGoalSource:
         self.made, self.used = DelayMeter(), DelayMeter()
         self._choice = Choice(pose_marker_tool, normal)
         self._filter, self._each_alone = MotionFilter(motion), motion is None
-        self._predict = not isinstance(source, _RECORDED) if predict is None else predict
+        self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()
         self._clock = clock
         self._lock = threading.Lock()
@@ -137,9 +135,16 @@ class MarkerGoalSource:
             FrameTimeoutError: The source has ended or stopped.
             CalibrationError: The frames have not the size of the calibration.
         """
-        frame = self._new_frame(wait)
+        newest = None if wait else getattr(self.source, "newest", None)
+        frame: Frame | None = newest() if newest is not None else self.source.read()
         if frame is None:
             return
+        if self.last_frame is not None and frame.sequence == self.last_frame.sequence:
+            if not self.source.live:  # a photograph does not grow old; a camera that repeats itself is stuck
+                with self._lock:
+                    self._fresh_at = now
+            return
+        frame = frame.without_truth()
         seen = self._find(frame)
         done = now if self._clock is None else self._clock.now()  # looking may have taken long
         with self._lock:
@@ -157,7 +162,7 @@ class MarkerGoalSource:
         """
         with self._lock:
             self._begun = now if np.isnan(self._begun) else self._begun
-            if self.source.live and now - self._fresh_at > _MAX_AGE_S:
+            if now - self._fresh_at > _MAX_AGE_S:
                 self.last = self._sight = None
             if self._sight is None or self.last_frame is None:
                 return self._absent(now)
@@ -176,13 +181,6 @@ class MarkerGoalSource:
             return self._goal(self._sight, self.last_frame.time)
 
     # ------------------------------------------------------------------------------------ inside
-
-    def _new_frame(self, wait: bool) -> Frame | None:
-        newest = None if wait else getattr(self.source, "newest", None)
-        frame: Frame | None = newest() if newest is not None else self.source.read()
-        if frame is None or (self.last_frame is not None and frame.sequence == self.last_frame.sequence):
-            return None
-        return frame.without_truth()
 
     def _find(self, frame: Frame) -> MarkerObservation | BodyObservation | None:
         if not isinstance(self.marker, int):

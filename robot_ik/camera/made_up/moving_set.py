@@ -59,6 +59,9 @@ class MovingSource(ClosingSource):
         intrinsics: The camera's true ones.
     """
 
+    #: It shows no arm and goes on only when it is read, as a film does.
+    live = False
+
     def __init__(self, options: MovingOptions) -> None:
         self.options = options
         self.intrinsics: CameraIntrinsics = STANDARD_CAMERA

@@ -24,6 +24,7 @@ _OPEN_TIMEOUT_S = 10.0
 _CLOSE_TIMEOUT_S = 1.0
 # A camera drops a picture now and then; this many in a row mean that it is gone.
 _FAILURES_ALLOWED = 5
+_FRAME_COUNT = cv2.CAP_PROP_FRAME_COUNT
 # 29.97 is 30.
 _RATE_TOLERANCE = 0.95
 
@@ -61,6 +62,9 @@ class DeviceSource(ClosingSource):
         self.label = _label(device)
         self.timeout = timeout
         self._capture: Any = opener() if opener else _open(device)
+        # A film that a server holds has a length; what is sent as it happens has none.
+        is_film = isinstance(device, str) and "://" in device and self._capture.get(_FRAME_COUNT) > 0
+        self._live = not is_film
         if size is not None:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
@@ -77,6 +81,11 @@ class DeviceSource(ClosingSource):
         self._thread.start()
         self._check_first(size)
         self._check_rate(rate_hz)
+
+    @property
+    def live(self) -> bool:
+        """False for a URL that names a film."""
+        return self._live
 
     def _check_first(self, size: tuple[int, int] | None) -> None:
         with self._news:

@@ -9,10 +9,13 @@ from __future__ import annotations
 import dataclasses
 import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import cv2
 import numpy as np
@@ -66,12 +69,17 @@ class Frame:
 class FrameSource(Protocol):
     """Gives pictures one by one; a context manager.
 
-    Attributes:
-        live: Whether reading again looks again.  False for a photograph.
+    Every source says itself whether it is live, and what wraps a source passes that on: an arm is moved and
+    goals are predicted before a live one only.
     """
 
     @property
-    def live(self) -> bool: ...
+    def live(self) -> bool:
+        """Whether a picture shows what is there when it is read.
+
+        False for what is recorded or computed beforehand: photographs, folders, films, also over a network.
+        """
+        ...
 
     def read(self) -> Frame:
         """The next picture; the newest one where the source is a camera.
@@ -90,16 +98,21 @@ class FrameSource(Protocol):
     def __exit__(self, *exc: object) -> None: ...
 
 
-class ClosingSource:
+class ClosingSource(ABC):
     """What all sources share: context manager, and iteration up to the last picture."""
 
-    live = True
     size: tuple[int, int]
 
-    def read(self) -> Frame:
-        raise NotImplementedError
+    @property
+    @abstractmethod
+    def live(self) -> bool:
+        """See ``FrameSource``; no source is one without saying so."""
 
-    def close(self) -> None:
+    @abstractmethod
+    def read(self) -> Frame:
+        """See ``FrameSource``."""
+
+    def close(self) -> None:  # noqa: B027 - most sources hold nothing that must be closed
         """Nothing to let go of, unless a source says otherwise."""
 
     @property
@@ -145,6 +158,8 @@ class FolderSource(ClosingSource):
         rate_hz: Time stamps advance by its inverse.
     """
 
+    live = False
+
     def __init__(self, path: Path | str, rate_hz: float = _DEFAULT_RATE_HZ) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
@@ -178,6 +193,8 @@ class VideoSource(ClosingSource):
         real_time: Give each picture when its time has come, and skip those that a slow reader missed, as a
             camera would.
     """
+
+    live = False
 
     def __init__(self, path: Path | str, *, real_time: bool = False) -> None:
         self.path = Path(path)
@@ -268,7 +285,10 @@ def open_source(
     seconds = DEFAULT_TIMEOUT if timeout is None else timeout
     if text.isdigit():
         return DeviceSource(int(text), size=size, rate_hz=rate_hz, timeout=seconds)
-    if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text) or text.startswith("/dev/"):
+    if text.startswith("file://"):
+        text = url2pathname(urlsplit(text).path)
+    in_memory = text.startswith("/dev/") and Path(text).is_file()  # a file of /dev/shm is no device
+    if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text) or (text.startswith("/dev/") and not in_memory):
         return DeviceSource(text, size=size, rate_hz=rate_hz, timeout=seconds)
     source = _open_file(Path(text).expanduser(), text, real_time)
     if size is not None and source.size != size:

@@ -1,0 +1,60 @@
+"""robot_ik as a contestant beside other libraries."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_ik as rik
+from robot_ik.bench.peers.worker import Library, Task
+
+Array = NDArray[np.float64]
+
+#: Asked for a little more than what is judged: rounding must not decide.
+_MARGIN = 0.9
+
+
+class Auto(Library):
+    """The default: the closed form where the arm has one, else Levenberg-Marquardt."""
+
+    needs = ("robot_ik", "mujoco", "numba")
+    solver = "auto"
+
+    def setup(self, task: Task) -> bool:
+        """Builds the problem once; False where the method does not serve it."""
+        self._robot = rik.load_robot(task.folder / "model.xml")
+        self._sites = task.sites
+        tolerance = rik.Tolerance(position=_MARGIN * task.position, angle=_MARGIN * task.angle)
+        zero = (0.0, 0.0, 0.0)
+        goals: list[rik.Goal] = [rik.PoseGoal(task.sites[0], zero)]
+        if len(task.sites) > 1:
+            goals = [rik.PositionGoal(site, zero) for site in task.sites]
+        self._problem = rik.Problem(self._robot, goals, tolerance=tolerance)
+        self._method = rik.make_solver(self.solver)
+        self.settings = f"solver {self.solver}, its defaults; retarget and solve"
+        return self._method.applies(self._problem)
+
+    def solve(self, target: Array, start: Array) -> Array:
+        """The best found, inside the limits."""
+        if len(self._sites) == 1:
+            self._problem.retarget(target)
+        else:
+            for index, place in enumerate(target):
+                self._problem.retarget(place, index)
+        return self._method.solve(self._problem, start).q
+
+    def forward(self, q: Array) -> Array | None:
+        """By the compiled kinematics."""
+        return self._robot.forward(q, self._sites[0]).matrix if len(self._sites) == 1 else None
+
+
+class Numeric(Auto):
+    """Levenberg-Marquardt inside the limits, numeric only."""
+
+    solver = "lm"
+
+
+class ClosedForm(Auto):
+    """The closed form alone: out of reach it proves that, and looks for nothing nearest."""
+
+    solver = "analytic"

@@ -1,0 +1,273 @@
+"""A robot and its seeded problems, written so that any library can read them: MJCF, URDF, arrays."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.judge import Judge
+from robot_ik.bench.plain_model import plain_mjcf
+from robot_ik.bench.problems import ProblemSet, make_set
+from robot_ik.files import make_folder, plain, write_atomically
+from robot_ik.robot import Robot, load_robot
+
+Array = NDArray[np.float64]
+
+#: Asked of every library, m and rad.
+TIGHT = (1e-6, 1e-6)
+#: The arms, and the figure with four goals; each ends in these sites.
+ARMS = ("puma560", "ur5e", "panda")
+FIGURE = "humanoid"
+LIMBS = {
+    "left_palm": "left_hand",
+    "right_palm": "right_hand",
+    "left_foot": "left_foot",
+    "right_foot": "right_foot",
+}
+# Of the four goals: how far joints go, as a share of the way to random angles, and the base, m.
+_AWAY, _BASE_M, _POINTS_TOLERANCE = 0.5, 0.1, 1e-4
+_FAR, _PROBES = 30, 20
+_BASE = 7  # numbers of a free base in qpos
+
+
+def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
+    """Writes a robot and its problems.
+
+    Args:
+        name: Of ``ARMS``, or ``FIGURE``.
+        folder: Made where it does not exist.
+        count: Problems of a kind; 30 of those out of reach.
+        seed: The same gives the same numbers.
+    """
+    make_folder(folder)
+    robot = load_robot(name)
+    figure = name == FIGURE
+    model = mujoco.MjModel.from_xml_string(
+        written := plain_mjcf(robot, LIMBS if figure else {"ee": robot.tool})
+    )
+    write_atomically(folder / "model.xml", written)
+    write_atomically(folder / "model.urdf", urdf_of(model))
+    base = _BASE if model.nq > model.njnt else 0
+    hinges = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+    limits = np.where(
+        model.jnt_limited[hinges][:, None], model.jnt_range[hinges], (-2 * math.pi, 2 * math.pi)
+    )
+    facts = {
+        "robot": name,
+        "joints": [model.joint(j).name for j in hinges],
+        "lower": limits[:, 0],
+        "upper": limits[:, 1],
+        "home": robot.qpos(robot.home),
+        "sites": [model.site(k).name for k in range(model.nsite)],
+        "free_base": bool(base),
+        "frames": [] if base else frames_of(model),
+        "position": _POINTS_TOLERANCE if figure else TIGHT[0],
+        "angle": TIGHT[1],
+    }
+    write_atomically(folder / "task.json", json.dumps(plain(facts)))
+    arrays = _four_goals(robot, model, count, seed) if figure else _poses(robot, count, seed)
+    np.savez(folder / "problems.npz", **arrays)  # type: ignore[arg-type]
+    return folder
+
+
+# ------------------------------------------------------------------------------------------ problems
+
+
+def _poses(robot: Robot, count: int, seed: int) -> dict[str, Array]:
+    rng = np.random.default_rng([seed, 9])
+    found = {"probes": np.array([robot.sample(rng) for _ in range(_PROBES)])}
+    for kind, many in (("cold", count), ("warm", count), ("unreachable", _FAR)):
+        problems = make_set(kind, robot, many, seed)
+        found[f"{kind}_targets"], found[f"{kind}_starts"] = problems.targets, _starts(problems)
+    for kind, fixed in _singular(robot).items():
+        angles = np.array([robot.sample(rng) for _ in range(max(count // 10, _PROBES))])
+        for joint, angle in fixed.items():
+            angles[:, robot.joints.index(joint)] = angle
+        judge = Judge(robot)
+        found[f"{kind}_targets"] = np.array([judge.pose(q) for q in angles])
+        found[f"{kind}_starts"] = np.repeat(robot.home[None], len(angles), axis=0)
+    return found
+
+
+def _starts(problems: ProblemSet) -> Array:
+    """All from home; on a path, from the joint angles of the pose before, the same for every library."""
+    if problems.tracking:
+        return np.concatenate([problems.first[None], problems.witnesses[:-1]])
+    return np.repeat(problems.first[None], len(problems), axis=0)
+
+
+def _singular(robot: Robot) -> dict[str, dict[str, float]]:
+    """Joint angles at which the PUMA is exactly singular: axes 4 and 6 in line; the arm stretched."""
+    if robot.name != "puma560":
+        return {}
+
+    def far(angle: float) -> float:
+        q = robot.home.copy()
+        q[2] = angle
+        away = robot.forward(q, "flange").position - robot.forward(q, "link2").position
+        return float(away @ away)
+
+    # The distance squared is c + a cos + b sin of the angle: three values give its maximum.
+    zero, quarter, half = far(0.0), far(0.5 * math.pi), far(math.pi)
+    middle = 0.5 * (zero + half)
+    stretched = math.atan2(quarter - middle, zero - middle)
+    return {"wrist": {robot.joints[4]: 0.0}, "elbow": {robot.joints[2]: stretched}}
+
+
+def _four_goals(robot: Robot, model: mujoco.MjModel, count: int, seed: int) -> dict[str, Array]:
+    """Positions (n, 4, 3) of hands and feet at random joint angles, and along a smooth path."""
+    rng, sites = np.random.default_rng([seed, 4]), Sites(model)
+    home = np.asarray(robot.qpos(robot.home))
+    lower, upper = sites.lower, sites.upper
+    cold = np.repeat(home[None], count, axis=0)
+    cold[:, _BASE:] += _AWAY * (rng.uniform(lower, upper, (count, len(lower))) - home[_BASE:])
+    cold[:, :3] += rng.uniform(-_BASE_M, _BASE_M, (count, 3))
+    pace, phase = rng.uniform(0.5, 1.5, len(lower)), rng.uniform(0.0, 2.0 * math.pi, len(lower))
+    swing = 0.15 * np.minimum(upper - lower, 2.0)
+    middle = np.clip(home[_BASE:], lower + swing, upper - swing)
+    warm = np.repeat(home[None], count + 1, axis=0)
+    times = 0.01 * np.arange(count + 1)[:, None]
+    warm[:, _BASE:] = middle + swing * np.sin(pace * times + phase)
+    return {
+        "probes": np.empty((0, len(home))),
+        "cold_targets": np.array([sites.positions(q) for q in cold]),
+        "cold_starts": np.repeat(home[None], count, axis=0),
+        "warm_targets": np.array([sites.positions(q) for q in warm[1:]]),
+        "warm_starts": warm[:-1],
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """Where MuJoCo has the sites of a plain model, and the limits of its hinges."""
+
+    model: mujoco.MjModel
+
+    @property
+    def lower(self) -> Array:
+        """(n,) of the hinges, rad."""
+        return np.array(self.model.jnt_range[self.model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE, 0])
+
+    @property
+    def upper(self) -> Array:
+        """(n,) likewise."""
+        return np.array(self.model.jnt_range[self.model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE, 1])
+
+    def positions(self, q: Array) -> Array:
+        """(sites, 3) at ``q`` (nq,)."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, data)
+        return np.array(data.site_xpos)
+
+    def poses(self, q: Array) -> Array:
+        """(sites, 4, 4) at ``q`` (nq,)."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, data)
+        found = np.tile(np.eye(4), (self.model.nsite, 1, 1))
+        found[:, :3, :3] = data.site_xmat.reshape(-1, 3, 3)
+        found[:, :3, 3] = data.site_xpos
+        return found
+
+
+# ------------------------------------------------------------------------------------- descriptions
+
+
+def frames_of(model: mujoco.MjModel) -> Array:
+    """(n + 1, 4, 4) transforms of a plain chain: from the base to the first axis z, …, to the site."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    before, found = np.eye(4), []
+    for point, axis in zip(data.xanchor, data.xaxis, strict=True):
+        here = np.eye(4)
+        here[:3, :3], here[:3, 3] = _along(axis), point
+        found.append(np.linalg.inv(before) @ here)
+        before = here
+    found.append(np.linalg.inv(before) @ Sites(model).poses(data.qpos)[0])
+    return np.array(found)
+
+
+def _along(axis: Array) -> Array:
+    """A rotation (3, 3) whose z is ``axis``."""
+    aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(aside, axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], axis=1)
+
+
+def urdf_of(model: mujoco.MjModel) -> str:
+    """URDF text of a plain model: one hinge a body at the body's origin; sites become links of their own.
+
+    A robot on the ground starts at a link ``base``, one that floats at its floating body.
+    """
+    robot = ElementTree.Element("robot", name="plain")
+    floating = int(model.jnt_type[0]) == mujoco.mjtJoint.mjJNT_FREE
+    if not floating:
+        ElementTree.SubElement(robot, "link", name="base")
+
+    def name_of(body: int) -> str:
+        return "base" if body == 0 else str(model.body(body).name)
+
+    for body in range(1, model.nbody):
+        _link(robot, name_of(body))
+        if floating and body == 1:
+            continue
+        joint = int(model.body_jntadr[body])
+        lower, upper = model.jnt_range[joint] if model.jnt_limited[joint] else (-2 * math.pi, 2 * math.pi)
+        made = _joint(
+            robot, model.joint(joint).name, "revolute", name_of(int(model.body_parentid[body])),
+            name_of(body), model.body_pos[body], model.body_quat[body],
+        )  # fmt: skip
+        ElementTree.SubElement(made, "axis", xyz=_numbers(model.jnt_axis[joint]))
+        ElementTree.SubElement(
+            made, "limit", lower=repr(float(lower)), upper=repr(float(upper)), effort="100", velocity="100"
+        )
+    for k in range(model.nsite):
+        site = model.site(k).name
+        _link(robot, site)
+        parent = name_of(int(model.site_bodyid[k]))
+        _joint(robot, f"to_{site}", "fixed", parent, site, model.site_pos[k], model.site_quat[k])
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def _link(robot: ElementTree.Element, name: str) -> None:
+    inertial = ElementTree.SubElement(ElementTree.SubElement(robot, "link", name=name), "inertial")
+    ElementTree.SubElement(inertial, "mass", value="1")
+    ElementTree.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
+    zero = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    ElementTree.SubElement(inertial, "inertia", {"ixx": "0.01", "iyy": "0.01", "izz": "0.01", **zero})
+
+
+def _joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str, position: Array, wxyz: Array
+) -> ElementTree.Element:
+    made = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(made, "parent", link=parent)
+    ElementTree.SubElement(made, "child", link=child)
+    ElementTree.SubElement(made, "origin", xyz=_numbers(position), rpy=_numbers(roll_pitch_yaw(wxyz)))
+    return made
+
+
+def roll_pitch_yaw(wxyz: Array) -> Array:
+    """(3,) of a URDF: turns about fixed x, then y, then z."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, np.asarray(wxyz, dtype=float))
+    r = flat.reshape(3, 3)
+    pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
+    if math.hypot(r[0, 0], r[1, 0]) < 1e-9:  # only the sum of roll and yaw counts
+        return np.array([0.0, pitch, math.atan2(-r[0, 1], r[1, 1])])
+    return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,55 @@
+"""What the pages say of the camera is what docs/camera.json holds, and each figure stands on one place."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import types
+from pathlib import Path
+
+import pytest
+
+from robot_ik.camera.ar.registration import remedy_errors
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def pages() -> types.ModuleType:
+    spec = importlib.util.spec_from_file_location("make_camera_figures", DOCS / "make_camera_figures.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_pages_say_what_was_measured(pages: types.ModuleType) -> None:
+    used = set()
+    for page in pages.PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert pages.filled(text) == text, f"{page.name} is out of date: python docs/make_camera_figures.py"
+        used |= {m[2] for m in pages.PLACE.finditer(text)}
+    assert used == set(pages.TABLES)
+
+
+def test_the_overlays_error_stands_in_the_generated_tables_only(pages: types.ModuleType) -> None:
+    for page in pages.PAGES:
+        told = pages.PLACE.sub("", page.read_text(encoding="utf-8"))
+        assert not re.search(r"\b0\.\d+ px\b.*(overlay|robot on a board)", told), page.name
+        assert not re.search(r"(overlay|robot on a board).*\b0\.\d+ px\b", told), page.name
+
+
+def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleType) -> None:
+    data = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))
+    for row in pages.ALL_ROWS:
+        if row.name not in data["rows"]:
+            assert f"| **{row.about}** | not measured | |" in (DOCS / "camera.md").read_text(encoding="utf-8")
+
+
+def test_the_remedies_are_those_of_today() -> None:
+    told = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))["remedies"]
+    found = remedy_errors()
+    assert list(found) == list(told)
+    for name, (rms, worst) in told.items():
+        assert (found[name].rms, found[name].worst) == pytest.approx((rms, worst), rel=0.02, abs=0.02), name

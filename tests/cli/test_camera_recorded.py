@@ -1,0 +1,100 @@
+"""A recording is never a live camera: no arm moves before it, and the wire to its servos stays silent."""
+
+from __future__ import annotations
+
+import os
+import threading
+import tty
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.handeye.places import CameraPlace
+from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.geometry import Pose
+
+
+@dataclass
+class Wire:
+    """A serial line at whose other end nobody answers, and all that was sent over it."""
+
+    port: str
+    sent: bytearray = field(default_factory=bytearray)
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    """The line; its bytes are complete once the command has ended, since a pty does not delay them."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    found = Wire(os.ttyname(slave))
+
+    def listen() -> None:
+        while True:
+            try:
+                data = os.read(master, 4096)
+            except OSError:
+                return
+            if not data:
+                return
+            found.sent.extend(data)
+
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
+    yield found
+    os.close(slave)
+    thread.join(2.0)
+    os.close(master)
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> dict[str, str]:
+    """The same pictures as a photograph, a folder, a film, and a film named by its URL."""
+    picture = np.full((480, 640, 3), 90, np.uint8)
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for number in range(4):
+        cv2.imwrite(str(folder / f"{number}.png"), picture)
+    film = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (640, 480))
+    for _ in range(30):
+        writer.write(picture)
+    writer.release()
+    return {
+        "photograph": str(folder / "0.png"),
+        "folder": str(folder),
+        "film": str(film),
+        "url": film.as_uri(),
+        "computed": "synthetic:orbit",
+    }
+
+
+@pytest.mark.parametrize("kind", ["photograph", "folder", "film", "url", "computed"])
+@pytest.mark.parametrize("command", ["handeye", "verify"])
+def test_a_recording_is_refused_while_the_bus_stays_silent(
+    robot_ik: Any, tmp_path: Path, wire: Wire, recordings: dict[str, str], command: str, kind: str
+) -> None:
+    lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
+    STANDARD_CAMERA.save(lens)
+    CameraPlace(
+        Pose((0.5, 0.0, 0.8)), "world", 1e-6 * np.eye(6), 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
+    ).save(place)
+    rest = ["--camera-place", place] if command == "verify" else []
+    run = robot_ik(
+        "camera", command, "--robot", "tabletop_puma", "--bus", wire.port, "--camera", recordings[kind],
+        "--intrinsics", lens, "--board", "marker:7:50", "--out", tmp_path / "result.json", *rest,
+    )  # fmt: skip
+    run.assert_one_screen_error()
+    assert "recorded pictures do not show this arm" in run.err and "--samples" in run.err
+    assert bytes(wire.sent) == b""
+    assert not (tmp_path / "result.json").exists()
+
+
+def test_the_wire_would_have_heard_an_arm_that_is_opened(robot_ik: Any, wire: Wire) -> None:
+    run = robot_ik("servo", "scan", "--bus", wire.port, "--baud", "1000000")
+    assert run.code != 0 and bytes(wire.sent).startswith(b"\xff\xff\xfd\x00"), run
