@@ -111,7 +111,7 @@ def measured_calibration(
         leader = servo.id if servo.shadow_of is None else servo.shadow_of  # whose goals it takes
         direction = measured.directions[leader]
         turned = replace(servo, direction=direction)
-        zero = measured.zero[leader] - round(turned.ticks_per_radian * measured.pose[servo.name])
+        zero = measured.zero[leader] - (turned.to_ticks(measured.pose[servo.name]) - turned.zero_ticks)
         lower, upper = (q / servo.per_unit for q in measured.limits[servo.name])
         rows.append(
             JointCalibration(
@@ -224,8 +224,14 @@ def _differences(
 ) -> list[tuple[str, str, str, str]]:
     """(joint, what, expected, found) of what differs at one joint; ``limits``: of the model now, rad."""
     pairs = [(key, getattr(row, key), getattr(joint, key)) for key in _IN_ARM_FILE]
-    pairs += [(key, getattr(row, key), servo[key]) for key in ("drive_mode", "homing_offset")]
+    # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
+    # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); its place is compared with that servo's at torque on.
+    shadow = joint.shadow_of is not None
+    registers = ("drive_mode",) if shadow else ("drive_mode", "homing_offset")
+    pairs += [(key, getattr(row, key), servo[key]) for key in registers]
     rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
+    if shadow:
+        return rows
     present = servo["present_position"]
     if joint.mode == OperatingMode.POSITION:
         present %= TICKS_PER_TURN

@@ -16,9 +16,9 @@ from robot_ik.files import read_text, write_atomically
 from robot_ik.hardware.config_check import check_arm
 from robot_ik.hardware.config_file import ArmFile, JointFile, SlideFile, arm_file_text, parse_arm_file
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import ARM, MODES, JointMap, Twin
+from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, StopAt, SwingArm, Twin
 
-__all__ = ["MAX_SERVOS", "MODES", "ArmConfig", "JointMap", "Twin"]
+__all__ = ["MAX_SERVOS", "MODES", "ArmConfig", "Gains", "JointMap", "StopAt", "SwingArm", "Twin"]
 
 Array = NDArray[np.float64]
 
@@ -224,6 +224,7 @@ def _joint_map(j: JointFile) -> JointMap:
     lower, upper, velocity, acceleration = (
         one * getattr(j, f"{key}_{unit}") for key in ("lower", "upper", "velocity", "acceleration")
     )
+    profile = [getattr(j, f"profile_{key}_{unit}") for key in ("velocity", "acceleration")]
     return JointMap(
         name=j.name,
         id=j.id,
@@ -238,6 +239,17 @@ def _joint_map(j: JointFile) -> JointMap:
         acceleration=acceleration,
         current=j.current_ma,
         twin=None if j.twin is None else Twin(**j.twin.model_dump()),
-        pinion=1e-3 * j.pinion_mm if isinstance(j, SlideFile) else None,
+        pinion=1e-3 * j.pinion_mm if isinstance(j, SlideFile) and j.pinion_mm else None,
         group=j.group,
+        reverse=j.reverse,
+        swing=_swing(j) if isinstance(j, SlideFile) else None,
+        gains=Gains(**j.gains.model_dump()),
+        current_limit=j.current_limit_ma,
+        profile_velocity=None if profile[0] is None else one * profile[0],
+        profile_acceleration=None if profile[1] is None else one * profile[1],
+        stop_at=StopAt(**j.stop_at.model_dump()),
     )
+
+
+def _swing(j: SlideFile) -> SwingArm | None:
+    return SwingArm(1e-3 * j.horn_mm, 1e-3 * j.rod_mm) if j.horn_mm and j.rod_mm else None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.control_table import ControlTable, OperatingMode, control_table
-from robot_ik.hardware.joint_map import MODE_TICKS, JointMap
+from robot_ik.hardware.joint_map import JointMap
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -39,7 +39,9 @@ def check_arm(config: ArmConfig, file: Path | str) -> None:
             if servo.id in ids:
                 raise ConfigError(f"id {servo.id} is already {ids[servo.id]}", file=file, key=f"{place}.id")
             ids[servo.id] = place
-        _check_current(joint, table, at, file)
+        _check_currents(joint, table, at, file)
+        _check_stops(joint, table, at, file)
+        _check_caps(joint, at, file)
         _check_range(joint, at, file)
 
 
@@ -78,24 +80,72 @@ def _check_model(config: ArmConfig, joint: JointMap, table: ControlTable, at: st
         )
 
 
-def _check_current(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
-    if joint.current is None:
-        return
-    if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
+def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
+    unit = current_unit(table)
+    limits = (("current_limit_ma", joint.current_limit), ("stop_at.current_ma", joint.stop_at.current_ma))
+    if not unit and any(value is not None for _, value in limits):
         raise ConfigError(
-            f"mode {joint.mode.name.lower()} of {joint.name!r} takes no current",
+            f"{joint.model} measures no current",
             file=file,
-            key=f"{at}.current_ma",
-            allowed='mode = "current_based_position"',
+            key=f"{at}.{next(key for key, value in limits if value is not None)}",
+            allowed="a model that does; load_percent in [joints.stop_at] for this one",
         )
-    most = table["goal_current"].maximum * current_unit(table)
-    if not current_unit(table) <= joint.current <= most:
+    most = table["goal_current"].maximum * unit if unit else 0.0
+    if joint.current is not None:
+        if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
+            raise ConfigError(
+                f"mode {joint.mode.name.lower()} of {joint.name!r} takes no current",
+                file=file,
+                key=f"{at}.current_ma",
+                allowed='mode = "current_based_position"',
+            )
+        limits += (("current_ma", joint.current),)
+    for key, value in limits:
+        ceiling = most if key == "current_limit_ma" or joint.current_limit is None else joint.current_limit
+        if value is not None and not unit <= value <= ceiling:
+            raise ConfigError(
+                f"{value:g} mA is no current of a {joint.model}"
+                + (f" limited to {ceiling:g} mA" if ceiling < most else ""),
+                file=file,
+                key=f"{at}.{key}",
+                allowed=f"{unit:g} to {ceiling:g}",
+            )
+
+
+def _check_stops(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
+    """Thresholds that a servo can say something about, and below what shuts it down."""
+    stop = joint.stop_at
+    if stop.load_percent is not None and "present_load" not in table:
         raise ConfigError(
-            f"{joint.current:g} mA is no current of a {joint.model}",
+            f"{joint.model} measures its current, and no load",
             file=file,
-            key=f"{at}.current_ma",
-            allowed=f"{current_unit(table):g} to {most:g}",
+            key=f"{at}.stop_at.load_percent",
+            allowed="current_ma",
         )
+    hottest = table["temperature_limit"].initial or 0
+    if stop.temperature_c is not None and not stop.temperature_c < hottest:
+        raise ConfigError(
+            f"a {joint.model} has shut down at {stop.temperature_c:g} C",
+            file=file,
+            key=f"{at}.stop_at.temperature_c",
+            allowed=f"< {hottest}, its Temperature Limit",
+        )
+
+
+def _check_caps(joint: JointMap, at: str, file: Path | str) -> None:
+    """Caps are finite, and the servo's own profile does not cut them."""
+    for key in ("velocity", "acceleration"):
+        cap, own = getattr(joint, key), getattr(joint, f"profile_{key}")
+        if not 0.0 < cap < math.inf:
+            at_key = f"{at}.{key}_{joint.unit}"
+            raise ConfigError(f"{cap} is no cap", file=file, key=at_key, allowed="a number > 0")
+        if own is not None and not cap <= own < math.inf:
+            raise ConfigError(
+                f"the servo of {joint.name!r} could not follow: its profile is slower than the joint's cap",
+                file=file,
+                key=f"{at}.profile_{key}_{joint.unit}",
+                allowed=f">= {key}_{joint.unit} = {cap / joint.per_unit:g}",
+            )
 
 
 def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
@@ -107,13 +157,17 @@ def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
             key=f"{at}.lower_{joint.unit}",
             allowed=f"lower_{joint.unit} < upper_{joint.unit}",
         )
-    for key, value in (("velocity", joint.velocity), ("acceleration", joint.acceleration)):
-        if not 0.0 < value < math.inf:
-            at_key = f"{at}.{key}_{joint.unit}"
-            raise ConfigError(f"{value} is no cap", file=file, key=at_key, allowed="a number > 0")
+    if joint.swing is not None and not joint.reach[0] <= joint.lower < joint.upper <= joint.reach[1]:
+        raise ConfigError(
+            f"a horn of {1e3 * joint.swing.horn:g} mm and a rod of {1e3 * joint.swing.rod:g} mm do not take "
+            f"{joint.name!r} from {joint.text(joint.lower, 2)} to {joint.text(joint.upper, 2)}",
+            file=file,
+            key=f"{at}.lower_mm" if joint.lower < joint.reach[0] else f"{at}.upper_mm",
+            allowed="{:.2f} to {:.2f} mm".format(*(q / joint.per_unit for q in joint.reach)),
+        )
     lower, upper = joint.limits
     if not lower < upper:
-        ends = sorted(joint.to_radians(t) / joint.per_unit for t in MODE_TICKS[joint.mode])
+        ends = [q / joint.per_unit for q in joint.reach]
         raise ConfigError(
             f"nothing of the range of {joint.name!r} can be reached in mode {joint.mode.name.lower()}",
             file=file,
@@ -121,3 +175,12 @@ def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
             allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}",
             hint='use mode = "extended_position", or another zero_ticks',
         )
+    for servo in joint.servos:
+        first, last = servo.ticks_range
+        if first > last or upper - lower < joint.resolution:
+            raise ConfigError(
+                f"the range of {joint.name!r} is narrower than one tick of its servo",
+                file=file,
+                key=f"{at}.lower_{joint.unit}",
+                allowed=f"at least {joint.text(joint.resolution, 4)} from lower to upper",
+            )

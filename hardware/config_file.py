@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
@@ -27,6 +27,7 @@ WATCHDOG_MAX_MS = 127 * WATCHDOG_STEP_MS
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Word = Annotated[str, Field(min_length=1)]
+_Gain = Annotated[int, Field(ge=0, le=16383)]
 
 
 class _Table(BaseModel):
@@ -52,6 +53,27 @@ class TwinFile(_Table):
     direction: Literal[1, -1] = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
     shadow: bool = False
+    reverse: bool | None = None
+
+
+class GainsFile(_Table):
+    """Table ``[joints.gains]``: register values of the servo's position controller."""
+
+    position_p: _Gain | None = None
+    position_i: _Gain | None = None
+    position_d: _Gain | None = None
+    velocity_p: _Gain | None = None
+    velocity_i: _Gain | None = None
+    feedforward_1: _Gain | None = None
+    feedforward_2: _Gain | None = None
+
+
+class StopAtFile(_Table):
+    """Table ``[joints.stop_at]``: where the arm stops before the servo shuts down."""
+
+    load_percent: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    current_ma: _Positive | None = None
+    temperature_c: _Positive | None = None
 
 
 class JointFile(_Table):
@@ -64,9 +86,13 @@ class JointFile(_Table):
     direction: Literal[1, -1] = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
     ratio: _Positive = 1.0
+    reverse: bool = False
     current_ma: _Positive | None = None
+    current_limit_ma: _Positive | None = None
     group: _Word = ARM
     twin: TwinFile | None = None
+    gains: GainsFile = GainsFile()
+    stop_at: StopAtFile = StopAtFile()
 
 
 class HingeFile(JointFile):
@@ -76,16 +102,22 @@ class HingeFile(JointFile):
     upper_deg: _Finite
     velocity_deg: _Positive
     acceleration_deg: _Positive
+    profile_velocity_deg: _Positive | None = None
+    profile_acceleration_deg: _Positive | None = None
 
 
 class SlideFile(JointFile):
-    """A joint that slides on a rack: a pinion of this radius moves it."""
+    """A joint that slides: a pinion of this radius moves it on a rack, or a horn and a rod do."""
 
-    pinion_mm: _Positive
+    pinion_mm: _Positive | None = None
+    horn_mm: _Positive | None = None
+    rod_mm: _Positive | None = None
     lower_mm: _Finite
     upper_mm: _Finite
     velocity_mm: _Positive
     acceleration_mm: _Positive
+    profile_velocity_mm: _Positive | None = None
+    profile_acceleration_mm: _Positive | None = None
 
 
 def _kind(table: Any) -> str:
@@ -94,6 +126,7 @@ def _kind(table: Any) -> str:
 
 
 _JOINT_FILES: Mapping[str, type[JointFile]] = {"hinge": HingeFile, "slide": SlideFile}
+_PART_FILES: Mapping[str, type[_Table]] = {"twin": TwinFile, "gains": GainsFile, "stop_at": StopAtFile}
 _AnyJoint = Annotated[
     Annotated[HingeFile, Tag("hinge")] | Annotated[SlideFile, Tag("slide")], Discriminator(_kind)
 ]
@@ -131,7 +164,28 @@ def parse_arm_file(text: str, file: Path | str) -> ArmFile:
             key="bus.baud",
             allowed=", ".join(map(str, BAUD_RATES.values())),
         )
+    for k, joint in enumerate(arm.joints):
+        if isinstance(joint, SlideFile):
+            _check_gear(joint, f"joints[{k}]", file)
     return arm
+
+
+def _check_gear(slide: SlideFile, at: str, file: Path | str) -> None:
+    """A pinion, or a horn and a rod that is at least as long."""
+    pair = (slide.horn_mm, slide.rod_mm)
+    allowed = "pinion_mm alone (a rack), or horn_mm and rod_mm (a swing arm)"
+    if slide.pinion_mm is not None and pair != (None, None):
+        raise ConfigError(f"two gears move {slide.name!r}", file=file, key=f"{at}.pinion_mm", allowed=allowed)
+    if slide.pinion_mm is None and None in pair:
+        key = "rod_mm" if slide.horn_mm else "horn_mm" if slide.rod_mm else "pinion_mm"
+        raise ConfigError("this key is missing", file=file, key=f"{at}.{key}", allowed=allowed)
+    if slide.horn_mm and slide.rod_mm and slide.rod_mm < slide.horn_mm:
+        raise ConfigError(
+            f"a rod of {slide.rod_mm:g} mm on a horn of {slide.horn_mm:g} mm gets stuck",
+            file=file,
+            key=f"{at}.rod_mm",
+            allowed=f">= {slide.horn_mm:g}",
+        )
 
 
 def first_slip(error: ValidationError) -> ErrorDetails:
@@ -169,7 +223,8 @@ def _model(location: tuple[int | str, ...]) -> type[_Table]:
     if not location:
         return ArmFile
     if location[0] == "joints":
-        return TwinFile if "twin" in location else _JOINT_FILES[str((*location, "", "hinge")[2] or "hinge")]
+        parts = [_PART_FILES[part] for part in location[3:4] if isinstance(part, str) and part in _PART_FILES]
+        return parts[0] if parts else _JOINT_FILES[str((*location, "", "hinge")[2] or "hinge")]
     return BusFile if location[0] == "bus" else ArmFile
 
 
@@ -195,7 +250,11 @@ def _limits(location: tuple[int | str, ...]) -> str:
     """The range of a numeric key in words, e.g. ``0..252``; empty for other keys."""
     field = _model(location[:-1]).model_fields.get(str(location[-1]))
     found: dict[str, Any] = {}
-    for item in field.metadata if field else ():
+    metadata = list(field.metadata) if field else []
+    for choice in get_args(field.annotation) if field else ():  # of a key that may be left out
+        for info in getattr(choice, "__metadata__", ()):
+            metadata += info.metadata
+    for item in metadata:
         for name in ("gt", "ge", "le", "multiple_of"):
             if getattr(item, name, None) is not None:
                 found[name] = getattr(item, name)
@@ -234,25 +293,38 @@ def arm_file_text(config: ArmConfig) -> str:
             "direction": joint.direction,
             "zero_ticks": joint.zero_ticks,
             "ratio": joint.ratio,
+            **({"reverse": True} if joint.reverse else {}),
             **({} if joint.group == ARM else {"group": joint.group}),
-            **({} if joint.pinion is None else {"pinion_mm": round(1e3 * joint.pinion, 9)}),
+            **_gear(joint),
             f"lower_{unit}": _number(joint, max(joint.lower, joint.limits[0])),
             f"upper_{unit}": _number(joint, min(joint.upper, joint.limits[1])),
             f"velocity_{unit}": _number(joint, joint.velocity),
             f"acceleration_{unit}": _number(joint, joint.acceleration),
         }
-        if joint.current is not None:
-            values["current_ma"] = joint.current
+        for key in ("velocity", "acceleration"):
+            if (own := getattr(joint, f"profile_{key}")) is not None:
+                values[f"profile_{key}_{unit}"] = _number(joint, own)
+        values |= {"current_ma": joint.current, "current_limit_ma": joint.current_limit}
         lines += ["", "[[joints]]", *_rows(values)]
-        if joint.twin is not None:
-            lines += ["", "[joints.twin]", *_rows(asdict(joint.twin))]
+        for name in _PART_FILES:
+            part = getattr(joint, name)
+            if part is not None and (rows := _rows(asdict(part))):
+                lines += ["", f"[joints.{name}]", *rows]
     return "\n".join(lines) + "\n"
 
 
+def _gear(joint: JointMap) -> dict[str, float]:
+    gear = {"pinion_mm": joint.pinion} if joint.pinion is not None else {}
+    if joint.swing is not None:
+        gear = {"horn_mm": joint.swing.horn, "rod_mm": joint.swing.rod}
+    return {key: round(1e3 * metres, 9) for key, metres in gear.items()}
+
+
 def _rows(values: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {json.dumps(value)}" for key, value in values.items()]
+    """Those that are given."""
+    return [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
 
 
 def _number(joint: JointMap, value: float) -> float:
     """Degrees or millimetres without the tail of a binary conversion (160.00000000000003)."""
-    return round(math.degrees(value) if joint.pinion is None else 1e3 * value, 12)
+    return round(1e3 * value if joint.slides else math.degrees(value), 12)

@@ -114,8 +114,7 @@ class Cycle:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
             angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)
             self.goals = {
-                servo.id: servo.to_ticks(angle)
-                for servo, angle in zip(self._config.servos, angles, strict=True)
+                servo.id: servo.goal(angle) for servo, angle in zip(self._config.servos, angles, strict=True)
             }
             self.reports.count(report)
         self._measure(start, {s.id: (self._goal, self.goals[s.id]) for s in self._written})

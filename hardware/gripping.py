@@ -99,15 +99,15 @@ class Gripping(ArmBase):
 
     def _come_to_rest(self, goals: Mapping[str, float]) -> Callable[[], bool]:
         """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
-        still = {name: STILL_TICKS * self.config.joint(name).resolution for name in goals}
+        joints = [self.config.joint(name) for name in goals]
         last, since = dict.fromkeys(goals, math.inf), self.clock.now()
 
         def at_rest() -> bool:
             nonlocal last, since
             now, at = self.clock.now(), self.positions()
             sent = dict(zip(self.config.whole.names, self._cycle.limits.q, strict=True))
-            moving = any(abs(at[name] - last[name]) > still[name] for name in goals)
-            if moving or any(abs(sent[name] - goals[name]) > still[name] for name in goals):
+            moving = any(not j.ticks_between(at[j.name], last[j.name]) <= STILL_TICKS for j in joints)
+            if moving or any(j.ticks_between(sent[j.name], goals[j.name]) > STILL_TICKS for j in joints):
                 last, since = at, now
             return now - since >= REST
 
@@ -115,9 +115,7 @@ class Gripping(ArmBase):
 
     def _report(self, joint: JointMap, asked: float) -> Grip:
         q = self.positions()[joint.name]
-        return Grip(
-            joint.name, asked, q, abs(q - asked) > HELD_TICKS * joint.resolution, self._current(joint)
-        )
+        return Grip(joint.name, asked, q, joint.ticks_between(q, asked) > HELD_TICKS, self._current(joint))
 
     def _current(self, joint: JointMap) -> float | None:
         if "present_current" not in joint.table:

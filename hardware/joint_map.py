@@ -1,16 +1,20 @@
 """One joint and its servo: the only change between radians (metres, where a joint slides) and ticks.
 
-``ticks = zero_ticks + direction * ratio * q / lever / (2 pi) * 4096``; ``lever`` is 1 for a hinge and the
-radius of the pinion, in metres, for a slide on a rack.  Outside this package angles are radians, ways metres.
+``ticks = zero_ticks + direction * ratio * angle / (2 pi) * 4096``; the angle of the last gear is q of a hinge,
+q over the radius of the pinion of a slide on a rack, and ``SwingArm.angle(q)`` of a finger on a horn and a rod.
+Outside this package angles are radians, ways metres.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 from robot_ik.hardware.control_table import (
     MULTI_TURN_TICKS,
+    RADIANS_PER_TICK,
     TICKS_PER_TURN,
     ControlTable,
     OperatingMode,
@@ -30,8 +34,130 @@ MODE_TICKS = {
 }
 """Operating mode -> smallest and largest goal, ticks."""
 
+HOMING_ONE_TURN = TICKS_PER_TURN // 4
+"""Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it
+(ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md)."""
+HOMING_CURES = (
+    'mode = "extended_position" (the offset counts there); or Homing Offset 0 in the servo, and the zero in '
+    "zero_ticks: robot-ik servo calibrate"
+)
+
 ARM = "arm"
 """Group of the joints that make up q."""
+
+
+LEAST_LEAD = 0.1
+"""m of a finger for a radian of its horn, over the length of the horn: nearer to a dead centre a motor would
+have to turn ever faster for the same speed of the finger, and its position says ever less."""
+
+
+@dataclass(frozen=True)
+class SwingArm:
+    """A horn and a rod that push a finger along a slide: the gripper of the Interbotix X-Series.
+
+    The finger's distance from the middle is ``d = h sin a + sqrt(L^2 - h^2 cos^2 a)``
+    (Interbotix/interbotix_xs_driver src/xs_driver.cpp, ``convert_angular_position_to_linear``).  Used between
+    its dead centres only; beyond, the law goes on straight: no finger is there, but a reading there still says
+    on which side it is, and how far.
+
+    Attributes:
+        horn: h, m; ``rod``: L, m, at least ``horn``.
+    """
+
+    horn: float
+    rod: float
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest angle of the horn in use, rad, on whole degrees."""
+        ends = []
+        for way in (-1, 1):
+            degrees = (
+                0  # there the lead is that of the horn alone, or twice that where rod and horn are equal
+            )
+            while self._lead(math.radians(degrees + way)) >= LEAST_LEAD * self.horn:
+                degrees += way
+            ends.append(math.radians(degrees))
+        return ends[0], ends[1]
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Where the finger is then, m."""
+        return self.distance(self.reach[0]), self.distance(self.reach[1])
+
+    def distance(self, angle: float) -> float:
+        """m of the finger from the middle, where the horn stands at ``angle``, rad."""
+        a = min(max(angle, self.reach[0]), self.reach[1])
+        return self.horn * math.sin(a) + self._share(a) + (angle - a) * self._lead(a)
+
+    def angle(self, distance: float) -> float:
+        """The inverse of ``distance``: ``sin a = (d^2 + h^2 - L^2) / (2 d h)``."""
+        d = min(max(distance, self.ends[0]), self.ends[1])
+        if d != distance:
+            a = self.reach[d > self.ends[0]]
+            return a + (distance - d) / self._lead(a)
+        # d - (L^2 - h^2) / d: the same, and no 0 / 0 where horn and rod are equal and d is 0.
+        rest = (self.rod - self.horn) * (self.rod + self.horn)
+        sine = (d - (rest / d if rest else 0.0)) / (2.0 * self.horn)
+        return math.asin(min(max(sine, -1.0), 1.0))
+
+    def lead(self, distance: float) -> float:
+        """m of the finger for a radian of the horn, where the finger is."""
+        return self._lead(min(max(self.angle(distance), self.reach[0]), self.reach[1]))
+
+    def _share(self, a: float) -> float:
+        """Of the rod along the slide, m."""
+        return math.sqrt(max(self.rod**2 - (self.horn * math.cos(a)) ** 2, 0.0))
+
+    def _lead(self, a: float) -> float:
+        share = self._share(a)
+        if share <= 0.0:  # horn and rod are equal and fold up: from here on outwards d = 2 h sin a
+            return 2.0 * self.horn if a >= 0.0 else 0.0
+        return self.horn * math.cos(a) * (1.0 + self.horn * math.sin(a) / share)
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Register values of a position controller; None: as the servo has it."""
+
+    position_p: int | None = None
+    position_i: int | None = None
+    position_d: int | None = None
+    velocity_p: int | None = None
+    velocity_i: int | None = None
+    feedforward_1: int | None = None
+    feedforward_2: int | None = None
+
+    @property
+    def registers(self) -> Mapping[str, int]:
+        """Name of the register -> value, of those given."""
+        return {_GAINS[key]: value for key, value in asdict(self).items() if value is not None}
+
+
+_GAINS = {
+    "position_p": "position_p_gain",
+    "position_i": "position_i_gain",
+    "position_d": "position_d_gain",
+    "velocity_p": "velocity_p_gain",
+    "velocity_i": "velocity_i_gain",
+    "feedforward_1": "feedforward_1st_gain",
+    "feedforward_2": "feedforward_2nd_gain",
+}
+
+
+@dataclass(frozen=True)
+class StopAt:
+    """Where an arm stops before a servo of it shuts down; None: never.
+
+    Attributes:
+        load_percent: Of what the motor can give, for servos that measure that and no current.
+        current_ma: Motor current.
+        temperature_c: Degrees Celsius.
+    """
+
+    load_percent: float | None = None
+    current_ma: float | None = None
+    temperature_c: float | None = None
 
 
 @dataclass(frozen=True)
@@ -43,12 +169,14 @@ class Twin:
         direction, zero_ticks: As of the first one; with ``shadow`` they are the first one's.
         shadow: Its Secondary ID is the id of the first: it hears what is written to that one.  If it sits
             the other way round, it is reversed by its own Drive Mode.
+        reverse: As of the first one; None: not, and of a shadow as it is found.
     """
 
     id: int
     direction: int = 1
     zero_ticks: int = TICKS_PER_TURN // 2
     shadow: bool = False
+    reverse: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -63,8 +191,14 @@ class JointMap:
         current: Largest motor current, mA, in current-based position mode; None: the servo's own limit.
         twin: The other servo, where two turn this joint.
         shadow_of: Id of the first servo, where this row stands for its shadow.
-        pinion: Radius of the pinion that moves a slide, m; None: a hinge.
+        pinion: Radius of the pinion that moves a slide, m; ``swing``: the horn and rod that do.  None: a hinge.
         group: ``arm``: part of q; another, such as ``gripper``: held, and moved by its name.
+        reverse: Bit 0 of its Drive Mode, set by the arm's maker; ticks are those that it then counts.  None:
+            as it is found.
+        gains, stop_at: See there.
+        current_limit: Current Limit of the servo, mA; None: as it is.
+        profile_velocity, profile_acceleration: Of its profile, rad/s and rad/s^2 at the joint (m); None: as
+            the caps ask for.
     """
 
     name: str
@@ -83,21 +217,47 @@ class JointMap:
     shadow_of: int | None = None
     pinion: float | None = None
     group: str = ARM
+    reverse: bool | None = False
+    swing: SwingArm | None = None
+    gains: Gains = Gains()
+    current_limit: float | None = None
+    profile_velocity: float | None = None
+    profile_acceleration: float | None = None
+    stop_at: StopAt = StopAt()
+
+    @property
+    def slides(self) -> bool:
+        """It is measured in metres."""
+        return self.pinion is not None or self.swing is not None
+
+    @cached_property
+    def levers(self) -> tuple[float, float]:
+        """Least and most that a radian of the last gear is at the joint within its range: 1 rad, or m."""
+        if self.swing is None:
+            lever = 1.0 if self.pinion is None else self.pinion
+            return lever, lever
+        low, high = (min(max(q, self.reach[0]), self.reach[1]) for q in (self.lower, self.upper))
+        leads = [self.lever_at(low + k / 64 * (high - low)) for k in range(65)]
+        return min(leads), max(leads)
 
     @property
     def lever(self) -> float:
-        """What a radian of the last gear is at the joint: 1 rad, or so many metres of a slide."""
-        return 1.0 if self.pinion is None else self.pinion
+        """The most that a radian of the last gear is at the joint within its range: 1 rad, or m of a slide."""
+        return self.levers[1]
+
+    def lever_at(self, q: float) -> float:
+        """What a radian of the last gear is at the joint where it stands at ``q``."""
+        return self.lever if self.swing is None else self.swing.lead(q)
 
     @property
     def unit(self) -> str:
         """In what people are told of it: ``deg`` or ``mm``."""
-        return "deg" if self.pinion is None else "mm"
+        return "mm" if self.slides else "deg"
 
     @property
     def per_unit(self) -> float:
         """One degree in rad, one millimetre in m."""
-        return math.radians(1.0) if self.pinion is None else 1e-3
+        return 1e-3 if self.slides else math.radians(1.0)
 
     def text(self, q: float, digits: int = 1) -> str:
         """``q`` for people: ``12.3 deg``, ``4.5 mm``."""
@@ -110,44 +270,93 @@ class JointMap:
         if other is None:
             return (self,)
         if other.shadow:
-            return (self, replace(self, id=other.id, twin=None, shadow_of=self.id))
-        own = {"direction": other.direction, "zero_ticks": other.zero_ticks}
-        return (self, replace(self, id=other.id, twin=None, **own))  # type: ignore[arg-type]
+            return (self, replace(self, id=other.id, twin=None, shadow_of=self.id, reverse=other.reverse))
+        return (
+            self,
+            replace(
+                self, id=other.id, twin=None, direction=other.direction, zero_ticks=other.zero_ticks,
+                reverse=bool(other.reverse),
+            ),
+        )  # fmt: skip
 
     @property
     def table(self) -> ControlTable:
         """Control table of the servo."""
         return control_table(self.model)
 
-    @property
-    def ticks_per_radian(self) -> float:
-        """Of the joint (per metre of a slide); negative where servo and joint turn in opposite directions."""
-        return self.direction * self.ratio * TICKS_PER_TURN / (2.0 * math.pi) / self.lever
+    @cached_property
+    def _step(self) -> float:
+        """rad of the last gear of one tick, signed."""
+        return self.direction * RADIANS_PER_TICK / self.ratio
 
     @property
     def resolution(self) -> float:
-        """Joint angle of one tick, rad (m), positive."""
-        return 1.0 / abs(self.ticks_per_radian)
+        """The most that one tick is at the joint within its range, rad (m), positive."""
+        return abs(self._step) * self.lever
+
+    @property
+    def ticks_per_unit(self) -> float:
+        """The most ticks that a radian (metre) of the joint is within its range, positive."""
+        return 1.0 / (abs(self._step) * self.levers[0])
+
+    def ticks_per(self, q: float) -> float:
+        """Ticks of a radian (metre) of the joint where it stands at ``q``; negative where servo and joint
+        turn in opposite directions."""
+        return 1.0 / (self._step * self.lever_at(q))
+
+    def position(self, q: float) -> float:
+        """Servo position, ticks and parts of them, of a joint value in rad (m of a slide); not clipped."""
+        angle = q / self.lever if self.swing is None else self.swing.angle(q)
+        return self.zero_ticks + angle / self._step
 
     def to_ticks(self, q: float) -> int:
         """Nearest servo position of a joint value in rad (m of a slide); not clipped."""
-        return round(self.zero_ticks + self.ticks_per_radian * q)
+        return round(self.position(q))
 
     def to_radians(self, ticks: float) -> float:
         """Joint value, rad (m of a slide), of a servo position; not clipped."""
-        return (ticks - self.zero_ticks) / self.ticks_per_radian
+        angle = (ticks - self.zero_ticks) * self._step
+        return angle * self.lever if self.swing is None else self.swing.distance(angle)
 
-    @property
+    def ticks_between(self, a: float, b: float) -> float:
+        """How far the servo turns between two joint values, ticks."""
+        return abs(self.position(a) - self.position(b))
+
+    def goal(self, q: float) -> int:
+        """Servo position to be sent for a joint value, rad (m).
+
+        Of a value within ``limits`` the nearest whose own value is within them too; beyond them (a joint that
+        was found outside and is on its way back) the nearest.
+        """
+        ticks = self.to_ticks(q)
+        first, last = self.ticks_range
+        if first <= ticks <= last:
+            return ticks
+        lower, upper = self.limits
+        return min(max(ticks, first), last) if lower <= q <= upper else ticks
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest q, rad (m), that mode and gear allow."""
+        ends = sorted(self.to_radians(ticks) for ticks in MODE_TICKS[self.mode])
+        if self.swing is not None:
+            ends = [max(ends[0], self.swing.ends[0]), min(ends[1], self.swing.ends[1])]
+        return ends[0], ends[1]
+
+    @cached_property
     def limits(self) -> tuple[float, float]:
         """Smallest, largest q, rad (m): software range and what the mode reaches.  Empty if lower > upper."""
-        lower, upper = self.lower, self.upper
-        for servo in self.servos:
-            ends = sorted(servo.to_radians(ticks) for ticks in MODE_TICKS[self.mode])
-            lower, upper = max(lower, ends[0]), min(upper, ends[1])
-        return lower, upper
+        reaches = [servo.reach for servo in self.servos]
+        return max(self.lower, *(r[0] for r in reaches)), min(self.upper, *(r[1] for r in reaches))
 
-    @property
+    @cached_property
     def ticks_range(self) -> tuple[int, int]:
-        """Smallest and largest goal, ticks: ``to_ticks`` of any q within ``limits`` lies inside."""
-        first, last = sorted(self.to_ticks(q) for q in self.limits)
-        return first, last
+        """Smallest and largest goal, ticks: their values lie within ``limits``.  Empty if first > last."""
+        lower, upper = self.limits
+        ends = []
+        for q, inwards in ((lower, 1), (upper, -1)):
+            ticks = self.to_ticks(q)
+            if not lower <= self.to_radians(ticks) <= upper:
+                ticks += inwards * self.direction
+            ends.append(ticks)
+        return (ends[0], ends[1]) if self.direction > 0 else (ends[1], ends[0])

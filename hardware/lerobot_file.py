@@ -16,8 +16,10 @@ from typing import Any
 from robot_ik.errors import ConfigError
 from robot_ik.files import read_text, write_atomically
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
-from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN
+from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.control_table_data import REVERSE
+from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN
 
 KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
@@ -71,6 +73,7 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
         if row is None:
             allowed = ", ".join(f"{name} (id {row['id']})" for name, row in rows.items())
             raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
+        _require_usable(joint, row, path)
         joints.append(
             JointCalibration(
                 name=joint.name,
@@ -85,6 +88,27 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
             )
         )
     return Calibration(config.name, config.robot, created, config.baud, tuple(joints), file=path)
+
+
+def _require_usable(joint: JointMap, row: dict[str, int], path: Path) -> None:
+    """Offset and direction of counting that the servo of the arm file has as well."""
+    if joint.mode == OperatingMode.POSITION and abs(row["homing_offset"]) > HOMING_ONE_TURN:
+        raise ConfigError(
+            f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
+            f"{row['homing_offset']} ticks",
+            file=path,
+            key=f"{joint.name}.homing_offset",
+            allowed=HOMING_CURES,
+        )
+    if bool(row["drive_mode"] & REVERSE) != bool(joint.reverse):
+        said = "not reversed" if joint.reverse else "reversed"
+        raise ConfigError(
+            f"the servo of {joint.name!r} is {said} in it (drive_mode {row['drive_mode']}), and the arm file "
+            f"says reverse = {str(bool(joint.reverse)).lower()}",
+            file=path,
+            key=f"{joint.name}.drive_mode",
+            allowed=f"reverse = {str(not joint.reverse).lower()} in the arm file",
+        )
 
 
 def _rows(path: Path) -> dict[str, dict[str, int]]:

@@ -38,7 +38,7 @@ class Samples:
             (k, config.names.index(servo.name)) for k, servo in enumerate(self._servos) if k >= self._joints
         ]
         self._speeds = [
-            config.velocity[config.names.index(servo.name)] / servo.resolution for servo in self._servos
+            config.velocity[config.names.index(servo.name)] * servo.ticks_per_unit for servo in self._servos
         ]
         self.ticks: dict[int, int] = {}
         self.jumped: dict[int, int] = {}
@@ -95,6 +95,7 @@ class Samples:
     def twisted(self) -> JointMap | None:
         """A servo that stands more than ``TWIST`` apart from the other one of its joint."""
         for k, joint in self._twins:
-            if abs(self._angles[k] - self._angles[joint]) > TWIST * self._servos[k].lever:
-                return self._servos[k]
+            servo = self._servos[k]
+            if abs(self._angles[k] - self._angles[joint]) > TWIST * servo.lever_at(self._angles[joint]):
+                return servo
         return None

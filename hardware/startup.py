@@ -28,7 +28,9 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
+from robot_ik.hardware.config_check import current_unit
 from robot_ik.hardware.currents import set_currents
+from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN
 from robot_ik.hardware.registers import joint_named, read_all, shared_register
 
 __all__ = ["check_servos", "joint_named", "read_all", "set_up_servos", "shared_register"]
@@ -91,34 +93,76 @@ def _clear_watchdog(bus: ServoBus, config: ArmConfig, joint: JointMap) -> None:
 
 
 def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
-    """Operating mode, return delay, drive mode and motion profile as this program needs them.
+    """Mode, return delay, drive mode, current limit, gains and profile as program and arm file need them.
+
+    What lies in RAM (currents, gains, profile) is lost when a servo restarts: this is called again then.
 
     Raises:
         ArmStateError: An EEPROM setting must change and torque is on (left so by another program).
-        ConfigError: A one-turn servo's own limits are narrower than the arm file's.
-        HardwareError: A servo turns in reverse by its own setting, against the arm file's directions.
+        ConfigError: A one-turn servo's own limits are narrower than the arm file's, or it ignores its offset.
+        HardwareError: A servo is reversed by its own setting and not by the arm file, or the other way round.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     torque = read_all(bus, config, "torque_enable")
     drive = read_all(bus, config, "drive_mode", absent=0)
     for joint, value in _by_joint(config, drive):
-        if value & _REVERSE and joint.shadow_of is None:
-            raise HardwareError(
-                f"joint {joint.name!r} (servo id {joint.id}) is set to turn in reverse (Drive Mode bit 0)",
-                hint="clear it in the servo, and set `direction` in the arm file instead",
-            )
+        _check_reverse(joint, bool(value & _REVERSE))
+    _check_homing(bus, config)
     wanted = {
         "return_delay_time": dict.fromkeys(config.servo_ids, 0),
-        "drive_mode": {s.id: drive[s.id] & _REVERSE if s.shadow_of is not None else 0 for s in config.servos},
+        "drive_mode": {id: value & _REVERSE for id, value in drive.items()},
         "operating_mode": {joint.id: int(joint.mode) for joint in config.servos},
     }
     for name, values in wanted.items():
         _set_eeprom(bus, config, name, values, torque)
     _check_shadows(bus, config)
     _check_servo_limits(bus, config)
+    _set_current_limits(bus, config, torque)
     set_currents(bus, config, {})
+    for servo in config.servos:
+        for name, value in servo.gains.registers.items():
+            _write_register(bus, config, servo, name, value)
     _write_verified(bus, config, "profile_acceleration", _profile(config)[1])
     _write_verified(bus, config, "profile_velocity", _profile(config)[0])
+
+
+def _check_reverse(servo: JointMap, found: bool) -> None:
+    """Bit 0 of Drive Mode turns round position, goal and position limits: it is accepted, never changed here.
+
+    Clearing it would give the limits in EEPROM another meaning, and the arm's own program sets it again.
+    """
+    if servo.reverse is None or servo.reverse == found:
+        return
+    where = f"joint {servo.name!r} (servo id {servo.id})"
+    table = "[[joints]]" if servo.twin is not None or servo.shadow_of is None else "[joints.twin]"
+    if found:
+        raise HardwareError(
+            f"{where} is set to turn in reverse (Drive Mode bit 0), and the arm file says nothing of it",
+            hint=f"if the arm's maker has set it: reverse = true in its {table} table, usually with "
+            "direction = 1 and zero_ticks = 2048; else clear it in the servo",
+        )
+    raise HardwareError(
+        f"{where} has reverse = true in the arm file, and bit 0 of its Drive Mode is clear",
+        hint=f"reverse = false in its {table} table and another `direction`; or set the bit in the servo, "
+        "as its maker does",
+    )
+
+
+def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
+    """In position mode a servo ignores a Homing Offset of more than a quarter turn: its zero is elsewhere.
+
+    ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md.  LeRobot writes such offsets.
+    """
+    offsets = read_all(bus, config, "homing_offset")
+    for servo in config.servos:
+        if servo.mode == OperatingMode.POSITION and abs(offsets[servo.id]) > HOMING_ONE_TURN:
+            raise ConfigError(
+                f"{servo.name!r} (servo id {servo.id}) has a Homing Offset of {offsets[servo.id]} ticks, "
+                "which servos in position mode ignore",
+                file=config.file or config.name,
+                key=f"joints[{config.whole.names.index(servo.name)}].mode",
+                allowed=HOMING_CURES,
+            )
 
 
 def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointMap, int]]:
@@ -191,6 +235,13 @@ def _check_voltage(bus: ServoBus, config: ArmConfig) -> None:
             )
 
 
+def _torque_is_on(servo: JointMap, name: str) -> ArmStateError:
+    return ArmStateError(
+        f"{name} of joint {servo.name!r} must change, but its torque is on (left on by a program)",
+        hint="support the arm, switch its torque off, and connect again",
+    )
+
+
 def _set_eeprom(
     bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
 ) -> None:
@@ -199,16 +250,43 @@ def _set_eeprom(
     wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
         if torque[joint.id]:
-            raise ArmStateError(
-                f"{name} of joint {joint.name!r} must change, but its torque is on (left on by a program)",
-                hint="support the arm, switch its torque off, and connect again",
-            )
+            raise _torque_is_on(joint, name)
     with joint_named(config):
         for joint in wrong:
             log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
             bus.write(joint.id, register, wanted[joint.id])
     if wrong and read_all(bus, config, name, absent=0) != dict(wanted):
         raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
+
+
+def _set_current_limits(bus: ServoBus, config: ArmConfig, torque: Mapping[int, int]) -> None:
+    """Current Limit of the joints that name one; EEPROM, so only where it differs."""
+    for servo in config.servos:
+        if servo.current_limit is None:
+            continue
+        counts = int(servo.current_limit / current_unit(servo.table))
+        register = servo.table["current_limit"]
+        with joint_named(config):
+            present = bus.read(servo.id, register).data
+        if present == counts:
+            continue
+        if torque[servo.id]:
+            raise _torque_is_on(servo, register.name)
+        log.info("current_limit of %s: %s -> %d", servo.name, present, counts)
+        _write_register(bus, config, servo, register.name, counts)
+
+
+def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str, value: int) -> None:
+    """One register of one servo, read back."""
+    register = servo.table[name]
+    with joint_named(config):
+        bus.write(servo.id, register, value)
+        if bus.read(servo.id, register).data == value:
+            return
+    raise HardwareError(
+        f"{name} of joint {servo.name!r} (servo id {servo.id}) was written and reads back otherwise; "
+        "nothing was switched on"
+    )
 
 
 def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
@@ -247,8 +325,12 @@ def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
     """Profile velocity and acceleration by servo id, in register units."""
     velocity, acceleration = {}, {}
     for joint in config.servos:
-        speed = SPEED_HEADROOM * joint.velocity * joint.ratio / joint.lever  # rad/s at the servo
+        # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
+        gear = joint.ratio / joint.levers[0]
+        speed = gear * (joint.profile_velocity or SPEED_HEADROOM * joint.velocity)  # rad/s
         ramp = speed * config.rate_hz / RAMP_SHARE
+        if joint.profile_acceleration is not None:
+            ramp = gear * joint.profile_acceleration
         velocity[joint.id] = min(max(math.ceil(speed / VELOCITY_UNIT), 1), _LARGEST_PROFILE)
         acceleration[joint.id] = min(max(math.ceil(ramp / ACCELERATION_UNIT), 1), _LARGEST_PROFILE)
     return velocity, acceleration

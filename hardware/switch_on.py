@@ -90,10 +90,9 @@ def _names(servos: list[JointMap]) -> str:
 def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
     """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
     for joint in config.servos:
-        q = joint.to_radians(present[joint.id])
-        lower, upper = joint.limits
-        outside = max(lower - q, q - upper, 0.0)
-        if outside / joint.resolution > TICKS_PER_TURN / 2:
+        first, last = joint.ticks_range
+        if max(first - present[joint.id], present[joint.id] - last) > TICKS_PER_TURN / 2:
+            q, (lower, upper) = joint.to_radians(present[joint.id]), joint.limits
             raise HardwareError(
                 f"joint {joint.name!r} reads {joint.text(q)}, more than half a servo turn outside "
                 f"{joint.text(lower)} .. {joint.text(upper)}; nothing was switched on",
@@ -106,7 +105,7 @@ def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
     """Two servos of one joint that do not agree where it is would fight each other."""
     for joint in config.whole.joints:
         angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
-        if abs(angles[-1] - angles[0]) > TWIST * joint.lever:
+        if abs(angles[-1] - angles[0]) > TWIST * joint.lever_at(angles[0]):
             raise HardwareError(
                 f"the two servos of joint {joint.name!r} read {joint.text(angles[0])} and "
                 f"{joint.text(angles[-1])}; nothing was switched on",

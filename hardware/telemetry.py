@@ -94,7 +94,8 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
         return values[name] * factor if name in values else None
 
     position = servo.to_radians(values["present_position"]) if "present_position" in values else None
-    speed = VELOCITY_UNIT / (servo.direction * servo.ratio) * servo.lever / servo.per_unit
+    lever = servo.lever_at(servo.lower if position is None else position)
+    speed = VELOCITY_UNIT / (servo.direction * servo.ratio) * lever / servo.per_unit
     place = None if position is None else position / servo.per_unit
     return ServoState(
         servo.name,

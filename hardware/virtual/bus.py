@@ -109,6 +109,8 @@ class VirtualBus:
                 position_ticks=joint.to_ticks(float(angle)),
                 mode=joint.mode,
                 baud=config.baud,
+                reverse=bool(joint.reverse),
+                shadow_of=joint.shadow_of,
             )
             for joint, angle in zip(config.servos, config.spread(q), strict=True)
         ]
@@ -180,7 +182,9 @@ class VirtualBus:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
         with self.lock:
             self.advance()
-            return np.array([j.to_radians(self._built[j.id].true_ticks) for j in config.joints])
+            ways = [-1 if joint.reverse else 1 for joint in config.joints]
+            ticks = [way * self._built[j.id].true_ticks for way, j in zip(ways, config.joints, strict=True)]
+            return np.array([j.to_radians(t) for j, t in zip(config.joints, ticks, strict=True)])
 
     def advance(self) -> None:
         """Brings the world and what was booked up to now, also where nobody asks anything."""

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from functools import partial
 
 from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, control_table
+from robot_ik.hardware.control_table_data import REVERSE
 from robot_ik.hardware.virtual.controller import Controller
 from robot_ik.hardware.virtual.load import ROOM_TEMPERATURE, Load
 from robot_ik.hardware.virtual.memory import Memory
@@ -40,6 +41,8 @@ class VirtualServo:
         zero_offset_ticks: Hidden from the registers: the shaft is this far from where they say.
         firmware: Another than the model's usual one.
         load: What it carries; ``None``: a light load.
+        reverse: Bit 0 of its Drive Mode, set when it was built in: it counts against its encoder.
+        shadow_of: Its Secondary ID; ``None``: none.
 
     Attributes:
         stuck: The shaft does not move, whatever the goal, and feels no load (a stripped gear); registers
@@ -63,13 +66,20 @@ class VirtualServo:
         zero_offset_ticks: float = 0.0,
         firmware: int | None = None,
         load: Load | None = None,
+        reverse: bool = False,
+        shadow_of: int | None = None,
     ) -> None:
         self.table = control_table(model, firmware)
         self.memory = Memory(self.table)
         self.zero_offset_ticks = zero_offset_ticks
         self.silent = self.off = False
         self.reboot_time = self.ready_at = 0.0
-        self.shaft = Shaft(self.memory, clock, float(position_ticks), load or Load.light(self.table.motor))
+        if reverse:
+            self.memory.set("drive_mode", REVERSE)
+        if shadow_of is not None:
+            self.memory.set("secondary_id", shadow_of)
+        encoder = -float(position_ticks) if reverse else float(position_ticks)
+        self.shaft = Shaft(self.memory, clock, encoder, load or Load.light(self.table.motor))
         self._check = partial(check_write, self.memory)
         self.controller = Controller(self.memory, self.shaft, clock)
         self._clock = clock

@@ -134,7 +134,9 @@ class _Joint:
         self.at = int(model.jnt_qposadr[number])
         self._world = world
         first = bus.servo(joint.id)
-        start = joint.to_radians(first.shaft.encoder + first.zero_offset_ticks)
+        start = joint.to_radians(
+            (-1 if joint.reverse else 1) * (first.shaft.encoder + first.zero_offset_ticks)
+        )
         world.data.qpos[self.at] = start
         seat = Seat(model, world.data, self.at, self.dof, self.look)
         self.motors = [Motor(seat, row, bus.servo(row.id), start) for row in joint.servos]

@@ -46,21 +46,23 @@ class Motor:
 
     Attributes:
         position, velocity, torque: Encoder ticks, ticks/s and N m at the servo's shaft, as last seen.
-        gear: rad of the shaft for one of the joint (for a metre), signed; ``strength``: N m (N) at the joint.
+        gear: rad of the shaft for one of the joint (for a metre) where it stands, signed.
+        strength: N m (N) at the joint, where it stood at first.
     """
 
     def __init__(self, seat: Seat, row: JointMap, servo: VirtualServo, start: float) -> None:
         self._seat, self._servo, self._row = seat, servo, row
         motor = servo.table.motor
         # A servo whose Drive Mode reverses it was mounted the other way round.
-        self._ticks_per = servo.shaft.sign * row.ticks_per_radian
+        self._sign = servo.shaft.sign
+        self._ticks_per = self._sign * row.ticks_per(start)
         self.gear = self._ticks_per * RADIANS_PER_TICK
         self.strength = motor.stall_torque * abs(self.gear)
         self._no_load, self._stall = motor.no_load_speed, motor.stall_torque
         self.position = servo.shaft.encoder
         self.velocity = self.torque = 0.0
         # Where two shafts do not agree at first, they are coupled as they stand.
-        self._zero = self.position + servo.zero_offset_ticks - self._ticks_per * start
+        self._zero = self.position + servo.zero_offset_ticks - self._sign * row.position(start)
 
     @property
     def stuck(self) -> bool:
@@ -83,7 +85,9 @@ class Motor:
         """What the encoder says now."""
         data = self._seat.data
         angle = float(data.qpos[self._seat.at])
-        self.position = self._zero + self._ticks_per * angle - self._servo.zero_offset_ticks
+        self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the place
+        self.gear = self._ticks_per * RADIANS_PER_TICK
+        self.position = self._zero + self._sign * self._row.position(angle) - self._servo.zero_offset_ticks
         self.velocity = float(data.qvel[self._seat.dof]) * self._ticks_per
 
     def turn_by(self, ticks: float) -> None:
@@ -138,4 +142,4 @@ class Motor:
         return -self._servo.shaft.load.push * self.gear
 
     def _angle(self, ticks: float) -> float:
-        return (ticks + self._servo.zero_offset_ticks - self._zero) / self._ticks_per
+        return self._row.to_radians(self._sign * (ticks + self._servo.zero_offset_ticks - self._zero))

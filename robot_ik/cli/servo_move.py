@@ -86,9 +86,7 @@ def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
         UnknownJointError: No such joint; close ones are named.
     """
     word = (
-        "JOINT=DEG"
-        if all(joint.pinion is None for joint in (*config.joints, *config.aside))
-        else "JOINT=DEG|MM"
+        "JOINT=DEG" if not any(joint.slides for joint in (*config.joints, *config.aside)) else "JOINT=DEG|MM"
     )
     form = f"{word}, or {len(config.names)} numbers for {', '.join(config.names)}"
     if all("=" in word for word in words) and words:
@@ -135,7 +133,7 @@ def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
 
 def shown_value(joint: JointMap, q: float) -> str:
     """A joint value for people: degrees, or mm of a slide."""
-    return degrees(q) if joint.pinion is None else joint.text(q, 2)
+    return degrees(q) if not joint.slides else joint.text(q, 2)
 
 
 def degrees(q: float) -> str:

@@ -62,8 +62,9 @@ def _moved(joint: JointMap, offset: float) -> JointMap:
 
 
 def _ticks(servo: JointMap, offset: float) -> int:
-    """What the servo says when the joint really is at 0."""
-    return servo.to_ticks(-offset)
+    """Its zero by which it is where it really is; of a bent gear in the middle of its range."""
+    middle = sum(servo.limits) / 2.0 if servo.swing else 0.0
+    return round(servo.zero_ticks + servo.position(middle - offset) - servo.position(middle))
 
 
 def changes(before: ArmConfig, after: ArmConfig) -> tuple[ZeroChange, ...]:

@@ -140,7 +140,7 @@ class Desk:
         """A hand turns a limp joint by so much, at once."""
         row = self.config.joint(joint)
         with self.bus.lock:
-            self.servo(row.id).turn_by_hand(math.radians(degrees) * row.ticks_per_radian)
+            self.servo(row.id).turn_by_hand(math.radians(degrees) * row.ticks_per(0.0))
 
     def torque(self) -> list[bool]:
         with self.bus.lock:

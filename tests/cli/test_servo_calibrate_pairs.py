@@ -54,7 +54,7 @@ class Hand:
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
         for part in np.linspace(self.q[name], q, 12):
             for servo in self.true.joint(name).servos:
-                way = servo.ticks_per_radian * (part - self.q[name])
+                way = servo.position(part) - servo.position(self.q[name])
                 self.bus.servo(servo.id).turn_by_hand(way * (self.slip if servo.id == 3 else 1.0))
             self.q[name] = part
             sample()

@@ -30,10 +30,7 @@ def config(request, arm_config):
 
 @pytest.fixture
 def servos(config, start):
-    servos = VirtualBus.from_config(config, VirtualClock(), start)
-    if config.joints[1].twin.shadow:
-        servos.servo(8).memory.set("secondary_id", 2)
-    return servos
+    return VirtualBus.from_config(config, VirtualClock(), start)
 
 
 def test_both_servos_of_a_joint_move_and_both_are_left_without_torque(config, servos, stream, smooth, start):
@@ -90,8 +87,10 @@ def test_a_silent_second_servo_is_a_fault_of_its_joint(config, servos, stream, s
 
 def test_who_hears_whom_must_be_as_the_file_says(arm_config, start):
     config = with_twin(arm_config, SHADOW)
+    servos = VirtualBus.from_config(config, VirtualClock())
+    servos.servo(8).memory.set("secondary_id", 255)
     with pytest.raises(HardwareError, match="shadow of id 2"):
-        open_arm(config, "sim", virtual_bus=VirtualBus.from_config(config, VirtualClock())).connect()
+        open_arm(config, "sim", virtual_bus=servos).connect()
     servos = VirtualBus.from_config(arm_config, VirtualClock())
     servos.servo(3).memory.set("secondary_id", 2)  # would move along with joint2
     with pytest.raises(HardwareError, match="no shadow"):

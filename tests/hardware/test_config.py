@@ -194,16 +194,6 @@ def test_there_and_back_is_half_a_tick(joint: JointMap, q: float) -> None:
     assert joint.to_ticks(joint.to_radians(joint.to_ticks(q))) == joint.to_ticks(q)
 
 
-@given(joints(), st.floats(0, 1))
-def test_what_is_within_the_limits_is_a_goal_the_servo_takes(joint: JointMap, part: float) -> None:
-    low, high = joint.limits
-    assert joint.lower <= low < high <= joint.upper
-    first, last = joint.ticks_range
-    assert first <= joint.to_ticks(low + part * (high - low)) <= last
-    if joint.mode == POSITION:
-        assert 0 <= first <= last <= 4095
-
-
 @given(joints())
 def test_limits_are_cut_only_where_the_mode_ends(joint: JointMap) -> None:
     """Just outside the limits lies outside the file's range, or outside the servo's."""

@@ -54,7 +54,7 @@ def check_grip(script: Script, limbs: Limbs, step: GripStep | ExpectStep, at: st
             f"{at}.do",
             "an arm file with a servo for a joint of the group gripper (robot.toml)",
         )
-    slides = bool(aside) and all(joint.pinion is not None for joint in aside)
+    slides = bool(aside) and all(joint.slides for joint in aside)
     for key, able in (("width_mm", slides), ("force_n", bool(aside)), ("held", bool(aside))):
         if getattr(step, key, None) is not None and not able:
             problem = (
@@ -107,7 +107,10 @@ def grip(now: Situation, step: GripStep, result: StepResult) -> None:
 
 
 def current_for(joint: JointMap, newtons: float, fingers: int) -> float:
-    """mA with which each finger presses so hard, friction not counted; at most ``current_ma``."""
-    torque = newtons * fingers * joint.lever / joint.ratio
+    """mA with which each finger presses so hard, friction not counted; at most ``current_ma``.
+
+    On a swing arm a torque presses the harder the nearer the horn is to a dead centre: nowhere harder than asked.
+    """
+    torque = newtons * fingers * joint.levers[0] / joint.ratio
     wanted = 1e3 * torque / joint.table.motor.torque_per_ampere
     return wanted if joint.current is None else min(wanted, joint.current)
