@@ -225,7 +225,7 @@ def _differences(
     """(joint, what, expected, found) of what differs at one joint; ``limits``: of the model now, rad."""
     pairs = [(key, getattr(row, key), getattr(joint, key)) for key in _IN_ARM_FILE]
     # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
-    # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); its place is compared with that servo's at torque on.
+    # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); the two are compared when torque goes on.
     shadow = joint.shadow_of is not None
     registers = ("drive_mode",) if shadow else ("drive_mode", "homing_offset")
     pairs += [(key, getattr(row, key), servo[key]) for key in registers]

@@ -32,7 +32,7 @@ SHARED: tuple[Row, ...] = (
     ("min_voltage_limit", 34, 2, "", "0.1 V", 95, 31, 160),
     ("pwm_limit", 36, 2, "", "0.113 %", 885, 0, 885),
     ("current_limit", 38, 2, "", "2.69 mA", 1193, 0, 1193),
-    ("velocity_limit", 44, 4, "", "0.229 rev/min", 350, 0, 2047),
+    ("velocity_limit", 44, 4, "", "0.229 rev/min", 200, 0, 2047),
     ("max_position_limit", 48, 4, "", "tick", 4095, 0, 4095),
     ("min_position_limit", 52, 4, "", "tick", 0, 0, 4095),
     ("startup_configuration", 60, 1, "", "bits", 0, 0, 3),
@@ -139,7 +139,7 @@ FAMILY_430 = Family(
     },
     baud_codes=tuple(range(8)),
     notes=(
-        "Velocity Limit had another, larger initial value before firmware 42; the manual does not say which.",
+        "Velocity Limit had a larger initial value before firmware 42 (XM430-W350: 350 for 200).",
         "Model Information has no value in the manual: 0.",
     ),
 )

@@ -1,6 +1,10 @@
 """The models of the X series: what each has otherwise than the shared table.  A new model is one row here.
 
-Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), docs/en/dxl/x/<model>.md, one page a model.
+Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), docs/en/dxl/x/<model>.md, one page a model (of XL430-W250,
+XM540-W150 and XC430-W150 the newer docs/kr/dxl/x/<model>.md); all read on 2026-11-22.  Addresses and sizes
+agree with a second source: ROBOTIS-GIT/dynamixel_hardware_interface param/dxl_model/<model>.model, db2b9038.
+Values are those of the firmware that ``Family`` names: before firmware 42 Velocity Limit was larger
+(_includes/en/dxl/control_table_vellimit.md), and pages of that time have an Acceleration Limit, register 40.
 """
 
 from __future__ import annotations
@@ -68,16 +72,25 @@ def _metal(
     current: int,
     velocity: int,
     added: tuple[Row, ...] = (),
-    notes: tuple[str, ...] = (),
 ) -> Model:
-    """XM430 and XM540."""
+    """XM430, XM540 and XH540."""
     changed = {
         **_voltage((160, 95), 95, 160),
         **_velocity(velocity, 1023),
         **_current(current, "2.69 mA"),
         **_gains(1920, 100, 0, 0, 800),
     }
-    return Model(number, family, _CURRENT_MODES, 12.0, motor, changed, added, notes=notes)
+    return Model(number, family, _CURRENT_MODES, 12.0, motor, changed, added)
+
+
+def _without_current(
+    number: int, motor: Motor, volts: Changes, velocity: int, gains: Changes, own: Changes | None = None
+) -> Model:
+    """XL430 and XC430: they measure their load, and no current."""
+    changed = {**volts, **_velocity(velocity, 1023), **gains, **(own or {})}
+    load: Row = ("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000)
+    removed = ("current_limit", "goal_current", "present_current")
+    return Model(number, FAMILY_430, (1, 3, 4, 16), 12.0, motor, changed, (load,), removed)
 
 
 def _small(
@@ -112,31 +125,28 @@ _TWELVE_VOLTS = _voltage((140, 55), 55, 140)
 _SLOPE_5, _SLOPE_12 = (140, "1.977 mV/ms"), (255, "3.955 mV/ms")
 
 MODELS: Mapping[str, Model] = {
-    "XL430-W250": Model(
-        number=1060,
-        family=FAMILY_430,
-        modes=(1, 3, 4, 16),
-        supply=12.0,
-        motor=motors.XL430_W250,
-        changed={
-            "temperature_limit": {"initial": 72},
-            **_voltage((140, 60), 60, 140),
-            **_velocity(265, 1023),
-            **_gains(1000, 100, 4000, 0, 640),
-        },
-        added=(("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000),),
-        removed=("current_limit", "goal_current", "present_current"),
+    "XL430-W250": _without_current(
+        1060,
+        motors.XL430_W250,
+        _voltage((140, 60), 60, 140),
+        265,
+        _gains(1000, 100, 4000, 0, 640),
+        {"temperature_limit": {"initial": 72}},
+    ),
+    "XC430-W150": _without_current(
+        1070,
+        motors.XC430_W150,
+        _voltage((160, 60), 60, 160),
+        460,
+        _gains(1920, 100, 0, 0, 460),
+        {"moving_threshold": {"initial": 20}},
+    ),
+    "XC430-W240": _without_current(
+        1080, motors.XC430_W240, _voltage((160, 60), 60, 160), 306, _gains(1920, 100, 0, 0, 700)
     ),
     "XM430-W210": _metal(1030, FAMILY_430, motors.XM430_W210, 1193, 330),
-    "XM430-W350": _metal(
-        1020,
-        FAMILY_430,
-        motors.XM430_W350,
-        1193,
-        350,
-        added=(("acceleration_limit", 40, 4, "", "214.577 rev/min^2", 32767, 0, 32767),),
-        notes=("Acceleration Limit is in the older page of this model only; it limits nothing here.",),
-    ),
+    "XM430-W350": _metal(1020, FAMILY_430, motors.XM430_W350, 1193, 200),
+    "XH540-W150": _metal(1110, FAMILY_540, motors.XH540_W150, 2047, 300, EXTERNAL_PORTS),
     "XM540-W150": _metal(1130, FAMILY_540, motors.XM540_W150, 2047, 230, EXTERNAL_PORTS),
     "XM540-W270": _metal(1120, FAMILY_540, motors.XM540_W270, 2047, 128, EXTERNAL_PORTS),
     "XL330-M077": _small(

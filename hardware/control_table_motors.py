@@ -1,7 +1,7 @@
 """What the motors of the X series can do: the manual's specification tables, as data.
 
 Source: ROBOTIS e-manual, _data/dxl_x_info.yml (stall torque, stall current, no load speed, gear ratio and
-standby current at the recommended voltage).
+standby current at the recommended voltage), read on 2026-11-22.
 """
 
 from __future__ import annotations
@@ -52,7 +52,10 @@ XC330_M288 = Motor(0.93, 1.80, 81.0, 5.0, 288.35, 0.017, sensed_at_supply=True)
 XC330_T181 = Motor(0.76, 0.80, 104.0, 11.1, 180.62, 0.017, sensed_at_supply=True)
 XC330_T288 = Motor(0.92, 0.80, 65.0, 11.1, 288.35, 0.017, sensed_at_supply=True)
 XL430_W250 = Motor(1.4, 1.3, 57.0, 11.1, 258.5, 0.052)
+XC430_W150 = Motor(1.6, 1.4, 106.0, 12.0, 159.59, 0.046)
+XC430_W240 = Motor(1.9, 1.4, 70.0, 12.0, 245.22, 0.046)
 XM430_W210 = Motor(3.0, 2.3, 77.0, 12.0, 212.6, 0.040)
 XM430_W350 = Motor(4.1, 2.3, 46.0, 12.0, 353.5, 0.040)
 XM540_W150 = Motor(7.3, 4.4, 53.0, 12.0, 152.3, 0.040)
 XM540_W270 = Motor(10.6, 4.4, 30.0, 12.0, 272.5, 0.040)
+XH540_W150 = Motor(7.1, 4.9, 70.0, 12.0, 152.3, 0.040)

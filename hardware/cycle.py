@@ -137,10 +137,10 @@ class Cycle:
 
     def _measure(self, start: float, goals: Mapping[int, tuple[Register, int]]) -> None:
         """``goals`` to the servos, then their measurements; ``start``: since when no packet was sent."""
-        statuses = self._bus.exchange(goals, self.feedback.registers, within=self.period)
+        statuses = self._bus.exchange(goals, self.feedback.asked(), within=self.period)
         self._last_traffic = start
         now = self._clock.now()
-        measured = {id: self.feedback.measurement(status) for id, status in statuses.items()}
+        measured = {id: self.feedback.measurement(status, now) for id, status in statuses.items()}
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
         for servo in self._config.servos:
             if statuses[servo.id].alert:
@@ -153,6 +153,7 @@ class Cycle:
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
+        self.feedback.check_thresholds()
         silent = self.samples.silent(now)
         if silent:
             self._confirm_silence(silent, everyone=len(silent) == len(statuses))

@@ -4,22 +4,38 @@ The two lie 68 bytes apart.  Indirect addresses put them side by side: one byte 
 servo that has lost its torque, by a restart of its own or by another's doing, shows in the same cycle.  After
 a restart the indirect addresses are gone too and the torque byte reads 0: such an answer is not believed.
 Servos that do not take indirect addresses are read plainly.
+
+Of joints with thresholds (``[joints.stop_at]``) one servo a cycle, in turn, is asked for more in the same
+question: current or load, temperature and supply as well.  Its block is longer by more than the bytes by
+which questions differ (``group``), so that a late answer is still known by its length.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from robot_ik.errors import ConfigError, HardwareError
+from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware.bus import ServoBus, Status
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig, JointMap, StopAt
+from robot_ik.hardware.config_check import current_unit
 from robot_ik.hardware.control_table import ControlTable, Register, control_table
 
 log = logging.getLogger(__name__)
 
 _PARTS = ("torque_enable", "present_position")
+
+SUSTAINED = 0.5
+"""s for which every sample of a servo must lie beyond its threshold.  Setting out and stopping take a motor
+near its stall current for some tens of ms, and one sample of a temperature may be noise; a servo's own overload
+shutdown takes longer."""
+
+LEAST_SAMPLES = 3
+"""Samples in a row beyond a threshold, whatever time they took: with a slow rate or many servos in turn."""
+
+_FORGOTTEN = 2.0  # s without a sample of a servo after which those before it say nothing any more
 
 
 class Measurement(NamedTuple):
@@ -32,6 +48,25 @@ class Measurement(NamedTuple):
 
     ticks: int | None
     torque: bool | None
+
+
+class _Block(NamedTuple):
+    """Registers of one servo that are read in one piece.
+
+    Attributes:
+        register: The piece.
+        offsets: Name -> place of its first byte in the piece.
+    """
+
+    register: Register
+    offsets: Mapping[str, int]
+
+    def values(self, table: ControlTable, value: int) -> dict[str, int]:
+        """Name -> value of each register in what was read."""
+        data = value.to_bytes(self.register.size, "little", signed=self.register.signed)
+        return {
+            name: table[name].decode(data[at : at + table[name].size]) for name, at in self.offsets.items()
+        }
 
 
 class Feedback:
@@ -47,6 +82,14 @@ class Feedback:
     def __init__(self, config: ArmConfig) -> None:
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
+        self._tables = {id: servo.table for id, servo in self._servos.items()}
+        self._health: dict[int, _Block] = {}
+        self._thresholds = {
+            servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
+        }
+        self._turn = 0
+        self._asked: Mapping[int, Register] = self.registers
+        self._beyond: MotorFaultError | None = None
         for id in self._servos:
             self.read_plainly(id)
 
@@ -60,28 +103,61 @@ class Feedback:
         Raises:
             BusDisconnectedError, BusNotOpenError: Anything else only means: read plainly.
         """
-        tables = {id: _table(servo, firmware[id]) for id, servo in self._servos.items()}
-        for id, table in tables.items():
+        self._tables = {id: _table(servo, firmware[id]) for id, servo in self._servos.items()}
+        for id, table in self._tables.items():
             try:
-                self.registers[id] = _point(bus, id, table)
+                parts = _PARTS + (_health_of(table) if id in self._thresholds else ())
+                block = _point(bus, id, table, parts)
+                self.registers[id] = _short(block.register, table)
+                if id in self._thresholds:
+                    self._health[id] = block
             except (HardwareError, KeyError) as error:
                 if not bus.is_open:
                     raise
                 log.info("servo %d takes no indirect addresses, its torque is not watched: %s", id, error)
                 self.read_plainly(id)
-        bus.use_fast_reads([id for id, table in tables.items() if "fast_read" in table.abilities])
+        bus.use_fast_reads([id for id, table in self._tables.items() if "fast_read" in table.abilities])
 
     def read_plainly(self, id: int) -> None:
-        """Only the position of this servo from here on."""
-        self.registers[id] = self._servos[id].table["present_position"]
+        """Only the position of this servo from here on; with thresholds what lies around it in its turn."""
+        self.registers[id] = self._tables[id]["present_position"]
+        if id in self._thresholds:
+            self._health[id] = _stretch(self._tables[id])
 
-    def measurement(self, status: Status) -> Measurement:
-        """What an answer says."""
-        value = status.data
-        if value is None or self.registers[status.id].name != _BLOCK:
+    def asked(self) -> Mapping[int, Register]:
+        """Servo id -> register of the next cycle: ``registers``, with more of the servo whose turn it is."""
+        if not self._thresholds:
+            return self.registers
+        ids = tuple(self._thresholds)
+        self._turn = (self._turn + 1) % len(ids)
+        self._asked = {**self.registers, ids[self._turn]: self._health[ids[self._turn]].register}
+        return self._asked
+
+    def measurement(self, status: Status, now: float = 0.0) -> Measurement:
+        """What an answer says.
+
+        Args:
+            status: The answer.
+            now: When it came, s; for thresholds.
+        """
+        value, id = status.data, status.id
+        register = self._asked[id]
+        if value is None or register.name not in _KINDS:
             return Measurement(value, None)
-        torque = bool(value & 0xFF)
-        return Measurement(value >> 8 if torque else None, torque)
+        if register.name == _BLOCK:
+            torque = bool(value & 0xFF)
+            return Measurement(value >> 8 if torque else None, torque)
+        values = self._health[id].values(self._tables[id], value)
+        torque = bool(values["torque_enable"]) if "torque_enable" in values else None
+        if torque is False:
+            return Measurement(None, False)
+        self._beyond = self._beyond or self._thresholds[id].take(values, now)
+        return Measurement(values["present_position"], torque)
+
+    def check_thresholds(self) -> None:
+        """Raises ``MotorFaultError`` where a servo has been beyond a threshold of its joint for too long."""
+        if self._beyond is not None:
+            raise self._beyond
 
     @property
     def watched(self) -> bool:
@@ -89,7 +165,59 @@ class Feedback:
         return all(register.name == _BLOCK for register in self.registers.values())
 
 
-_BLOCK = "torque and position"
+_BLOCK, _LONG_BLOCK, _STRETCH = "torque and position", "torque, position and health", "health and position"
+_KINDS = frozenset((_BLOCK, _LONG_BLOCK, _STRETCH))
+
+
+class Thresholds:
+    """Watches one servo against ``[joints.stop_at]``: the arm stops before the servo shuts itself down.
+
+    Args:
+        servo: A servo of a joint with thresholds.
+    """
+
+    def __init__(self, servo: JointMap) -> None:
+        stop, unit = servo.stop_at, current_unit(servo.table)
+        rows = (
+            ("load_limit", "present_load", 0.1, stop.load_percent, "%"),
+            ("current_limit", "present_current", unit, stop.current_ma, "mA"),
+            ("temperature_limit", "present_temperature", 1.0, stop.temperature_c, "C"),
+        )
+        self._servo = servo
+        self._rows = [(*row[:3], most, row[4]) for row in rows if (most := row[3]) is not None]
+        self._beyond: dict[str, tuple[float, int]] = {}  # status -> since when, and how many samples
+        self._last = -math.inf
+
+    def take(self, values: Mapping[str, int], now: float) -> MotorFaultError | None:
+        """The next sample.
+
+        Args:
+            values: Register name -> value.
+            now: s.
+
+        Returns:
+            The fault, once every sample has been beyond a threshold for ``SUSTAINED``.
+        """
+        if now - self._last > _FORGOTTEN:
+            self._beyond.clear()
+        self._last = now
+        for status, register, scale, most, unit in self._rows:
+            value = abs(values[register]) * scale
+            if value <= most:
+                self._beyond.pop(status, None)
+                continue
+            since, count = self._beyond.get(status, (now, 0))
+            self._beyond[status] = since, count + 1
+            spent = now - since
+            if spent >= SUSTAINED and count + 1 >= LEAST_SAMPLES:
+                return MotorFaultError(
+                    self._servo.name,
+                    (status,),
+                    hint=f"servo id {self._servo.id} at {value:.4g} {unit} for {spent:.1f} s, and stop_at of "
+                    f"the arm file is {most:g}: all hold. Take its load away or let it cool, then: "
+                    "robot-ik servo reset-fault, or Arm.reset_fault()",
+                )
+        return None
 
 
 def _table(servo: JointMap, firmware: int) -> ControlTable:
@@ -99,13 +227,19 @@ def _table(servo: JointMap, firmware: int) -> ControlTable:
         return servo.table
 
 
-def _point(bus: ServoBus, id: int, table: ControlTable) -> Register:
+def _health_of(table: ControlTable) -> tuple[str, ...]:
+    """What is read beyond torque and position: five bytes, so that the block is ten long."""
+    effort = "present_current" if "present_current" in table else "present_load"
+    return (effort, "present_temperature", "present_input_voltage")
+
+
+def _point(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _Block:
     """The block of a servo, after its indirect addresses point at the parts.
 
     Raises:
         HardwareError, KeyError: It has none, does not take them, or does not answer.
     """
-    places = [a for name in _PARTS for a in range(table[name].address, table[name].end)]
+    places = [a for name in parts for a in range(table[name].address, table[name].end)]
     first, data = table["indirect_address_1"], table["indirect_data_1"]
     size = 2 * len(places)
     pointers = Register(
@@ -116,4 +250,22 @@ def _point(bus: ServoBus, id: int, table: ControlTable) -> Register:
         bus.write(id, pointers, wanted)
         if bus.read(id, pointers).data != wanted:
             raise HardwareError("they read back otherwise")
-    return Register(_BLOCK, data.address, len(places), "r", True, "", False, None, 0, 0)
+    offsets = {name: places.index(table[name].address) for name in parts}
+    return _Block(_piece(_LONG_BLOCK, data.address, len(places)), offsets)
+
+
+def _short(block: Register, table: ControlTable) -> Register:
+    """Torque and position at the head of a block."""
+    return _piece(_BLOCK, block.address, sum(table[name].size for name in _PARTS))
+
+
+def _stretch(table: ControlTable) -> _Block:
+    """From current or load to temperature, as they lie: for servos without indirect addresses."""
+    names = (*_health_of(table), "present_position")
+    first = min(table[name].address for name in names)
+    size = max(table[name].end for name in names) - first
+    return _Block(_piece(_STRETCH, first, size), {name: table[name].address - first for name in names})
+
+
+def _piece(name: str, address: int, size: int) -> Register:
+    return Register(name, address, size, "r", True, "", False, None, 0, 0)

@@ -96,6 +96,7 @@ class GroupTraffic:
     def reset(self) -> None:
         """Forgets what was learned about the servos: the port was opened anew."""
         self._silent: frozenset[int] = frozenset()
+        self._missed: dict[int, int] = {}  # servo id -> bytes it was last asked for in vain
         self._fast_misses = 0
         self._phase = 0
         self._times = AnswerTimes()
@@ -167,6 +168,7 @@ class GroupTraffic:
                         missing = []
                         break
                     missing = [id for id in missing if id not in found]
+                    self._missed.update((id, asked[id].size) for id in missing)
                     if guarded:
                         self._phase = (self._phase + 1) % PHASES
                     if self._silent.issuperset(missing):
@@ -260,6 +262,7 @@ class GroupTraffic:
                 least, size = register.size, asked[id].size
                 if len(data) != size:
                     late = least <= len(data) < least + PHASES and size > least
+                    late = late or len(data) == self._missed.get(id)  # of a block of another length
                     self._counters.late += late
                     self._counters.corrupt += not late
                     strange += not late

@@ -1,8 +1,8 @@
 """One joint and its servo: the only change between radians (metres, where a joint slides) and ticks.
 
-``ticks = zero_ticks + direction * ratio * angle / (2 pi) * 4096``; the angle of the last gear is q of a hinge,
-q over the radius of the pinion of a slide on a rack, and ``SwingArm.angle(q)`` of a finger on a horn and a rod.
-Outside this package angles are radians, ways metres.
+``ticks = zero_ticks + direction * ratio * angle / (2 pi) * 4096``; the angle of the last gear is q of a
+hinge, q over the radius of the pinion of a slide on a rack, ``SwingArm.angle(q)`` of a finger on a horn and a
+rod.  Outside this package angles are radians, ways metres.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ class SwingArm:
     """A horn and a rod that push a finger along a slide: the gripper of the Interbotix X-Series.
 
     The finger's distance from the middle is ``d = h sin a + sqrt(L^2 - h^2 cos^2 a)``
-    (Interbotix/interbotix_xs_driver src/xs_driver.cpp, ``convert_angular_position_to_linear``).  Used between
-    its dead centres only; beyond, the law goes on straight: no finger is there, but a reading there still says
-    on which side it is, and how far.
+    (Interbotix/interbotix_xs_driver src/xs_driver.cpp, ``convert_angular_position_to_linear``).  It is used
+    between its dead centres; beyond, the law goes on straight: no finger is there, but a reading there still
+    says on which side it is, and how far.
 
     Attributes:
         horn: h, m; ``rod``: L, m, at least ``horn``.
@@ -191,7 +191,7 @@ class JointMap:
         current: Largest motor current, mA, in current-based position mode; None: the servo's own limit.
         twin: The other servo, where two turn this joint.
         shadow_of: Id of the first servo, where this row stands for its shadow.
-        pinion: Radius of the pinion that moves a slide, m; ``swing``: the horn and rod that do.  None: a hinge.
+        pinion: Radius of the pinion that moves a slide, m; ``swing``: horn and rod that do.  None: a hinge.
         group: ``arm``: part of q; another, such as ``gripper``: held, and moved by its name.
         reverse: Bit 0 of its Drive Mode, set by the arm's maker; ticks are those that it then counts.  None:
             as it is found.
@@ -242,7 +242,7 @@ class JointMap:
 
     @property
     def lever(self) -> float:
-        """The most that a radian of the last gear is at the joint within its range: 1 rad, or m of a slide."""
+        """The most that a radian of the last gear is at the joint within its range: 1 rad, or m."""
         return self.levers[1]
 
     def lever_at(self, q: float) -> float:
@@ -300,8 +300,7 @@ class JointMap:
         return 1.0 / (abs(self._step) * self.levers[0])
 
     def ticks_per(self, q: float) -> float:
-        """Ticks of a radian (metre) of the joint where it stands at ``q``; negative where servo and joint
-        turn in opposite directions."""
+        """Ticks of a radian (metre) of the joint at ``q``; negative where the servo turns the other way."""
         return 1.0 / (self._step * self.lever_at(q))
 
     def position(self, q: float) -> float:

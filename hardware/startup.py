@@ -21,6 +21,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config_check import current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
@@ -28,7 +29,6 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.config_check import current_unit
 from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN
 from robot_ik.hardware.registers import joint_named, read_all, shared_register

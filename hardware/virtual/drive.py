@@ -111,7 +111,7 @@ def moving(
         velocity: Ticks/s.
         goal: Encoder ticks.
         memory: Registers.
-        physical_top: Speed of the motor, ticks/s.
+        physical_top: Speed of the motor and of Velocity Limit, ticks/s.
     """
     return profiled_move(
         now,

@@ -74,7 +74,6 @@ class Shaft:
         self._clock = clock
         self._turns = 0.0
         self._unreached: float | None = None
-        self._top = (memory.table["velocity_limit"].initial or 0) * VELOCITY_TICKS
 
     # ---------------------------------------------------------------- where it is
 
@@ -123,6 +122,13 @@ class Shaft:
     def volts(self) -> float:
         """Supply, V."""
         return self._memory.get("present_input_voltage") / 10.0
+
+    @property
+    def top(self) -> float:
+        """Ticks/s in position modes: what the motor does at its supply, and no more than Velocity Limit."""
+        motor = self._memory.table.motor
+        unloaded = motor.no_load_rpm / 60.0 * TICKS_PER_TURN * self.volts / motor.volts
+        return min(unloaded, self._values["velocity_limit"] * VELOCITY_TICKS)
 
     def registers(self) -> dict[str, Callable[[], int]]:
         """Registers that follow the shaft, and how to ask for them."""
@@ -178,7 +184,7 @@ class Shaft:
                 self._unreached = goal
                 return
             self._unreached = None
-            self.motion = drive.moving(now, position, velocity, goal, memory, self._top)
+            self.motion = drive.moving(now, position, velocity, goal, memory, self.top)
 
     def _too_weak(self, way: float) -> bool:
         """Goal PWM or Goal Current is too small for the load and the friction that way."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -195,9 +196,8 @@ def test_a_bit_that_is_not_as_the_file_says_is_refused_with_the_cure(arm_config,
 
 def test_the_reverse_bit_of_a_twin(arm_config, start) -> None:
     """Both found states of a shadow are taken where the file says nothing, and one where it says which."""
-    for said, found, works in (
-        (None, 0, True), (None, 1, True), (True, 1, True), (False, 0, True), (True, 0, False), (False, 1, False),
-    ):  # fmt: skip
+    for said, found in itertools.product((None, True, False), (0, 1)):
+        works = said is None or said == bool(found)
         config = changed(arm_config, 1, twin=Twin(8, shadow=True, reverse=said))
         servos = servos_of(config, start)
         servos.servo(8).memory.set("drive_mode", found)

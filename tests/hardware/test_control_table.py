@@ -14,6 +14,7 @@ from robot_ik.hardware.control_table import (
     HARDWARE_ERRORS,
     RADIANS_PER_TICK,
     VELOCITY_UNIT,
+    OperatingMode,
     Register,
     control_table,
     hardware_error_names,
@@ -26,7 +27,7 @@ MANUAL = """
 0 2r model_number -              | 2 4r model_information -     | 6 1r firmware_version -
 7 1 id 1                         | 8 1 baud_rate 1               | 9 1 return_delay_time 250
 10 1 drive_mode 0                | 11 1 operating_mode 3         | 12 1 secondary_id 255
-13 1 protocol_type 2             | 20 4s homing_offset 0         | 24 4 moving_threshold 10
+13 1 protocol_type 2             | 20 4s homing_offset 0         | 24 4 moving_threshold -
 31 1 temperature_limit -         | 32 2 max_voltage_limit -      | 34 2 min_voltage_limit -
 36 2 pwm_limit 885               | 44 4 velocity_limit -         | 48 4 max_position_limit 4095
 52 4 min_position_limit 0        | 60 1 startup_configuration 0  | 63 1 shutdown -
@@ -47,7 +48,10 @@ MANUAL = """
 MODELS = {
     "XL430-W250": (1060, 72, 140, 60, None, 265, 52, 1000, 100, 4000, 0, 640, 7, 661),
     "XM430-W210": (1030, 80, 160, 95, 1193, 330, 52, 1920, 100, 0, 0, 800, 7, 661),
-    "XM430-W350": (1020, 80, 160, 95, 1193, 350, 52, 1920, 100, 0, 0, 800, 7, 661),
+    "XC430-W150": (1070, 80, 160, 60, None, 460, 52, 1920, 100, 0, 0, 460, 7, 661),
+    "XC430-W240": (1080, 80, 160, 60, None, 306, 52, 1920, 100, 0, 0, 700, 7, 661),
+    "XM430-W350": (1020, 80, 160, 95, 1193, 200, 52, 1920, 100, 0, 0, 800, 7, 661),
+    "XH540-W150": (1110, 80, 160, 95, 2047, 300, 52, 1920, 100, 0, 0, 800, 7, 661),
     "XM540-W150": (1130, 80, 160, 95, 2047, 230, 52, 1920, 100, 0, 0, 800, 7, 661),
     "XM540-W270": (1120, 80, 160, 95, 2047, 128, 52, 1920, 100, 0, 0, 800, 7, 661),
     "XL330-M077": (1190, 70, 70, 35, 1750, 1620, 53, 400, 40, 0, 400, 400, 6, 227),
@@ -84,7 +88,7 @@ def test_shared_registers_are_the_manual_s(model: str) -> None:
         assert register.eeprom == (address < 64)
         if initial is not None:
             assert register.initial == initial, name
-    own = {"current_limit", "goal_current", "present_current", "present_load", "acceleration_limit"}
+    own = {"current_limit", "goal_current", "present_current", "present_load"}
     own.add("pwm_slope")
     own.update(f"external_port_{what}_{k}" for what in ("mode", "data") for k in (1, 2, 3))
     listed = {name for name, *_ in _manual()}
@@ -94,6 +98,7 @@ def test_shared_registers_are_the_manual_s(model: str) -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_what_differs_by_model_is_the_manual_s(model: str) -> None:
     table = CONTROL_TABLES[model]
+    assert table["moving_threshold"].initial == (20 if model == "XC430-W150" else 10)
     names = "model_number temperature_limit max_voltage_limit min_voltage_limit current_limit velocity_limit"
     names += " shutdown velocity_i_gain velocity_p_gain position_d_gain position_i_gain position_p_gain"
     found = tuple(table[n].initial if n in table else None for n in names.split())
@@ -107,7 +112,8 @@ def test_registers_only_some_models_have() -> None:
     xl430, xm430, xl330 = (CONTROL_TABLES[m] for m in ("XL430-W250", "XM430-W350", "XL330-M288"))
     assert "goal_current" not in xl430 and "current_limit" not in xl430
     assert xl430["present_load"].address == xm430["present_current"].address == 126
-    assert xm430["acceleration_limit"].address == 40 and "acceleration_limit" not in xl330
+    for table in CONTROL_TABLES.values():  # register 40, Acceleration Limit, went with firmware 42
+        assert not any(r.address <= 40 < r.end for r in table)
     assert xl330["pwm_slope"].initial == 140 and "pwm_slope" not in xm430
     for table, last, data in ((xl430, 56, 634 + 27), (xm430, 56, 634 + 27), (xl330, 20, 208 + 19)):
         assert table[f"indirect_data_{last}"].address == data
@@ -120,10 +126,11 @@ def test_every_model_of_the_manual_is_there_once() -> None:
     assert set(CONTROL_TABLES) == set(MODELS)
     numbers = [table.number for table in CONTROL_TABLES.values()]
     assert len(set(numbers)) == len(numbers)
-    assert [n for n in CONTROL_TABLES if "external_port_mode_1" in CONTROL_TABLES[n]] == [
-        "XM540-W150",
-        "XM540-W270",
-    ]
+    ports = {name for name, table in CONTROL_TABLES.items() if "external_port_mode_1" in table}
+    assert ports == {"XH540-W150", "XM540-W150", "XM540-W270"}
+    without_current = {name for name, table in CONTROL_TABLES.items() if "present_load" in table}
+    assert without_current == {"XL430-W250", "XC430-W150", "XC430-W240"}
+    assert all(OperatingMode.CURRENT_BASED_POSITION not in CONTROL_TABLES[n].modes for n in without_current)
 
 
 @pytest.mark.parametrize("model", CONTROL_TABLES)

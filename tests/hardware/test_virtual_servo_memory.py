@@ -135,7 +135,7 @@ def test_one_turn_mode_obeys_the_position_limits_and_extended_does_not(
     assert bench.write("goal_position", 1_048_576) == ErrorCode.DATA_RANGE
 
 
-@pytest.mark.parametrize("name,limit", [("goal_velocity", 350), ("goal_pwm", 885), ("goal_current", 1193)])
+@pytest.mark.parametrize("name,limit", [("goal_velocity", 200), ("goal_pwm", 885), ("goal_current", 1193)])
 def test_goals_end_at_the_limit_registers(name: str, limit: int, make_bench: Callable[..., Any]) -> None:
     bench = make_bench()
     assert bench.write(name, limit) == bench.write(name, -limit) == ErrorCode.NONE

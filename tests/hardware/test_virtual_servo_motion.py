@@ -44,11 +44,32 @@ def test_a_short_way_is_a_triangle_and_no_profile_a_step(make_bench: Callable[..
     bench.wait(5.0)
     bench.set(profile_velocity=0, goal_position=1000)
     assert bench.read("moving_status") >> 4 == ProfileKind.STEP
-    # Even a step is no faster than the motor: half a turn at 350 * 0.229 rev/min.
-    bench.wait(2000 / (350 * bench.V_UNIT))
+    # Even a step is no faster than the motor: half a turn at 200 * 0.229 rev/min.
+    bench.wait(2000 / (200 * bench.V_UNIT))
     assert 1000 < bench.servo.reading < 1150
     bench.wait(0.1)
     assert bench.read("present_position") == 1000
+
+
+def test_the_speed_is_that_of_the_motor_at_its_supply_and_of_the_velocity_limit(
+    make_bench: Callable[..., Any],
+) -> None:
+    """XM430-W350: 46 rev/min at 12 V (200.9 units), Velocity Limit 200 of 0.229 rev/min."""
+    bench = make_bench(mode=EXTENDED)
+
+    def cruising(**registers: int) -> float:
+        bench.set(torque_enable=0)
+        bench.set(**registers)
+        bench.set(torque_enable=1, goal_position=bench.read("present_position") + 9000)
+        bench.wait(1.0)
+        return bench.read("present_velocity")
+
+    assert cruising(velocity_limit=200) == pytest.approx(200, abs=1)
+    assert cruising(velocity_limit=131, profile_velocity=180) == pytest.approx(131, abs=1)  # Interbotix'
+    assert cruising(velocity_limit=1023) == pytest.approx(180, abs=1)  # the profile's
+    assert cruising(profile_velocity=0) == pytest.approx(46 / 0.229, abs=1)  # what the motor does
+    bench.servo.set_supply(10.0)
+    assert cruising(velocity_limit=1023) == pytest.approx(46 / 0.229 * 10 / 12, abs=1)
 
 
 def test_time_based_profile_takes_its_time(make_bench: Callable[..., Any]) -> None:

@@ -109,7 +109,7 @@ def grip(now: Situation, step: GripStep, result: StepResult) -> None:
 def current_for(joint: JointMap, newtons: float, fingers: int) -> float:
     """mA with which each finger presses so hard, friction not counted; at most ``current_ma``.
 
-    On a swing arm a torque presses the harder the nearer the horn is to a dead centre: nowhere harder than asked.
+    Where a horn is near a dead centre a torque presses harder: nowhere harder than asked.
     """
     torque = newtons * fingers * joint.levers[0] / joint.ratio
     wanted = 1e3 * torque / joint.table.motor.torque_per_ampere
