@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError
 from robot_ik.hardware.arm_base import MOVABLE
+from robot_ik.hardware.calibration import require_calibrated
 from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.feedback import Feedback
@@ -72,8 +73,11 @@ class Arm(Gripping):
 
         Raises:
             ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again.
+            ConfigError: The arm file's zeros are placeholders and the servos real; nothing was switched on.
         """
         self._require("enable", ArmState.CONNECTED)
+        if self.virtual_bus is None:
+            require_calibrated(self.config)
         self._guard.install()
         first = not self._energised
         self._energised = True

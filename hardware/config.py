@@ -40,6 +40,7 @@ class ArmConfig:
         file: Where it was read from; ``None`` when made by a program.
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
         on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
+        uncalibrated: Its zeros are placeholders, because this kind of arm has none: real servos get no torque.
     """
 
     name: str
@@ -53,6 +54,7 @@ class ArmConfig:
     stale_ms: int = 250
     on_stale: str = "hold"
     aside: tuple[JointMap, ...] = ()
+    uncalibrated: bool = False
 
     def __post_init__(self) -> None:
         check_arm(self, self.file or self.name)
@@ -215,6 +217,7 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
         bus.stale_ms,
         bus.on_stale,
         tuple(maps[len(joints) :]),
+        arm.uncalibrated,
     )
 
 
