@@ -193,7 +193,7 @@ def require_calibrated(config: ArmConfig) -> None:
             file=config.file or config.name,
             key="uncalibrated",
             allowed="an arm file with measured zeros",
-            hint=f"robot-ik servo calibrate my_arm.toml --arm {config.robot} --bus PORT, then --arm my_arm.toml",
+            hint=f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
         )
 
 

@@ -40,7 +40,7 @@ class ArmConfig:
         file: Where it was read from; ``None`` when made by a program.
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
         on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
-        uncalibrated: Its zeros are placeholders, because this kind of arm has none: real servos get no torque.
+        uncalibrated: Its zeros are placeholders, so that real servos get no torque.
     """
 
     name: str
