@@ -16,13 +16,11 @@ from robot_ik.hardware.calibration_file import Calibration, JointCalibration, ca
 from robot_ik.hardware.calibration_sweep import Sweep, check_shadows
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.joint_map import BESIDE_TICKS
 from robot_ik.hardware.registers import read_all
 
 LEAST_OVERLAP = 0.5
 """Share of a swept range that must lie within the model's: a zero that is half a turn off has less."""
-
-OUTSIDE_TICKS = 60
-"""About 5 degrees beyond the swept range: backlash and a soft stop, not a lost turn."""
 
 _IN_ARM_FILE = ("id", "model", "direction", "zero_ticks")
 _SAME_LIMIT = 1e-6  # rad; the file keeps a millionth of a degree
@@ -248,7 +246,7 @@ def _differences(
     present = servo["present_position"]
     if joint.mode == OperatingMode.POSITION:
         present %= TICKS_PER_TURN
-    if not row.range_min - OUTSIDE_TICKS <= present <= row.range_max + OUTSIDE_TICKS:
+    if not row.range_min - BESIDE_TICKS <= present <= row.range_max + BESIDE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
     return rows + ([] if limits is None else _other_limits(joint, row, limits))
 

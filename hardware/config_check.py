@@ -82,7 +82,10 @@ def _check_model(config: ArmConfig, joint: JointMap, table: ControlTable, at: st
 
 def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
     unit = current_unit(table)
-    limits = (("current_limit_ma", joint.current_limit), ("stop_at.current_ma", joint.stop_at.current_ma))
+    limits: tuple[tuple[str, float | None], ...] = (
+        ("current_limit_ma", joint.current_limit),
+        ("stop_at.current_ma", joint.stop_at.current_ma),
+    )
     if not unit and any(value is not None for _, value in limits):
         raise ConfigError(
             f"{joint.model} measures no current",
@@ -99,7 +102,7 @@ def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | 
                 key=f"{at}.current_ma",
                 allowed='mode = "current_based_position"',
             )
-        limits += (("current_ma", joint.current),)
+        limits = (*limits, ("current_ma", joint.current))
     for key, value in limits:
         ceiling = most if key == "current_limit_ma" or joint.current_limit is None else joint.current_limit
         if value is not None and not unit <= value <= ceiling:

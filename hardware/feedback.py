@@ -29,7 +29,7 @@ _PARTS = ("torque_enable", "present_position")
 
 SUSTAINED = 0.5
 """s for which every sample of a servo must lie beyond its threshold.  Setting out and stopping take a motor
-near its stall current for some tens of ms, and one sample of a temperature may be noise; a servo's own overload
+near its stall current for some tens of ms, and one sample may be noise; a servo's own overload
 shutdown takes longer."""
 
 LEAST_SAMPLES = 3
@@ -148,11 +148,10 @@ class Feedback:
             torque = bool(value & 0xFF)
             return Measurement(value >> 8 if torque else None, torque)
         values = self._health[id].values(self._tables[id], value)
-        torque = bool(values["torque_enable"]) if "torque_enable" in values else None
-        if torque is False:
+        if values.get("torque_enable") == 0:
             return Measurement(None, False)
         self._beyond = self._beyond or self._thresholds[id].take(values, now)
-        return Measurement(values["present_position"], torque)
+        return Measurement(values["present_position"], True if "torque_enable" in values else None)
 
     def check_thresholds(self) -> None:
         """Raises ``MotorFaultError`` where a servo has been beyond a threshold of its joint for too long."""

@@ -42,6 +42,9 @@ HOMING_CURES = (
     "zero_ticks: robot-ik servo calibrate"
 )
 
+BESIDE_TICKS = 60
+"""About 5 degrees beyond a range: backlash and a soft stop, not a lost turn."""
+
 ARM = "arm"
 """Group of the joints that make up q."""
 
@@ -333,6 +336,23 @@ class JointMap:
             return ticks
         lower, upper = self.limits
         return min(max(ticks, first), last) if lower <= q <= upper else ticks
+
+    def lost_turns(self, ticks: int) -> int:
+        """Whole turns of the servo that are to be added to a reading; 0: it may stand where it says.
+
+        A reading outside the range that lies inside it a turn further on is a lost turn, not a joint outside:
+        led back to its range it would go on in the wrong direction.  A shaft that was wound up by hand reads
+        the same, so nothing is added by itself.
+        """
+        first, last = self.ticks_range
+        outside = max(first - ticks, ticks - last)
+        if self.mode == OperatingMode.POSITION or outside <= BESIDE_TICKS:
+            return 0
+        turns = round(((first + last) / 2 - ticks) / TICKS_PER_TURN)
+        there = ticks + TICKS_PER_TURN * turns
+        one_turn = last - first < TICKS_PER_TURN
+        inside = one_turn and first - BESIDE_TICKS <= there <= last + BESIDE_TICKS
+        return turns if inside or outside > TICKS_PER_TURN / 2 else 0
 
     @cached_property
     def reach(self) -> tuple[float, float]:

@@ -90,14 +90,16 @@ def _names(servos: list[JointMap]) -> str:
 def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
     """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
     for joint in config.servos:
-        first, last = joint.ticks_range
-        if max(first - present[joint.id], present[joint.id] - last) > TICKS_PER_TURN / 2:
-            q, (lower, upper) = joint.to_radians(present[joint.id]), joint.limits
+        here = present[joint.id]
+        if turns := joint.lost_turns(here):
+            lower, upper = joint.limits
+            zero = joint.zero_ticks - TICKS_PER_TURN * turns
             raise HardwareError(
-                f"joint {joint.name!r} reads {joint.text(q)}, more than half a servo turn outside "
-                f"{joint.text(lower)} .. {joint.text(upper)}; nothing was switched on",
-                hint="the servo has probably lost count of its turns: turn the joint by hand, or correct "
-                "zero_ticks in the arm file",
+                f"joint {joint.name!r} reads {joint.text(joint.to_radians(here))}, outside "
+                f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its turns; "
+                "nothing was switched on",
+                hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
+                f"zero_ticks = {zero} in the arm file is right",
             )
 
 

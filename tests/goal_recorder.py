@@ -60,7 +60,7 @@ class GoalRecorder:
         """One goal for one servo."""
         self.goals += 1
         first, last = servo.ticks_range
-        if first - self.SLACK <= goal <= last + self.SLACK:
+        if first <= goal <= last:
             return
         at = servo.table["present_position"]
         for present in (at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id):

@@ -64,5 +64,5 @@ def test_an_arm_that_sends_goals_beyond_its_limits_fails_its_test(tmp_path: Path
     assert f"{2 * len(buses)} passed, {len(buses)} errors" in run.stdout, run.stdout
     for bus in buses:
         assert f"ERROR test_bad.py::test_it[True-{bus}]" in run.stdout
-    assert "AssertionError: ['a: " in run.stdout and "range 1396..2700" in run.stdout
+    assert "AssertionError: ['a: " in run.stdout and "range 1397..2699" in run.stdout
     assert pytest.ExitCode(run.returncode) is pytest.ExitCode.TESTS_FAILED

@@ -73,8 +73,6 @@ class Hand:
 def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object] = lambda bus: 0) -> Any:
     true = true_arm(twin)
     bus = VirtualBus.from_config(true, VirtualClock())
-    if twin.shadow:
-        bus.servo(3).memory.set("secondary_id", 1)
     fault(bus)
     arm = open_arm(unknown_arm(true), "sim", virtual_bus=bus)
     with arm:
@@ -130,6 +128,28 @@ def test_a_swapped_second_servo_is_a_mismatch() -> None:
     single = dataclasses.replace(made, joints=tuple(dataclasses.replace(j, twin=None) for j in made.joints))
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(ConfigError, match="lift, rack, lift"):
         check_calibration(arm.bus, single, found, LIMITS)
+
+
+def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> None:
+    """Interbotix' driver does at each start, from where the first servo stands."""
+    _, bus, found, made = measured(SHADOW)
+    bus.servo(3).memory.set("homing_offset", 25)
+    with open_arm(made, "sim", virtual_bus=bus) as arm:
+        check_calibration(arm.bus, made, found, LIMITS)
+        arm.enable()
+    bus.servo(3).memory.set("homing_offset", 0)
+    bus.servo(1).memory.set("homing_offset", 25)  # of the first one it moves the zero of the joint
+    with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
+        check_calibration(arm.bus, made, found, LIMITS)
+    assert caught.value.rows == (("lift", "homing_offset", "0", "25"),)
+    bus.servo(1).memory.set("homing_offset", 0)
+    bus.servo(3).memory.set("homing_offset", 600)  # beside the first one it would fight it
+    with (
+        open_arm(made, "sim", virtual_bus=bus) as arm,
+        pytest.raises(HardwareError, match="two servos of joint 'lift' read"),
+    ):
+        check_calibration(arm.bus, made, found, LIMITS)
+        arm.enable()
 
 
 def test_the_model_of_a_slide_is_compared_in_millimetres() -> None:

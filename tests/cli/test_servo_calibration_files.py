@@ -7,6 +7,7 @@ import os
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ import pytest
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.lerobot_file import load_lerobot
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -170,6 +173,42 @@ def test_lerobots_offset_must_be_the_servos(robot_ik: Any, desk: Any, tmp_path: 
     run = robot_ik("servo", "calibrate", tmp_path / "x.toml", *desk.at, "--from-lerobot", file)
     run.assert_one_screen_error(code=1)
     assert "joint3  homing_offset" in run.err and not (tmp_path / "x.toml").exists()
+
+
+def _lerobot(path: Path, **row: int) -> Path:
+    usual = {"drive_mode": 0, "homing_offset": 0, "range_min": 1000, "range_max": 3000}
+    rows = {f"joint{k}": {"id": k, **usual, **(row if k == 1 else {})} for k in (1, 2, 3)}
+    path.write_text(json.dumps(rows))
+    return path
+
+
+@pytest.mark.parametrize("offset", [1025, -2047])
+def test_an_offset_of_lerobots_that_position_mode_ignores_is_refused_before_it_is_used(
+    offset: int, desk: Any, tmp_path: Path
+) -> None:
+    """LeRobot runs mode 4, where it counts; the same servo in mode 3 would have another zero."""
+    joints = desk.config.joints
+    first = replace(joints[0], mode=OperatingMode.POSITION)
+    file = _lerobot(tmp_path / "koch.json", homing_offset=offset)
+    config = replace(desk.config, joints=(first, *joints[1:]))
+    with pytest.raises(ConfigError) as caught:
+        load_lerobot(file, config, "now")
+    assert (caught.value.file, caught.value.key) == (file, "joint1.homing_offset")
+    assert str(offset) in str(caught.value) and "extended_position" in str(caught.value)
+    many = replace(first, mode=OperatingMode.EXTENDED_POSITION)
+    found = load_lerobot(file, replace(config, joints=(many, *joints[1:])), "now")
+    assert found.joints[0].homing_offset == offset
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_lerobots_drive_mode_is_compared_with_reverse(reverse: bool, desk: Any, tmp_path: Path) -> None:
+    first = replace(desk.config.joints[0], reverse=reverse)
+    config = replace(desk.config, joints=(first, *desk.config.joints[1:]))
+    right = _lerobot(tmp_path / "right.json", drive_mode=int(reverse))
+    assert load_lerobot(right, config, "now").joints[0].drive_mode == reverse
+    with pytest.raises(ConfigError, match=f"reverse = {str(not reverse).lower()}") as caught:
+        load_lerobot(_lerobot(tmp_path / "wrong.json", drive_mode=int(not reverse)), config, "now")
+    assert caught.value.key == "joint1.drive_mode"
 
 
 @pytest.mark.parametrize(

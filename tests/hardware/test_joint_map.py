@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from robot_ik.hardware.config import JointMap, SwingArm, Twin
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.joint_map import BESIDE_TICKS
 
 POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
 WX250S = SwingArm(0.014, 0.024)
@@ -151,3 +152,29 @@ def test_a_twin_has_its_own_reverse() -> None:
     assert (first.reverse, second.reverse) == (True, False)
     assert finger(twin=Twin(10, shadow=True)).servos[1].reverse is None
     assert finger(twin=Twin(10, shadow=True, reverse=True)).servos[1].reverse is True
+
+
+# --------------------------------------------------------------------------------------- lost turns
+
+
+@given(maps(), st.floats(0, 1), st.integers(-3, 3))
+def test_a_reading_that_is_turns_off_is_found_where_the_range_is_under_a_turn(
+    joint: JointMap, part: float, turns: int
+) -> None:
+    """Wherever such a joint stands, it is never led back to its range from the wrong side."""
+    first, last = joint.ticks_range
+    assume(joint.mode == EXTENDED and last - first < 4096 - 2 * BESIDE_TICKS)
+    true = round(first + part * (last - first))
+    assert joint.lost_turns(true - 4096 * turns) == turns
+
+
+@given(maps(), st.integers(0, BESIDE_TICKS))
+def test_backlash_beyond_the_range_is_no_lost_turn(joint: JointMap, beside: int) -> None:
+    first, last = joint.ticks_range
+    assert joint.lost_turns(first - beside) == joint.lost_turns(last + beside) == 0
+
+
+def test_a_joint_found_outside_a_small_range_is_led_back() -> None:
+    joint = replace(finger(), mode=EXTENDED)
+    assert joint.lost_turns(joint.ticks_range[1] + 1000) == 0
+    assert replace(joint, mode=POSITION).lost_turns(joint.ticks_range[1] + 3000) == 0  # it cannot lose any
