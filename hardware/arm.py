@@ -36,7 +36,8 @@ class Arm(Gripping):
 
     Args:
         config: The arm file.
-        bus: Opened by ``connect``, closed by ``close``.
+        bus: Opened by ``connect``, closed by ``close``; one that is open before stays open, so that several arms
+            can be on one wire.
         clock: The loop's clock; virtual where the servos are simulated in process.
         virtual_bus: The simulated servos behind ``bus``, for tests and demonstrations; None on metal.
         on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off); the arm file's by default.
@@ -58,11 +59,12 @@ class Arm(Gripping):
             closed again.
         """
         self._require("connect", ArmState.DISCONNECTED)
+        self._shares_bus = self.bus.is_open
         try:
             self.bus.open()
             feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
         except BaseException:
-            self.bus.close()
+            self._close_bus()
             raise
         self._fault = None
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)

@@ -63,6 +63,7 @@ class ArmBase:
         self._park_at = park_at
         self._rest: tuple[float, ...] = ()
         self._fault: HardwareError | None = None
+        self._shares_bus = False  # it was open when we came
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
         self._lock = threading.RLock()
@@ -192,7 +193,7 @@ class ArmBase:
                     elif self.state is not ArmState.DISCONNECTED:
                         self.exit_report = ExitReport("untouched")
                 finally:
-                    self.bus.close()
+                    self._close_bus()
                     self.state = ArmState.DISCONNECTED
                     self._energised = False
         finally:
@@ -209,6 +210,11 @@ class ArmBase:
         finally:
             if self._energised:  # a signal cut in before the shield was up
                 self.close()
+
+    def _close_bus(self) -> None:
+        """Closes it, unless it was open before the arm came: others are on it."""
+        if not self._shares_bus:
+            self.bus.close()
 
     def _leave(self) -> ExitReport:
         parked = False
