@@ -16,6 +16,7 @@ from robot_ik.hardware.calibration_file import Calibration, JointCalibration, ca
 from robot_ik.hardware.calibration_sweep import Sweep, check_shadows
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.control_table_data import REVERSE
 from robot_ik.hardware.joint_map import BESIDE_TICKS
 from robot_ik.hardware.registers import read_all
 
@@ -238,9 +239,12 @@ def _differences(
     # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
     # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); the two are compared when torque goes on.
     shadow = joint.shadow_of is not None
-    registers = ("drive_mode",) if shadow else ("drive_mode", "homing_offset")
-    pairs += [(key, getattr(row, key), servo[key]) for key in registers]
+    if not shadow:
+        pairs.append(("homing_offset", row.homing_offset, servo["homing_offset"]))
     rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
+    # Only its reverse bit changes what a position means; the others are set as we need them.
+    if (row.drive_mode ^ servo["drive_mode"]) & REVERSE:
+        rows.append((joint.name, "drive_mode", str(row.drive_mode), str(servo["drive_mode"])))
     if shadow:
         return rows
     present = servo["present_position"]

@@ -116,8 +116,15 @@ def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | 
 
 
 def _check_stops(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
-    """Thresholds that a servo can say something about, and below what shuts it down."""
+    """Thresholds that a servo can say something about, above what it may do and below what shuts it down."""
     stop = joint.stop_at
+    if stop.current_ma is not None and joint.current is not None and stop.current_ma <= joint.current:
+        raise ConfigError(
+            f"{joint.name!r} may press with {joint.current:g} mA (current_ma) and would stop the arm by it",
+            file=file,
+            key=f"{at}.stop_at.current_ma",
+            allowed=f"> {joint.current:g}",
+        )
     if stop.load_percent is not None and "present_load" not in table:
         raise ConfigError(
             f"{joint.model} measures its current, and no load",

@@ -75,9 +75,7 @@ class SwingArm:
         """Smallest and largest angle of the horn in use, rad, on whole degrees."""
         ends = []
         for way in (-1, 1):
-            degrees = (
-                0  # there the lead is that of the horn alone, or twice that where rod and horn are equal
-            )
+            degrees = 0
             while self._lead(math.radians(degrees + way)) >= LEAST_LEAD * self.horn:
                 degrees += way
             ends.append(math.radians(degrees))

@@ -152,6 +152,18 @@ def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> 
         arm.enable()
 
 
+def test_of_drive_mode_only_the_reverse_bit_counts() -> None:
+    """Other programs leave a time-based profile (bit 2), which every connect takes back."""
+    _, bus, found, made = measured(OWN)
+    with open_arm(made, "sim", virtual_bus=bus) as arm:
+        bus.servo(1).memory.set("drive_mode", 4)
+        check_calibration(arm.bus, made, found, LIMITS)
+        bus.servo(1).memory.set("drive_mode", 5)
+        with pytest.raises(CalibrationMismatchError) as caught:
+            check_calibration(arm.bus, made, found, LIMITS)
+    assert ("lift", "drive_mode", "0", "5") in caught.value.rows
+
+
 def test_the_model_of_a_slide_is_compared_in_millimetres() -> None:
     _, bus, found, made = measured(OWN)
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:

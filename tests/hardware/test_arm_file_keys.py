@@ -147,6 +147,10 @@ def test_what_is_wrong_is_said_with_its_key(old: str, new: str, key: str, said: 
 def test_a_goal_current_above_the_limit_of_the_servo_is_refused() -> None:
     text = ALL.replace('mode = "position"\nreverse', 'mode = "current_based_position"\nreverse', 1)
     text = text.replace("current_limit_ma", "current_ma = 900.0\ncurrent_limit_ma")
+    with pytest.raises(ConfigError, match="> 900") as caught:  # it would stop whenever it presses
+        ArmConfig.parse(text)
+    assert caught.value.key == "joints[0].stop_at.current_ma"
+    text = text.replace("current_ma = 800.0", "current_ma = 950.0")
     assert ArmConfig.parse(text).joints[0].current == 900.0
     with pytest.raises(ConfigError, match="limited to 1000 mA") as caught:
         ArmConfig.parse(text.replace("current_ma = 900.0", "current_ma = 1001.0"))

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -13,7 +14,8 @@ import robot_ik as rik
 from robot_ik.errors import ConfigError, UnsafeCommandError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
-from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config import ArmConfig, JointMap, SwingArm
+from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.telemetry import read_states
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.things import Thing, model_with
@@ -209,3 +211,47 @@ def test_a_block_is_taken_lifted_and_let_go(world_of, desk: ArmConfig, robot: ri
         arm.clock.sleep_until(arm.clock.now() + 0.1)
         bus.advance()
         assert block.xpos[2] < hand[2] - 0.02
+
+
+# ---------------------------------------------------------------------------- a horn and a rod
+
+FINGER = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="finger" type="slide" axis="0 1 0" damping="1"/><geom size=".005" mass=".03"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction: int, reverse: bool) -> None:
+    """Interbotix' wx250s: the servo turns a horn, MuJoCo has a slide; the law is between them, both ways."""
+    swing = SwingArm(0.014, 0.024)
+    mode = OperatingMode.POSITION
+    finger = JointMap(
+        "finger", 9, "XL430-W250", mode, direction, 2048, 1.0, 0.015, 0.037, 0.05, 0.5, swing=swing,
+        reverse=reverse,
+    )  # fmt: skip
+    config = ArmConfig("f", "f", 1_000_000, 100.0, 200, "torque_off", (finger,))
+    bus = VirtualBus.from_config(config, VirtualClock(), [0.02])
+    world = World(mujoco.MjModel.from_xml_string(FINGER), config, bus)
+    assert world.data.qpos[0] == pytest.approx(0.02, abs=finger.resolution)
+    with open_arm(config, "sim", virtual_bus=bus) as arm:
+        arm.enable()
+        fastest = 0.0
+        for goal in (0.0365, 0.0155, 0.026):
+            begin = arm.clock.now()
+            far = abs(goal - arm.read().q[0])
+            arm.park([goal])
+            bus.advance()
+            assert world.data.qpos[0] == pytest.approx(goal, abs=1e-4)
+            assert arm.read().q[0] == pytest.approx(goal, abs=1e-4)
+            horn = (bus.servo(9).memory.get("goal_position") - 2048) * direction * 2 * math.pi / 4096
+            assert swing.distance(horn) == pytest.approx(goal, abs=finger.resolution)
+            fastest = max(fastest, far / (arm.clock.now() - begin))
+        assert fastest < 0.05  # the cap in metres a second holds at the finger
+        (state,) = read_states(arm.bus, config.servos)
+        assert state.position_mm == pytest.approx(26.0, abs=0.1)

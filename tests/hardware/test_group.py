@@ -7,7 +7,7 @@ import time
 import pytest
 
 from robot_ik.hardware import BUSES, open_bus
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.control_table import CONTROL_TABLES, Register
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.group import FAST_PATIENCE
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -169,6 +169,28 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
         assert all(v in (None, r) for v, r in zip(seen, right, strict=True)), (k, seen)
         taken += sum(v is not None for v in seen)
     assert taken > 0.95 * 1800 and sim.counters.late > (0 if fast else 20)
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
+    """One servo a cycle, in turn, is asked for more (``feedback``): lengths differ by turn and by phase."""
+    sim.use_fast_reads(IDS if fast else [])
+    sim.virtual_bus.set_faults(Faults(late=0.1, seed=4))
+    long = Register("current to temperature", 126, 21, "r", True, "", False, None, 0, 0)
+    taken = 0
+    for k in range(300):
+        for servo in sim.virtual_bus.servos:
+            servo.turn_by_hand(1)
+        turn = IDS[k % len(IDS)]
+        seen = sim.exchange({}, {**dict.fromkeys(IDS, PRESENT), turn: long})
+        for id, value in zip(IDS, RIGHT, strict=True):
+            data = seen[id].data
+            if data is not None and id == turn:  # the position lies six bytes in
+                data = PRESENT.decode(data.to_bytes(21, "little", signed=True)[6:10])
+            assert data in (None, value + k + 1), (k, id)
+            taken += data is not None
+    assert taken > 0.95 * 1800 and sim.counters.late > (0 if fast else 20)
+    assert sim.counters.corrupt == 0  # whole and late, not damaged
 
 
 # ---------------------------------------------------------------------------------- on real time
