@@ -290,6 +290,11 @@ class JointMap:
         """rad of the last gear of one tick, signed."""
         return self.direction * RADIANS_PER_TICK / self.ratio
 
+    @cached_property
+    def _scale(self) -> float:
+        """Ticks of a radian (metre) of a joint without a bent gear, signed."""
+        return 1.0 / (self._step * self.lever)
+
     @property
     def resolution(self) -> float:
         """The most that one tick is at the joint within its range, rad (m), positive."""
@@ -306,8 +311,9 @@ class JointMap:
 
     def position(self, q: float) -> float:
         """Servo position, ticks and parts of them, of a joint value in rad (m of a slide); not clipped."""
-        angle = q / self.lever if self.swing is None else self.swing.angle(q)
-        return self.zero_ticks + angle / self._step
+        if self.swing is None:
+            return self.zero_ticks + q * self._scale
+        return self.zero_ticks + self.swing.angle(q) / self._step
 
     def to_ticks(self, q: float) -> int:
         """Nearest servo position of a joint value in rad (m of a slide); not clipped."""
