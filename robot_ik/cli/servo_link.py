@@ -184,7 +184,7 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
         ConfigError: No such way to leave an arm.
     """
     from robot_ik.hardware import open_arm
-    from robot_ik.hardware.shutdown import ON_EXIT
+    from robot_ik.hardware.torque import ON_EXIT
 
     if on_exit and on_exit not in ON_EXIT:
         raise wrong("--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
@@ -199,7 +199,7 @@ def driving(arm: Arm) -> Iterator[None]:
             yield
     finally:
         if words := left(arm):
-            console.say(words, "dim")
+            console.say(words, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
 
 
 Limits = dict[str, tuple[float, float]]
@@ -238,9 +238,5 @@ def model_limits(config: ArmConfig) -> Limits:
 
 
 def left(arm: Arm) -> str:
-    """How an arm was left, in words."""
-    report = arm.exit_report
-    if report is None or not report.ok:  # who did not confirm it was told when that was found
-        return ""
-    words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
-    return words[report.done] + (" (parked first)" if report.parked else "")
+    """How an arm was left, in words; empty where it was never connected."""
+    return arm.exit_report.text if arm.exit_report is not None else ""
