@@ -81,8 +81,8 @@ class Arm:
 
     Args:
         config: The arm file.
-        bus: Opened by ``connect``, closed by ``close``; one that is open before stays open, so that several arms
-            can be on one wire.
+        bus: Opened by ``connect``, closed by ``close``; one that is open before stays open,
+            so that several arms can be on one wire.
         clock: The loop's clock; virtual where the servos are simulated in process.
         virtual_bus: The simulated servos behind ``bus``, for tests and demonstrations; None on metal.
         on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off); the arm file's by default.

@@ -245,7 +245,7 @@ class Eyes:
         return Seen(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
-        """``goal`` as this arm can have it: place and axis of the tool with five joints, the place with fewer."""
+        """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
         if not isinstance(goal, PoseGoal) or self._limbs.freedoms >= FREEDOMS_OF_A_POSE:
             return goal
         if self._limbs.freedoms >= FREEDOMS_OF_AN_AXIS:
