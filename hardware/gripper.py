@@ -71,8 +71,8 @@ class Fingers:
                     f"{name!r} at {joint.text(to)}", f"{joint.text(lower)} to {joint.text(upper)}"
                 )
             self.goals[name] = float(to)
-        self._config = config
         self._names = config.whole.names
+        self._joints = [config.joint(name) for name in self.goals]
         self._last = dict.fromkeys(self.goals, math.inf)
         self._since = -math.inf
 
@@ -80,16 +80,16 @@ class Fingers:
         """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
         at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
         sent = dict(zip(self._names, cycle.limits.q, strict=True))
-        joints = [self._config.joint(name) for name in self.goals]
-        moving = any(not j.ticks_between(at[j.name], self._last[j.name]) <= STILL_TICKS for j in joints)
-        if moving or any(j.ticks_between(sent[j.name], self.goals[j.name]) > STILL_TICKS for j in joints):
+        moving = any(j.ticks_between(at[j.name], self._last[j.name]) > STILL_TICKS for j in self._joints)
+        if moving or any(
+            j.ticks_between(sent[j.name], self.goals[j.name]) > STILL_TICKS for j in self._joints
+        ):
             self._last, self._since = at, now
         return now - self._since >= REST
 
     def report(self, bus: ServoBus, cycle: Cycle) -> tuple[Grip, ...]:
         """How each of them came to rest."""
         at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
-        joints = [self._config.joint(name) for name in self.goals]
         return tuple(
             Grip(
                 joint.name,
@@ -98,7 +98,7 @@ class Fingers:
                 joint.ticks_between(at[joint.name], asked) > HELD_TICKS,
                 _current(bus, joint),
             )
-            for joint, asked in zip(joints, self.goals.values(), strict=True)
+            for joint, asked in zip(self._joints, self.goals.values(), strict=True)
         )
 
 

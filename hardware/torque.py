@@ -178,17 +178,20 @@ class ExitReport:
         return not self.unverified
 
     @property
+    def doubt(self) -> str:
+        """Who did not confirm it, and what that may mean; empty where all did."""
+        parts = [f"{', '.join(self.limp)} does NOT hold: no torque"] if self.limp else []
+        if silent := [name for name in self.unverified if name not in self.limp]:
+            danger = "torque may be ON, cut the power" if self.done == "torque_off" else "torque may be off"
+            parts.append(f"not confirmed by {', '.join(silent)}: {danger}")
+        return "; ".join(parts)
+
+    @property
     def text(self) -> str:
         """One sentence for people."""
         what = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
-        text = what[self.done] + (" (parked first)" if self.parked else "")
-        silent = [name for name in self.unverified if name not in self.limp]
-        if self.limp:
-            text += f"; {', '.join(self.limp)} does NOT hold: no torque"
-        if silent:
-            doubt = "its torque may be ON, cut the power" if self.done == "torque_off" else "it may be limp"
-            text += f"; not confirmed by {', '.join(silent)}: {doubt}"
-        return text
+        parked = " (parked first)" if self.parked else ""
+        return what[self.done] + parked + ("; " + self.doubt if self.unverified else "")
 
 
 def leave(
@@ -313,7 +316,7 @@ def _report(
         tuple(dict.fromkeys(left[id] for id in left if id in limp)),
     )
     if left:
-        log.error("%s not confirmed by %s: %s", done, ", ".join(unverified), report.text)
+        log.error("%s %s", done, report.doubt)
     else:
         log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
     return report

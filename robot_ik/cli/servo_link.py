@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import select
+import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -33,6 +36,9 @@ if TYPE_CHECKING:
 
 #: Ports that only a machine's own board has; no adapter of servos is behind them.
 _ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
+
+
+_KEY_POLL = 0.05  # s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,10 +198,50 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
 
 
 @contextmanager
+def stop_on_space(arm: Arm) -> Iterator[None]:
+    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
+    try:
+        import termios
+        import tty
+
+        file = sys.stdin.fileno()
+        # A program in the shell's background may not touch the terminal.
+        listening = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
+    except (ImportError, OSError, ValueError, AttributeError):  # no terminals here, or stdin is closed
+        listening = False
+    if not listening:
+        yield
+        return
+    before = termios.tcgetattr(file)
+    over = threading.Event()
+
+    def listen() -> None:
+        while not over.is_set():
+            if select.select([file], [], [], _KEY_POLL)[0]:
+                key = os.read(file, 1)
+                if key == b" ":
+                    arm.request_stop()
+                elif not key:
+                    return
+
+    listener = threading.Thread(target=listen, name="space", daemon=True)
+    try:
+        tty.setcbreak(file)
+        console.say("space: stop and hold", "dim")
+        listener.start()
+        yield
+    finally:
+        over.set()
+        if listener.ident is not None:
+            listener.join()
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
+
+@contextmanager
 def driving(arm: Arm) -> Iterator[None]:
     """The arm connected, and left by its policy; says how it was left, also after a signal or an error."""
     try:
-        with arm:
+        with arm, stop_on_space(arm):
             yield
     finally:
         if words := left(arm):

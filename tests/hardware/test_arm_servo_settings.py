@@ -139,7 +139,7 @@ def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest()
     finger = ArmConfig.parse(ALL.replace("profile_velocity_mm = 60.0\n", "")).joint("finger")
     from robot_ik.hardware.startup import SPEED_HEADROOM
 
-    config = ArmConfig("f", "f", 1_000_000, 100.0, 200, "torque_off", (finger,))
+    config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     with open_arm(config, "sim") as arm:
         units = arm.virtual_bus.servo(9).memory.get("profile_velocity")
     # 50 mm/s where a radian of the horn is 6.5 mm (at 37 mm) need more than where it is 15 mm.

@@ -235,7 +235,7 @@ def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction
         "finger", 9, "XL430-W250", mode, direction, 2048, 1.0, 0.015, 0.037, 0.05, 0.5, swing=swing,
         reverse=reverse,
     )  # fmt: skip
-    config = ArmConfig("f", "f", 1_000_000, 100.0, 200, "torque_off", (finger,))
+    config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     bus = VirtualBus.from_config(config, VirtualClock(), [0.02])
     world = World(mujoco.MjModel.from_xml_string(FINGER), config, bus)
     assert world.data.qpos[0] == pytest.approx(0.02, abs=finger.resolution)
