@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError, StopRequestedError, UnsafeCommandError
 from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.calibration import require_calibrated
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.cycle import Cycle
@@ -80,7 +81,8 @@ class Arm:
 
     Args:
         config: The arm file.
-        bus: Opened by ``connect``, closed by ``close``.
+        bus: Opened by ``connect``, closed by ``close``; one that is open before stays open,
+            so that several arms can be on one wire.
         clock: The loop's clock; virtual where the servos are simulated in process.
         virtual_bus: The simulated servos behind ``bus``, for tests and demonstrations; None on metal.
         on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off); the arm file's by default.
@@ -109,6 +111,7 @@ class Arm:
         self.state = ArmState.DISCONNECTED
         self.fault: HardwareError | None = None
         self.exit_report: ExitReport | None = None
+        self._shares_bus = False  # it was open when we came
         self._cycle = Cycle(config, bus, clock)
         self._park_at = park_at
         self._rest: tuple[float, ...] = ()
@@ -145,11 +148,12 @@ class Arm:
             closed again.
         """
         after = self._after("connect")
+        self._shares_bus = self.bus.is_open
         try:
             self.bus.open()
             feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
         except BaseException:
-            self.bus.close()
+            self._close_bus()
             raise
         self.fault = self.exit_report = self._stop_policy = None
         self._stop_answered = True
@@ -166,9 +170,12 @@ class Arm:
             ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again where
                 ``exit_report`` says so.  Joints that held before, after a fault, hold where ``on_exit`` is
                 ``hold``.
+            ConfigError: The arm file's zeros are placeholders and the servos real; nothing was switched on.
             KeyboardInterrupt, SystemExit: The signal.
         """
         after = self._after("enable")
+        if self.virtual_bus is None:
+            require_calibrated(self.config)
         if not self.config.stale_ms:
             log.warning(
                 "stale_ms = 0: in a pause of the commands nobody holds the arm, and a loaded joint sinks"
@@ -510,6 +517,11 @@ class Arm:
 
     # ------------------------------------------------------------------------------------ the end
 
+    def _close_bus(self) -> None:
+        """Closes it, unless it was open before the arm came: others are on it."""
+        if not self._shares_bus:
+            self.bus.close()
+
     @uninterrupted
     def close(self) -> None:
         """Leaves the arm as ``on_exit`` says, then the bus; ``exit_report`` says how.  Call it at any time.
@@ -526,7 +538,7 @@ class Arm:
             self._leave_for_good()
         finally:
             # Each whatever becomes of the others; the handlers last, for then signals are no longer kept.
-            for step in (self._heartbeat.stop, self.bus.close, self._stop_file.close):
+            for step in (self._heartbeat.stop, self._close_bus, self._stop_file.close):
                 try:
                     step()
                 except Exception as error:

@@ -87,7 +87,7 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
             rows,
             "was the arm in the pose asked for when its zero was taken? is the horn half a turn off?",
         )
-    return replace(config, joints=tuple(joints), file=None)
+    return replace(config, joints=tuple(joints), file=None, uncalibrated=False)
 
 
 def _range(joint: JointMap, low: float, high: float) -> str:
@@ -181,6 +181,19 @@ def check_beside(bus: ServoBus, config: ArmConfig) -> None:
     """
     if (found := _beside(config)) is not None:
         check_calibration(bus, config, found, {})
+
+
+def require_calibrated(config: ArmConfig) -> None:
+    """Raises ``ConfigError`` for an arm file whose zeros are placeholders."""
+    if config.uncalibrated:
+        raise ConfigError(
+            "the zeros of this arm file are placeholders: every arm of this kind has others; "
+            "nothing was switched on",
+            file=config.file or config.name,
+            key="uncalibrated",
+            allowed="an arm file with measured zeros",
+            hint=f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
+        )
 
 
 def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) -> None:

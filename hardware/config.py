@@ -50,6 +50,7 @@ class ArmConfig:
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
             The Bus Watchdog must be longer by what ``watchdogs.least_watchdog_ms`` says.
         on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
+        uncalibrated: Its zeros are placeholders, so that real servos get no torque.
     """
 
     name: str
@@ -63,6 +64,7 @@ class ArmConfig:
     stale_ms: int = STALE_MS
     on_stale: str = "hold"
     aside: tuple[JointMap, ...] = ()
+    uncalibrated: bool = False
 
     def __post_init__(self) -> None:
         check_arm(self, self.file or self.name)
@@ -225,6 +227,7 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
         _stale_ms(bus),
         bus.on_stale,
         tuple(maps[len(joints) :]),
+        arm.uncalibrated,
     )
 
 

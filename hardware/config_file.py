@@ -141,6 +141,7 @@ class ArmFile(_Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     name: _Word
     robot: _Word
+    uncalibrated: bool = False
     bus: BusFile = BusFile()
     joints: Annotated[list[_AnyJoint], Field(min_length=1, max_length=252)]
 
@@ -272,6 +273,7 @@ def arm_file_text(config: ArmConfig) -> str:
         "schema = 1",
         f"name = {json.dumps(config.name)}",
         f"robot = {json.dumps(config.robot)}",
+        *(["uncalibrated = true"] if config.uncalibrated else []),
         "",
         "[bus]",
         f"baud = {config.baud:_}",

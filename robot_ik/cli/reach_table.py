@@ -64,7 +64,9 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
             quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
             rows.append(("", f"in the camera's frame {_mm(pose.position)} mm, wxyz {quaternion}"))
     if report.target is not None:
-        rows.append(("goal", f"{report.frame} at {_mm(report.target.position)} mm"))
+        free = getattr(report.goal, "free_axis", None)
+        axis = f", {free} axis as seen, free to turn about it" if free else ""
+        rows.append(("goal", f"{report.frame} at {_mm(report.target.position)} mm{axis}"))
     return rows
 
 

@@ -225,11 +225,13 @@ class Goal:
 
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         """Metres and radians off ``target`` at ``q``, by MuJoCo's own forward pass; no weight, no miss."""
+        if self.rows.of == OF_MASS:
+            return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
+        return self.off(robot.measure(q, self.frame), target)
+
+    def off(self, here: Pose, target: Pose) -> tuple[float, float]:
+        """Metres and radians that a frame at ``here`` is off ``target``, in what is asked for."""
         rows, asked = self.rows, self.weights
-        if rows.of == OF_MASS:
-            here = Pose(robot.center_of_mass(q, self.frame))
-        else:
-            here = robot.measure(q, self.frame)
         metres = radians = 0.0
         if rows.place != NO_PLACE and asked[0] > 0.0:
             off = (target.rotation.T @ (target.position - here.position)) * rows.mask

@@ -15,7 +15,7 @@ from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PostureGoal
 from robot_ik.jobs.cameras_request import calibration_of, open_calibrated
-from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, Eyes
+from robot_ik.jobs.eyes import FREEDOMS_OF_AN_AXIS, Eyes
 from robot_ik.jobs.stage import Stage, stage_for
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def _when_lost(request: ReachRequest, limbs: Limbs) -> WhenLost:
 
 def _stage(request: ReachRequest, limbs: Limbs, frame: str) -> Stage:
     """The robot's stage, with what the request says about the target marker."""
-    stage = stage_for(limbs.robot, frame, upright=limbs.freedoms < FREEDOMS_OF_A_POSE)
+    stage = stage_for(limbs.robot, frame, upright=limbs.freedoms < FREEDOMS_OF_AN_AXIS)
     changes: dict[str, Any] = {}
     if request.marker_id is not None:
         changes["marker_id"] = request.marker_id

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,8 +37,9 @@ Array = NDArray[np.float64]
 # How often a camera or a film is asked again before a marker counts as not there.
 _LIVE_TRIES = 20
 _SYNTHETIC_TRIES = 2
-# With fewer degrees of freedom a full pose is out of reach in general, so only the place is asked for.
-FREEDOMS_OF_A_POSE = 6
+# With fewer degrees of freedom a full pose is out of reach in general.  With five the place and the tool's z
+# axis are asked for, its turn about that axis is free; with fewer only the place.
+FREEDOMS_OF_A_POSE, FREEDOMS_OF_AN_AXIS = 6, 5
 # While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
 _WANDER = 0.4
 
@@ -236,10 +237,12 @@ class Eyes:
         return Seen(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
-        """``goal`` as this arm can have it: with too few joints only the place counts."""
-        if isinstance(goal, PoseGoal) and self._limbs.freedoms < FREEDOMS_OF_A_POSE:
-            return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
-        return goal
+        """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
+        if not isinstance(goal, PoseGoal) or self._limbs.freedoms >= FREEDOMS_OF_A_POSE:
+            return goal
+        if self._limbs.freedoms >= FREEDOMS_OF_AN_AXIS:
+            return replace(goal, free_axis="z")
+        return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
 
     def _not_found(self) -> MarkerNotFoundError:
         wanted = f"marker {self.stage.marker_id} of {self.stage.dictionary}"

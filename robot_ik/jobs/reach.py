@@ -205,6 +205,8 @@ def _plan(report: ReachReport) -> Trajectory:
     if not report.goal.has_angle:  # type: ignore[union-attr]
         # A position says nothing of the turn on the way: keep the one the tool has.
         target = Pose(target.position, report.robot.forward(report.q_start, report.frame).wxyz)
+    elif getattr(report.goal, "free_axis", None) is not None:  # the turn that the solution has chosen
+        target = Pose(target.position, report.robot.forward(report.solution.q, report.frame).wxyz)
     return line_move(report.robot, report.q_start, target, frame=report.frame, **caps)
 
 

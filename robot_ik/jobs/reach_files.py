@@ -169,6 +169,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             **_pose(report.target),
             "position_asked": report.goal.has_position,
             "angle_asked": report.goal.has_angle,
+            "free_axis": getattr(report.goal, "free_axis", None),
         },
         "limits": [asdict(limit) for limit in limbs.limits],
         "solution": _solution_facts(report),

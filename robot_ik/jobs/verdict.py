@@ -82,8 +82,7 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
 
 def distance(pose: Pose, goal: Goal, target: Pose) -> tuple[float, float]:
     """Metres and radians from ``pose`` to the goal's target; 0 for the part it leaves free."""
-    metres, radians = pose.distance(target)
-    return metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0
+    return goal.off(pose, target)
 
 
 def judge_read_back(robot: Robot, q: Array, goal: Goal, target: Pose, frame: str, bound: Bound) -> Judgement:

@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_ik.camera.made_up.synthetic import SyntheticSource
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.eyes import FREEDOMS_OF_A_POSE, Eyes
+from robot_ik.jobs.eyes import FREEDOMS_OF_AN_AXIS, Eyes
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.script.steps import ThingTable
 from robot_ik.jobs.stage import stage_for
@@ -33,7 +33,7 @@ def open_camera(limbs: Limbs, marker_at: list[float] | None, seed: int, stack: c
     Raises:
         CameraError: The robot's model says of no stage, and none can be made up.
     """
-    stage = stage_for(limbs.robot, limbs.frame, upright=limbs.freedoms < FREEDOMS_OF_A_POSE)
+    stage = stage_for(limbs.robot, limbs.frame, upright=limbs.freedoms < FREEDOMS_OF_AN_AXIS)
     width, height = stage.intrinsics.size
     stage = replace(stage, intrinsics=stage.intrinsics.scaled(width // SMALLER, height // SMALLER))
     if marker_at is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -27,7 +28,7 @@ from robot_ik.jobs.script.steps import (
 )
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import joint_move
-from robot_ik.problem import Problem
+from robot_ik.problem import Problem, Tolerance
 from robot_ik.solvers import make_solver
 
 if TYPE_CHECKING:
@@ -124,15 +125,15 @@ def go(now: Situation, step: Move, result: StepResult) -> None:
         trajectory = line_move(
             now.robot, start, target, frame=step.frame, linear_speed=step.linear_speed, **caps
         )
-        judge = _by_pose(now, step, step.frame, target.position, target.wxyz)
+        judge = _by_pose(now, step, PoseGoal.at(step.frame, target))
     elif isinstance(step, PoseStep | PositionStep | MarkerStep):
-        goal, frame, position, wxyz = _goal(now, step, result)
+        goal, wanted = _goal(now, step, result)
         trajectory = joint_move(now.robot, start, solve_for(now, goal, start), **caps)
-        judge = _by_pose(now, step, frame, position, wxyz)
+        judge = _by_pose(now, step, wanted)
     else:
-        wanted = _angles(now.robot, start, step)
-        trajectory = joint_move(now.robot, start, wanted, **caps)
-        judge = _by_joints(now, step, wanted)
+        angles = _angles(now.robot, start, step)
+        trajectory = joint_move(now.robot, start, angles, **caps)
+        judge = _by_joints(now, step, angles)
     now.play(trajectory, step.time_limit_s, lambda: judge()[0], result)
     there, result.found, numbers = judge()
     result.numbers.update(numbers)
@@ -164,21 +165,28 @@ def solve_for(now: Situation, goal: Goal, start: Array) -> Array:
 
 def _goal(
     now: Situation, step: PoseStep | PositionStep | MarkerStep, result: StepResult
-) -> tuple[Goal, str | None, Any, Any]:
-    """Goal, frame, and the position and orientation by which it is judged."""
-    if isinstance(step, PoseStep):
+) -> tuple[Goal, Goal]:
+    """The goal to solve for, and the one by which the arm is judged: at the marker's true place."""
+    if not isinstance(step, MarkerStep):
         frame = step.frame or now.robot.tool
-        return PoseGoal(frame, step.position, step.wxyz), frame, step.position, step.wxyz
-    if isinstance(step, PositionStep):
-        frame = step.frame or now.robot.tool
-        return PositionGoal(frame, step.position), frame, step.position, None
+        given = (
+            PoseGoal(frame, step.position, step.wxyz)
+            if isinstance(step, PoseStep)
+            else PositionGoal(frame, step.position)
+        )
+        return given, given
     assert now.eyes is not None
     seen = now.eyes.find_target()
     assert seen.true_pose is not None  # the camera is synthetic
     true = seen.true_pose.compose(now.eyes.stage.pose_marker_tool)
     off = float(np.linalg.norm(seen.goal.target.position - true.position))
     result.numbers["seen_off_mm"] = round(1e3 * off, 4)
-    return seen.goal, now.limbs.frame, true.position, true.wxyz if seen.goal.has_angle else None
+    goal = seen.goal
+    if isinstance(goal, PoseGoal) and goal.free_axis is not None:
+        # Five joints point the axis within a plane, and it is seen a little beside that.
+        near = Tolerance(SOLVE_TOLERANCE.position, 0.5 * float(np.radians(step.tolerance_deg)))
+        return replace(goal, tolerance=near), goal.moved_to(true)
+    return goal, goal.moved_to(true)
 
 
 def _angles(robot: Robot, start: Array, step: JointsStep | KeyframeStep | GripStep) -> Array:
@@ -192,10 +200,10 @@ def _angles(robot: Robot, start: Array, step: JointsStep | KeyframeStep | GripSt
 Judge = Callable[[], tuple[bool, str, dict[str, float]]]
 
 
-def _by_pose(now: Situation, step: Move, frame: str | None, position: Any, wxyz: Any) -> Judge:
+def _by_pose(now: Situation, step: Move, goal: Goal) -> Judge:
     def judge() -> tuple[bool, str, dict[str, float]]:
-        mm, deg = pose_miss(now.robot, now.arm.read().q, frame, position, wxyz)
-        assert mm is not None
+        metres, radians = goal.off(now.robot.measure(now.arm.read().q, goal.frame), goal.target)
+        mm, deg = 1e3 * metres, float(np.degrees(radians)) if goal.has_angle else None
         numbers = {"off_mm": round(mm, 4)} | ({} if deg is None else {"off_deg": round(deg, 4)})
         inside = mm <= step.tolerance_mm and (deg is None or deg <= step.tolerance_deg)
         return inside, off_text(mm, deg, step), numbers
