@@ -87,7 +87,7 @@ def run_batch(
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     answers = Answers.empty(len(targets), starts.shape[1])
     count = max(1, min(threads or usable_cores(), len(targets) // _LEAST_PER_THREAD))
-    edges = np.linspace(0, len(targets), count + 1).astype(int)
+    edges = [len(targets) * k // count for k in range(count + 1)]
 
     def part(k: int) -> str:
         here = slice(edges[k], edges[k + 1])

@@ -122,16 +122,19 @@ class Combined(Solver):
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
             super().attempt_many(problem, targets, starts, answers, budget)
             return
-        left = np.arange(len(targets))
-        best = np.full(len(targets), np.inf)
-        proven = np.zeros(len(targets), dtype=bool)
-        last = np.zeros(len(targets), dtype=np.int64)
-        for member in self._turns(problem):
+        turns = self._turns(problem)
+        turns[0].attempt_many(problem, targets, starts, answers, budget)
+        left = np.flatnonzero(answers.status != Status.CONVERGED)
+        if not len(left) or len(turns) == 1:
+            return
+        best = _cost(problem, answers.miss)
+        last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
+        for member in turns[1:]:
             for rows, rest in _shares(budget, left, answers, proven):
                 part = Answers.empty(len(rows), answers.q.shape[1])
                 member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
-                cost[part.status == Status.CONVERGED] = 0.0
+                cost[part.status == Status.CONVERGED] = -1.0
                 better = cost < best[rows]
                 best[rows[better]] = cost[better]
                 for name in ("q", "miss", "status"):
@@ -141,8 +144,8 @@ class Combined(Solver):
                 proven[rows] |= part.status == Status.UNREACHABLE
                 last[rows] = part.status
             left = left[answers.status[left] != Status.CONVERGED]
-        over = left[np.isin(last[left], _OVER)]
-        answers.status[over] = last[over]
+        for status in _OVER:
+            answers.status[left[last[left] == status]] = status
         answers.status[left[proven[left]]] = Status.UNREACHABLE
 
 
