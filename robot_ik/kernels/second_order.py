@@ -29,11 +29,11 @@ def has_second_order(tree, goal):
 
 @outlined
 def second_order(tree, goal, work, out):
-    """Hessian of ½ |r|² less JᵀJ at work.q into the lower triangle of ``out`` (nu, nu); r, J from the work space.
+    """Hessian of ½ |r|² less JᵀJ into the lower triangle of ``out`` (nu, nu); r and J are in the work space.
 
     Of two joints that move a goal the one with the smaller index is nearer to the root, a its axis.  A hinge
-    there turns the other's column of the position, v: ∂²p = a × v.  Of the rotation, with φ = log(R_target Rᵀ)
-    and unit axes a before b, the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), which
+    there turns the other's column of the position, v: ∂²p = a × v.  Of the rotation, with unit axes a before b
+    and φ = log(R_target Rᵀ), the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), as
     follows from φ' = −J_r⁻¹(φ) ω and b' = a × b (k of ``curvature``).
     """
     kinds, vadr, dof_node, ease = tree.kind, tree.vadr, tree.dof_node, goal.ease
@@ -49,11 +49,8 @@ def second_order(tree, goal, work, out):
         if what != ORIENTATION:
             ex, ey, ez = residual[row], residual[row + 1], residual[row + 2]
         if what != POSITION and weight > 0.0:
-            fx, fy, fz = (
-                residual[turned] / weight,
-                residual[turned + 1] / weight,
-                residual[turned + 2] / weight,
-            )
+            s = 1.0 / weight
+            fx, fy, fz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
             k, square = curvature(fx, fy, fz), fx * fx + fy * fy + fz * fz
         for j in range(n):
             node = dof_node[goal.dofs[j]]

@@ -154,8 +154,8 @@ class FollowReport:
     def __repr__(self) -> str:
         ends = ", ".join(f"{count} {name}" for name, count in self.statuses.items())
         return (
-            f"FollowReport({self.ticks} ticks in {self.duration:.3g} s: {ends or 'no goal'}; {self.held} held, "
-            f"{self.capped} capped, {self.overruns} overruns)"
+            f"FollowReport({self.ticks} ticks in {self.duration:.3g} s: {ends or 'no goal'}; "
+            f"{self.held} held, {self.capped} capped, {self.overruns} overruns)"
         )
 
     @property

@@ -135,7 +135,7 @@ def test_each_goal_is_moved_by_its_own_index(robots, reachable):
     np.testing.assert_array_equal(problem.target[1, :3], matrix[:3, 3])
     np.testing.assert_allclose(problem.target[0, :3], goals[0].target.position)
     for wrong in (2, -1, True, "gripper"):
-        with pytest.raises(InvalidGoalError, match="no goal|named by"):
+        with pytest.raises(InvalidGoalError, match=r"no goal|named by"):
             problem.retarget(matrix, wrong)
 
 
