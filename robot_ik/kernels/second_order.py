@@ -32,7 +32,7 @@ def second_order(tree, goal, work, out):
     """Hessian of ½ |r|² less JᵀJ into the lower triangle of ``out`` (nu, nu); r and J are in the work space.
 
     Of two joints that move a goal the one with the smaller index is nearer to the root, a its axis.  A hinge
-    there turns the other's column of the position, v: ∂²p = a × v.  Of the rotation, with unit axes a before b
+    there turns the other's column of the position, v: ∂²p = a × v.  Of a rotation, with unit axes a before b
     and φ = log(R_target Rᵀ), the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), as
     follows from φ' = −J_r⁻¹(φ) ω and b' = a × b (k of ``curvature``).
     """

@@ -55,7 +55,7 @@ from robot_ik.solvers.base import Answers, IterativeSolver, option
 Array = NDArray[np.float64]
 
 _NO_CLAMP = 1e6
-# In the last descent the exact Hessian takes the steps: they need little damping, and say when nothing is left
+# In the last descent the exact Hessian makes the steps: little damping will do, and they say when nothing is left
 # to gain (a share of the cost; rounding leaves some 1e-15 of it).
 _EXACT_DECREASE = 0.1
 _NOTHING_LEFT = 1e-13
