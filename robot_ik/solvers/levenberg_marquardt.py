@@ -55,8 +55,8 @@ from robot_ik.solvers.base import Answers, IterativeSolver, option
 Array = NDArray[np.float64]
 
 _NO_CLAMP = 1e6
-# In the last descent the exact Hessian makes the steps: little damping will do, and they say when nothing is left
-# to gain (a share of the cost; rounding leaves some 1e-15 of it).
+# In the last descent the exact Hessian makes the steps.  They need little damping, and show when there is no
+# more to gain: a share of the cost, of which rounding leaves some 1e-15.
 _EXACT_DECREASE = 0.1
 _NOTHING_LEFT = 1e-13
 
