@@ -23,9 +23,9 @@ from robot_ik.compiled_goals import (
     checked_goals,
     compile_goals,
     length_of,
+    levels_of,
     set_posture,
     target_row,
-    wall_distance,
 )
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.geometry import Pose
@@ -118,12 +118,12 @@ class Problem:
         self._reach: list[tuple[int, float, float, float, float]] = []
         for g, goal in enumerate(self.goals):
             asks = goal.rows.place != NO_PLACE and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+            asks = asks and not goal.soft
             ball = robot.reach(goal.frame) if asks else None
             if ball is not None:
                 slack = (goal.tolerance or self.tolerance).position
                 self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
-        self.walls = not all(self._whole[g] for g, *_ in self._reach)  # which only ``out_of_reach`` knows
-        self._make_work(self.budget.iterations + 1 if trace else 0)
+        self._make_work(work.TRACE_ROOM if trace else 0)
 
     def length(self, goal: Goal) -> float:
         """Metres that count as much as one radian for a goal."""
@@ -131,11 +131,13 @@ class Problem:
 
     @property
     def features(self) -> frozenset[str]:
-        """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``."""
+        """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``, ``soft``."""
         arrays, found = self._compiled.arrays, set()
         if (self.robot.tree.tied[:, 1] >= 0).any() and len(arrays["tied"]):
             found.add("couplings")
-        if len({goal.priority for goal in self.goals}) > 1:
+        if any(goal.soft for goal in self.goals):
+            found.add("soft")
+        elif len({goal.priority for goal in self.goals}) > 1:
             found.add("priorities")
         if (arrays["ease"] != 1.0).any():
             found.add("stiffness")
@@ -143,13 +145,14 @@ class Problem:
 
     def _make_work(self, trace_rows: int) -> None:
         robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
-        levels = len({goal.priority for goal in self.goals})
-        levels, dense = (levels, m) if levels > 1 else (0, 0)  # what only priorities need
+        levels = 1 + max(levels_of(self.goals))
+        several = levels > 1 or any(goal.soft for goal in self.goals)
+        levels, dense = (levels, m) if several else (0, 0)  # what only priorities need
         nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
         shapes: dict[str, Any] = {
             "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
             "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
-            "reach": (count, 4), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
+            "reach": (count, 4), "beyond": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
             "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
             "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
             "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
@@ -160,14 +163,14 @@ class Problem:
             "outward": (nu,),
         }  # fmt: skip
         self.arrays: dict[str, Any] = {
-            name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
+            name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)
             for name, shape in shapes.items()
         }
         self.arrays["nodes"] = self.nodes
         self.arrays["rest"][:] = robot.home
         self.arrays["reach"][:, 3] = np.inf
         for g, *ball in self._reach:
-            self.arrays["reach"][g] = ball if self._whole[g] else (0.0, 0.0, 0.0, np.inf)
+            self.arrays["reach"][g] = ball
         self.work = work.WORK.pack(self.arrays)
 
     @cached_property
@@ -275,12 +278,11 @@ class Problem:
         return beyond
 
     def out_of_reach(self) -> bool:
-        """Whether some goal for a place is proven unreachable: farther than all links laid end to end."""
+        """Whether a whole position is proven unreachable: farther than all links laid end to end.
+
+        The compiled loops find that out by themselves, and of parts of a position as well.
+        """
         for g, x, y, z, radius in self._reach:
-            if not self._whole[g]:
-                if wall_distance(self.goals[g], np.array([x, y, z])) > radius:
-                    return True
-                continue
             # As Python's own numbers, which are quicker one by one than NumPy's.
             a, b, c = self.target[g, :3].tolist()
             if math.hypot(a - x, b - y, c - z) > radius:

@@ -6,6 +6,7 @@ docs' table and the columns of benchmarks; ``option`` declares them.
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -71,7 +72,8 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``.
+        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+            ``soft`` goals.
     """
 
     name: ClassVar[str] = ""
@@ -145,6 +147,7 @@ class Solver(ABC):
 _FEATURES = {
     "couplings": "joints that follow others",
     "priorities": "goals of different priorities",
+    "soft": "soft goals",
     "stiffness": "joints of different stiffness",
 }
 
@@ -199,13 +202,12 @@ class IterativeSolver(Solver):
             ready.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
         began = time.perf_counter()
         ready.state[...], ready.value[...] = ready.fresh
-        if ready.walls and problem.out_of_reach():
-            ready.state[work.BEYOND] = 1
-        if ready.budget.seconds is None:
+        trace = None
+        if ready.budget.seconds is None and not problem.trace:
             ready.run(*ready.arguments)
         else:
-            self._in_slices(ready.run, ready.arguments, ready.state, began + ready.budget.seconds)
-        status, iterations, restarts, rows, beyond = ready.outcome.tolist()
+            trace = _in_slices(ready, problem.arrays["trace"], began)
+        status, iterations, restarts, _, beyond = ready.outcome.tolist()
         if status == work.NUMERICAL:
             problem.robot.check_q(ready.start, "start")
         elif beyond and status != work.CONVERGED:
@@ -213,7 +215,7 @@ class IterativeSolver(Solver):
         return Solution(
             ready.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
             self.name, problem.robot, tuple(problem.goals), ready.target.copy(),
-            problem.arrays["trace"][:rows].copy() if rows else None,
+            trace,
         )  # fmt: skip
 
     def _get_ready(self, problem: Problem) -> Ready:
@@ -242,21 +244,31 @@ class IterativeSolver(Solver):
         # Any seed, zero included, becomes a nonzero state of the generator.
         state[work.SEED] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
 
-    @staticmethod
-    def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:
-        slice_steps = _FIRST_SLICE if time.perf_counter() < deadline else 0
-        while True:
-            state[work.SLICE_END] = state[work.ITERATIONS] + slice_steps
-            began = time.perf_counter()
-            kernel(*run)
-            now = time.perf_counter()
-            if state[work.STATUS] != work.RUNNING:
-                return
-            if now >= deadline:
-                state[work.STATUS] = work.TIME_LIMIT
-                return
-            pace = slice_steps / max(now - began, 1e-6)
-            slice_steps = max(1, int(pace * min(_SLICE_SECONDS, deadline - now)))
+
+def _in_slices(ready: Ready, trace: Array, began: float) -> Array | None:
+    """Runs a kernel piece by piece, with looks at the clock between; takes the rows of the trace away, if any.
+
+    A solve in pieces is the same to the last bit.
+    """
+    state, rows, longest = ready.state, [], len(trace) or work.NO_LIMIT
+    seconds = ready.budget.seconds
+    deadline = math.inf if seconds is None else began + seconds
+    steps = longest if seconds is None else _FIRST_SLICE if time.perf_counter() < deadline else 0
+    while True:
+        state[work.SLICE_END] = state[work.ITERATIONS] + steps
+        before = time.perf_counter()
+        ready.run(*ready.arguments)
+        now = time.perf_counter()
+        if len(trace):
+            rows.append(trace[: state[work.TRACE_ROWS]].copy())
+            state[work.TRACE_ROWS] = 0
+        if state[work.STATUS] == work.RUNNING and now >= deadline:
+            state[work.STATUS] = work.TIME_LIMIT
+        if state[work.STATUS] != work.RUNNING:
+            return np.concatenate(rows) if rows else None
+        if seconds is not None:
+            pace = steps / max(now - before, 1e-6)
+            steps = min(longest, max(1, int(pace * min(_SLICE_SECONDS, deadline - now))))
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class Combined(Solver):
 
     parts: ClassVar[bool] = True
     # Those of its methods that can.
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "stiffness"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
@@ -141,7 +141,8 @@ def _rest(problem: Problem, whole: Budget, used: int, seconds: float, proven: bo
     rest = Budget(
         iterations=max(0, whole.iterations - used),
         seconds=None if whole.seconds is None else max(0.0, whole.seconds - seconds),
-        restarts=0 if proven else whole.restarts,
+        # Of several goals the others may still be searched for.
+        restarts=0 if proven and len(problem.goals) == 1 else whole.restarts,
     )
     problem.prepared["rest"] = asked, rest
     return rest

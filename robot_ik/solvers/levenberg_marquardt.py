@@ -50,6 +50,8 @@ from robot_ik.solvers.base import Answers, IterativeSolver, option
 Array = NDArray[np.float64]
 
 _NO_CLAMP = 1e6
+# What is served level after level.
+_LEVELS = frozenset({"priorities", "soft"})
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class LevenbergMarquardt(IterativeSolver):
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     @property
@@ -90,11 +92,11 @@ class LevenbergMarquardt(IterativeSolver):
         return lm_guided if self.guided else lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
-        return lm_levels if "priorities" in problem.features else self.kernel()
+        return lm_levels if problem.features & _LEVELS else self.kernel()
 
     def beyond(self, problem: Problem) -> str:
-        if self.guided and "priorities" in problem.features:
-            return "goals of different priorities together with clamp, gain or alternative"
+        if self.guided and problem.features & _LEVELS:
+            return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().beyond(problem)
 
     def parameters(self) -> tuple[float, ...]:
@@ -110,7 +112,7 @@ class LevenbergMarquardt(IterativeSolver):
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         self.require_support(problem)
-        if problem.budget.seconds is not None or problem.walls or self.guided:
+        if problem.budget.seconds is not None or self.guided:
             super().solve_many(problem, targets, starts, answers)  # a clock can be read in Python only
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")

@@ -40,7 +40,7 @@ class Ready:
 
     __slots__ = (
         "arguments", "best", "budget", "fresh", "outcome", "run", "seed", "shape", "solver", "start",
-        "state", "target", "value", "walls",
+        "state", "target", "value",
     )  # fmt: skip
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
@@ -53,4 +53,3 @@ class Ready:
         self.fresh = self.state.copy(), self.value.copy()
         self.outcome = self.state[work.OUTCOME]
         self.best, self.target, self.shape = arrays["best"], problem.target, self.start.shape
-        self.walls = problem.walls
