@@ -67,9 +67,9 @@ _AT_MOST, _NEAR = 6, 0.3
 _SHRINKS, _NEARLY_MET = 0.25, 30.0
 # Damping of a soft level, as a share of the largest entry of JᵀJ.
 _SOFT_DAMPING = 1e-6
-# A soft level rests where a step should win no more than this share of its cost.  A step that wins
-# less than the second share leaves about its square: it was the last.
-_REST, _LAST = 1e-3, 0.1
+# A soft level rests where a step would be no longer than this (rad or m).  A step shorter than the second
+# leaves about its square: it was the last.
+_REST, _LAST = 3e-4, 0.05
 
 # Entry of state[STAGE] while all levels are served together.
 _TOGETHER = -1
@@ -126,14 +126,14 @@ def level_step(tree, goal, work, options):
         value[DAMPING] = options[1]
     copy(work.q, work.accepted)
     damping = value[DAMPING] if soft else value[DAMPING] * before + floor
-    pressed, gain, _ = stacked_step(tree, goal, work, stage, damping)
-    if soft and gain <= _REST * before:
+    pressed, largest = stacked_step(tree, goal, work, stage, damping)
+    if soft and largest <= _REST:
         state[STALLS] = _LEVEL_PATIENCE
         return
     arrive(tree, goal, work)
     helped = restore(tree, goal, work, stage) and work.level_cost[stage] < before
     if helped:
-        progress = _REST if soft else (value[PROGRESS] if hurried(state) else _LEVEL_PROGRESS)
+        progress = value[PROGRESS] if hurried(state) else _LEVEL_PROGRESS
         state[PRESSED] = pressed
         value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
         state[STALLS] = 0 if work.level_cost[stage] < before * (1.0 - progress) else state[STALLS] + 1
@@ -159,11 +159,9 @@ def step_together(tree, goal, work):
     """One step of all levels at once; False where that does not lead on."""
     state, levels = work.state, work.level_cost.shape[0]
     needed, last = needed_levels(goal), levels - 1
-    if levels - needed > 1:  # what one of several soft levels should gain says nothing of the others
-        return False
     met = levels_met(goal, work, needed)
-    pressed, gain, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
-    if met and gain <= _REST * work.level_cost[last]:
+    pressed, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
+    if met and largest <= _REST:
         return converge(work, work.value[COST])
     if largest > _NEAR or state[STALLS] >= _AT_MOST:
         return False
@@ -181,7 +179,7 @@ def step_together(tree, goal, work):
         return False
     state[PRESSED] = pressed
     keep_first(work)
-    if levels_met(goal, work, needed) and gain <= _LAST * work.level_cost[last]:
+    if levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
         return converge(work, work.value[COST])
     return True
 

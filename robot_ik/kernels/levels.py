@@ -212,7 +212,7 @@ def soft_system(goal, work, level, damping):
 
 @outlined
 def serve_soft(goal, work, level, damping, rank):
-    """Adds to work.step what serves ``level`` beside the rows of work.basis; returns what it should gain.
+    """Adds to work.step what serves ``level`` beside the rows of work.basis.
 
     z minimises ½ |r − J (d + z)|² + ½ λ |z|² with B z = 0, B the basis: with H = JᵀJ + λ and g = Jᵀ(r − J d),
     z = H⁻¹ (g − Bᵀμ) and (B H⁻¹ Bᵀ) μ = B H⁻¹ g.  Such levels may have as many rows as there are joints: it
@@ -244,7 +244,7 @@ def serve_soft(goal, work, level, damping, rank):
             s += own[b, i] * matrix[i, i] * way[i]
         rhs[b] = s
     if not eliminate(gram, rhs, rank):
-        return 0.0
+        return
     for b in range(rank):
         for i in range(n):
             way[i] -= rhs[b] * own[b, i]
@@ -253,22 +253,18 @@ def serve_soft(goal, work, level, damping, rank):
     for i in range(n - 1, -1, -1):
         for k in range(first[i], i):
             way[k] -= matrix[i, k] * way[i]
-    gain = 0.0
     for i in range(n):
-        gain += 0.5 * slope[i] * way[i]
         work.step[i] += way[i]
-    return gain
 
 
 @outlined
 def stacked_step(tree, goal, work, top, damping):
     """work.step for levels 0 … ``top``, inside the limits; ``damping`` is that of the top level.
 
-    Returns the joints that are pressed against a bound, what a soft top level should gain, and the largest
-    change of a joint that was asked for.
+    Returns the joints that are pressed against a bound, and the largest change of a joint that was asked for.
     """
     step, low, high, side = work.step, work.low, work.high, work.side
-    n, needed, gain = step.shape[0], needed_levels(goal), 0.0
+    n, needed = step.shape[0], needed_levels(goal)
     goal_jacobian(tree, goal, work, work.frames)
     room(tree, goal, work)
     for u in range(n):
@@ -281,7 +277,7 @@ def stacked_step(tree, goal, work, top, damping):
         for level in range(top + 1):
             weight = damping
             if level == top and level >= needed:
-                gain = serve_soft(goal, work, level, damping, rank)
+                serve_soft(goal, work, level, damping, rank)
                 continue
             if level < top:
                 met = level_met(goal, work, level)
@@ -302,7 +298,7 @@ def stacked_step(tree, goal, work, top, damping):
     share = _LONGEST / largest if largest > _LONGEST else 1.0
     for u in range(n):
         step[u] = min(max(share * step[u], low[u]), high[u])
-    return pressed, gain, largest
+    return pressed, largest
 
 
 @outlined
