@@ -26,7 +26,7 @@ from robot_ik.kernels.partial_rows import (
     TURN,
     WHOLE,
 )
-from robot_ik.model_tree import pose_row
+from robot_ik.model_tree import pose_row, row_pose
 from robot_ik.robot import Robot
 
 Ints = NDArray[np.int64]
@@ -68,6 +68,13 @@ def target_row(goal: Goal) -> Array:
     if not goal.rows.whole:
         row[3:] = (pose.rotation @ turn_z_to(goal.rows.axis)).ravel()
     return row
+
+
+def moved_goal(goal: Goal, row: Array) -> Goal:
+    """``goal`` with the target row (12,) that it has now; goals for parts are replaced when they move."""
+    if not goal.rows.whole or np.array_equal(target_row(goal), row):
+        return goal
+    return goal.moved_to(row_pose(row))
 
 
 def kind_of(goal: Goal) -> int:

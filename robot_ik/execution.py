@@ -239,22 +239,18 @@ class _Chase:
 
     def _aim(self, goal: Goals) -> Problem:
         """The problem for ``goal``: one at hand with new targets and weights where only those changed."""
-        from robot_ik.problem import Budget, Problem
+        from robot_ik.problem import Budget, Problem, goal_kind
 
         goals = [goal] if isinstance(goal, Goal) else list(goal)
-        kind = tuple(_kind(g) for g in goals)
+        kind = tuple(goal_kind(g) for g in goals)
         problem = self._problems.get(kind)
         if problem is None:
             budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
             problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
             kept = list(self._problems.items())[-(_KINDS_KEPT - 1) :]
             self._problems = dict(kept) | {kind: problem}
-        for index, one in enumerate(goals):
-            if one.weights != problem.goals[index].weights:
-                metres, radians = one.weights
-                problem.weights[index] = metres / problem.length(one), radians
-                problem.goals[index] = one
-            problem.retarget(one, index)
+        else:
+            problem.exchange(goals)
         return problem
 
     def report(self, duration: float, schedule: Schedule) -> FollowReport:
@@ -272,12 +268,6 @@ class _Chase:
             largest_step=self._largest_step,
             tracking_error=self._tracking,
         )
-
-
-def _kind(goal: Goal) -> tuple[object, ...]:
-    """What a problem is made for; goals that agree in it differ only in target and size of weights."""
-    kind, _, *others = goal.signature  # the second part is the weights
-    return goal.frame, kind, tuple(weight > 0.0 for weight in goal.weights), *others
 
 
 def _frozen(q: ArrayLike) -> Array:

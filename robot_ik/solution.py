@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.compiled_goals import moved_goal
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
@@ -88,6 +89,8 @@ class Solution:
         iterations, restarts: Steps of all tries; random restarts used.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
+        given, targets: The goals as they were given to the problem, and the rows (g, 12) that they were moved
+            to since; ``goals`` puts the two together.
     """
 
     q: Array
@@ -97,7 +100,7 @@ class Solution:
     seconds: float
     solver: str
     robot: Robot
-    goals: tuple[Goal, ...]
+    given: tuple[Goal, ...]
     targets: Array
     trace_rows: Array | None = None
 
@@ -107,16 +110,22 @@ class Solution:
         return self.status is Status.CONVERGED
 
     @cached_property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals that were solved for, with the targets they had then."""
+        return tuple(moved_goal(goal, row) for goal, row in zip(self.given, self.targets, strict=True))
+
+    @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
-        return tuple(self._measure(goal, row) for goal, row in zip(self.goals, self.targets, strict=True))
+        return tuple(self._measure(goal, row) for goal, row in zip(self.given, self.targets, strict=True))
 
     @property
     def miss(self) -> Miss:
         """The largest miss over all goals that are needed, by MuJoCo's own forward pass on first access."""
         needed = [miss for goal, miss in zip(self.goals, self.misses, strict=True) if not goal.soft]
         return Miss(
-            max((miss.position for miss in needed), default=0.0), max((miss.angle for miss in needed), default=0.0)
+            max((miss.position for miss in needed), default=0.0),
+            max((miss.angle for miss in needed), default=0.0),
         )
 
     @cached_property

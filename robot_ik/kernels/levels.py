@@ -71,10 +71,10 @@ def needed_levels(goal):
 @pure
 def levels_met(goal, work, needed, share=1.0):
     """Whether the first ``needed`` levels are within that share of their tolerance."""
+    met = True
     for level in range(needed):
-        if not level_met(goal, work, level, share):
-            return False
-    return True
+        met = met and level_met(goal, work, level, share)
+    return met
 
 
 @pure

@@ -19,7 +19,6 @@ from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.draws import draw
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward
-from robot_ik.kernels.residuals import evaluate
 from robot_ik.kernels.out_of_reach import (
     ask_for_all,
     drop_beyond,
@@ -27,6 +26,7 @@ from robot_ik.kernels.out_of_reach import (
     may_restart,
     some_within_reach,
 )
+from robot_ik.kernels.residuals import evaluate
 from robot_ik.kernels.room import apply_step, finite
 from robot_ik.kernels.trace import record
 from robot_ik.kernels.work import (

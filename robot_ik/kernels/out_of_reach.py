@@ -63,11 +63,11 @@ def drop_beyond(goal, work):
 @outlined
 def some_within_reach(goal, work):
     """Whether the first level needs something that is not proven out of reach."""
+    found = False
     for g in range(goal.kind.shape[0]):
-        if goal.level[g] == 0 and work.beyond[g] == 0:
-            if goal.asked[g, 2] < math.inf or goal.asked[g, 3] < math.inf:
-                return True
-    return False
+        needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
+        found = found or (needed and goal.level[g] == 0 and work.beyond[g] == 0)
+    return found
 
 
 @pure

@@ -64,8 +64,6 @@ def room(tree, goal, work):
             high[u] = 3.0
 
 
-
-
 @pure
 def finite(q):
     """Whether all numbers are."""

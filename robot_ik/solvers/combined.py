@@ -6,6 +6,8 @@ where there is one, then Levenberg-Marquardt.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -21,6 +23,7 @@ from robot_ik.solvers import able_solvers, make_solver
 from robot_ik.solvers.base import Answers, Solver, option
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -54,98 +57,139 @@ class Combined(Solver):
         """Whether a member gets its turn."""
         return member.applies(problem)
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
+        began = time.perf_counter()
         turns = self._turns(problem)
-        solution = turns[0].solve(problem, start)
+        solution = turns[0].attempt(problem, start, budget)
         if solution.status is Status.CONVERGED or len(turns) == 1:
             return solution
-        return self._go_on(problem, start, solution)
+        return self._go_on(problem, start, budget, solution, began)
+
+    def load(self, problem: Problem) -> None:
+        self._turns(problem)
 
     def _turns(self, problem: Problem) -> tuple[Solver, ...]:
-        """The methods that can try a problem, asked once."""
-        asked = problem.prepared.get("turns")
-        if asked is None or asked[0] is not self:
-            turns = tuple(member for member in self._members if self._takes(member, problem))
-            if not turns:
-                goal = problem.goals[0]
-                beyond = [member.beyond(problem) for member in self._members]
-                what = next(filter(None, beyond), f"a {goal.name}")
-                raise UnsupportedGoalError(self.name, what, able_solvers(problem))
-            asked = problem.prepared["turns"] = self, turns
-        found: tuple[Solver, ...] = asked[1]
-        return found
+        """The methods that can try a problem: asked, and loaded, once.
 
-    def _go_on(self, problem: Problem, start: ArrayLike | None, best: Solution) -> Solution:
-        """The other methods, after the first has failed with ``best``."""
-        whole, used, spent = problem.budget, best.iterations, best.seconds
-        proven = best.status is Status.UNREACHABLE
+        All are loaded before the first is tried: the first goal that it misses would else stall a loop.
+        """
+        kept: _Turns | None = problem.compiled.made.get(id(self))
+        if kept is None:
+            kept = problem.compiled.made_for(self, lambda: _Turns(self, self._choose(problem)))
+            for member in kept.members:
+                member.load(problem)
+        return kept.members
+
+    def _choose(self, problem: Problem) -> tuple[Solver, ...]:
+        turns = tuple(member for member in self._members if self._takes(member, problem))
+        if not turns:
+            goal = problem.given[0]
+            beyond = [member.beyond(problem) for member in self._members]
+            what = next(filter(None, beyond), f"a {goal.name}")
+            raise UnsupportedGoalError(self.name, what, able_solvers(problem))
+        return turns
+
+    def _go_on(
+        self, problem: Problem, start: ArrayLike | None, budget: Budget, best: Solution, began: float
+    ) -> Solution:
+        """The other methods, after the first has failed with ``best``; what all of them took is reported."""
+        iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
+        last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][BEST_COST])
-        try:
-            for member in self._turns(problem)[1:]:
-                problem.budget = _rest(problem, whole, used, spent, proven)
-                solution = member.solve(problem, start)
-                used, spent = used + solution.iterations, spent + solution.seconds
-                proven = proven or solution.status is Status.UNREACHABLE
-                cost = float(problem.arrays["value"][BEST_COST])
-                if solution.converged or cost < best_cost:
-                    best, best_cost = solution, cost
-                if solution.converged:
-                    break
-        finally:
-            problem.budget = whole
-        if proven and not best.converged:
-            best.status = Status.UNREACHABLE
-        best.iterations = used
+        for member in self._turns(problem)[1:]:
+            futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
+            rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
+            solution = member.attempt(problem, start, rest)
+            rows.append(_later(solution.trace_rows, iterations, restarts))
+            iterations, restarts = iterations + solution.iterations, restarts + solution.restarts
+            last, proven = solution.status, proven or solution.status is Status.UNREACHABLE
+            cost = float(problem.arrays["value"][BEST_COST])
+            if solution.converged or cost < best_cost:
+                best, best_cost = solution, cost
+            if solution.converged:
+                break
+        if not best.converged:
+            best.status = Status.UNREACHABLE if proven else last if last in _OVER else best.status
+        kept = [part for part in rows if part is not None]
+        best.trace_rows = np.concatenate(kept) if kept else None
+        best.iterations, best.restarts = iterations, restarts
+        best.seconds = time.perf_counter() - began
         return best
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
-        """Each method takes all poses that the ones before it missed."""
-        left, whole = np.arange(len(targets)), problem.budget
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        """Each method takes all poses that the ones before it missed, with what they left of the budget."""
+        if budget.seconds is not None:  # which is for each pose: only Python can read a clock
+            super().attempt_many(problem, targets, starts, answers, budget)
+            return
+        left = np.arange(len(targets))
         best = np.full(len(targets), np.inf)
         proven = np.zeros(len(targets), dtype=bool)
-        for member in self._members:
-            if not len(left) or not self._takes(member, problem):
-                continue
-            for rows, known in ((left[~proven[left]], False), (left[proven[left]], True)):
+        last = np.zeros(len(targets), dtype=np.int64)
+        for member in self._turns(problem):
+            for rows, rest in _shares(budget, left, answers, proven):
                 part = Answers.empty(len(rows), answers.q.shape[1])
-                problem.budget = _rest(problem, whole, 0, 0.0, known)
-                try:
-                    member.solve_many(problem, targets[rows], starts[rows], part)
-                finally:
-                    problem.budget = whole
+                member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
                 cost[part.status == Status.CONVERGED] = 0.0
                 better = cost < best[rows]
                 best[rows[better]] = cost[better]
-                for mine, its in (
-                    (answers.q, part.q),
-                    (answers.miss, part.miss),
-                    (answers.status, part.status),
-                ):
-                    mine[rows[better]] = its[better]
+                for name in ("q", "miss", "status"):
+                    getattr(answers, name)[rows[better]] = getattr(part, name)[better]
+                answers.iterations[rows] += part.iterations
+                answers.restarts[rows] += part.restarts
                 proven[rows] |= part.status == Status.UNREACHABLE
+                last[rows] = part.status
             left = left[answers.status[left] != Status.CONVERGED]
-        answers.status[proven & (answers.status != Status.CONVERGED)] = Status.UNREACHABLE
+        over = left[np.isin(last[left], _OVER)]
+        answers.status[over] = last[over]
+        answers.status[left[proven[left]]] = Status.UNREACHABLE
 
 
-def _rest(problem: Problem, whole: Budget, used: int, seconds: float, proven: bool) -> Budget:
-    """What is left of a budget.  Once it is proven that no joint angles do, restarts are of no use.
+# A method that ends so has not had its say: neither have all of them together.
+_OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
-    Kept from one solve to the next, so that a method that is ready for it stays ready.
-    """
-    asked = whole, used, proven
-    kept = problem.prepared.get("rest")
-    if whole.seconds is None and kept is not None and kept[0] == asked:
-        known: Budget = kept[1]
-        return known
-    rest = Budget(
-        iterations=max(0, whole.iterations - used),
-        seconds=None if whole.seconds is None else max(0.0, whole.seconds - seconds),
-        # Of several goals the others may still be searched for.
-        restarts=0 if proven and len(problem.goals) == 1 else whole.restarts,
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """The methods that try a problem, in their order, and who asked."""
+
+    solver: Combined
+    members: tuple[Solver, ...]
+
+
+def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven: bool) -> Budget:
+    """What is left of a budget.  Once it is proven that no joint angles do, restarts are of no use."""
+    spare = None if budget.restarts is None else max(0, budget.restarts - restarts)
+    return Budget(
+        iterations=max(0, budget.iterations - iterations),
+        seconds=None if budget.seconds is None else max(0.0, budget.seconds - seconds),
+        restarts=0 if proven else spare,
     )
-    problem.prepared["rest"] = asked, rest
-    return rest
+
+
+def _shares(
+    budget: Budget, left: Rows, answers: Answers, proven: NDArray[np.bool_]
+) -> Iterator[tuple[Rows, Budget]]:
+    """Those of the rows ``left`` (n,) that have the same rest of the budget, and that rest."""
+    if not len(left):
+        return
+    spent = np.column_stack([answers.iterations[left], answers.restarts[left], proven[left]])
+    if (spent == spent[0]).all():
+        yield left, _rest(budget, int(spent[0, 0]), int(spent[0, 1]), 0.0, bool(spent[0, 2]))
+        return
+    kinds, group = np.unique(spent, axis=0, return_inverse=True)
+    for k, (iterations, restarts, known) in enumerate(kinds.tolist()):
+        yield left[group.ravel() == k], _rest(budget, iterations, restarts, 0.0, bool(known))
+
+
+def _later(rows: Array | None, iterations: int, restarts: int) -> Array | None:
+    """Trace rows of a method that began after others had taken so many steps and restarts."""
+    if rows is None:
+        return None
+    rows[:, :2] += iterations, restarts
+    return rows
 
 
 def _cost(problem: Problem, miss: Array) -> Array:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from robot_ik.kernels.work import (
     CONVERGED,
     COST,
     DAMPING,
+    ITERATIONS,
     POLISHING,
     PRESSED,
     RESTARTS,
@@ -44,7 +45,7 @@ from robot_ik.kernels.work import (
     open_run,
     open_work,
 )
-from robot_ik.problem import Problem
+from robot_ik.problem import Budget, CompiledProblem, Problem
 from robot_ik.solvers.base import Answers, IterativeSolver, option
 
 Array = NDArray[np.float64]
@@ -103,22 +104,24 @@ class LevenbergMarquardt(IterativeSolver):
         plain = (self.floor, self.damping, self.increase, self.decrease, self.least, self.stride)
         return (*plain, self.clamp, float(self.alternative), self.gain)
 
-    def arguments(self, problem: Problem) -> tuple[int]:
-        """The address of the table of a run, which ``problem.prepared`` keeps alive."""
-        tables = {"tree": problem.robot.tree.handle, "goals": problem.handle, "work": problem.work}
-        run = RUN.pack(tables | {"options": self._options})
-        problem.prepared["lm"] = run, self
-        return (run.ctypes.data,)
+    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
+        tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work}
+        return (RUN.pack(tables | {"options": self._options}),)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
-        self.require_support(problem)
-        if problem.budget.seconds is not None or self.guided:
-            super().solve_many(problem, targets, starts, answers)  # a clock can be read in Python only
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        run = self._run_for(problem)
+        if budget.seconds is not None or self.guided:
+            super().attempt_many(problem, targets, starts, answers, budget)  # only Python can read a clock
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")
-        self._set_state(problem)
-        fresh = problem.arrays["state"].copy()
-        lm_many(*self.arguments(problem), fresh, targets, starts, answers.q, answers.status, answers.miss)
+        fresh, value = self.fresh_state(budget, problem.seed)
+        run.value[...] = value
+        lm_many(
+            *run.arguments, fresh, targets, starts,
+            answers.q, answers.status, answers.miss, answers.iterations, answers.restarts,
+        )  # fmt: skip
 
 
 @pure
@@ -245,10 +248,10 @@ def lm(run):
 
 
 @kernel
-def lm_many(run, fresh, targets, starts, q, status, miss):
-    """One solve for each row of targets (n, 12), starts (n, nq): fills q (n, nq), status (n,), miss (n, 2).
+def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
+    """One solve for each row of targets (n, 12), starts (n, nq), from the state ``fresh``.
 
-    ``fresh`` is the state a solve begins with.
+    Fills q (n, nq), status (n,), miss (n, 2), iterations (n,), restarts (n,).
     """
     run = open_run(run)
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
@@ -270,3 +273,4 @@ def lm_many(run, fresh, targets, starts, q, status, miss):
             q[row, i] = best[i]
         status[row] = UNREACHABLE if state[BEYOND] == 1 and state[STATUS] != CONVERGED else state[STATUS]
         miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row], restarts[row] = state[ITERATIONS], state[RESTARTS]

@@ -199,7 +199,10 @@ def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
 def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothing_behind():
     """Weights that were put aside for the search count again: in the answer, and in the next solve."""
     robot, rng = load_robot("puma560"), np.random.default_rng(2)
-    pose, far = PoseGoal.at(None, robot.forward(robot.sample(rng))), PositionGoal(None, (9.0, 0, 0), weight=1e-9)
+    pose, far = (
+        PoseGoal.at(None, robot.forward(robot.sample(rng))),
+        PositionGoal(None, (9.0, 0, 0), weight=1e-9),
+    )
     solver = make_solver("lm")
     for budget in (Budget(iterations=k) for k in (1, 7, 20, 35, 60, 20_000)):
         problem = Problem(robot, [pose, far], budget=budget)
