@@ -27,10 +27,10 @@ from robot_ik.compiled_goals import (
     checked_goals,
     compile_goals,
     length_of,
+    levels_of,
     moved_goal,
     set_posture,
     target_row,
-    wall_distance,
 )
 from robot_ik.errors import InvalidGoalError, ModelError, ProblemInUseError
 from robot_ik.geometry import Pose
@@ -122,13 +122,15 @@ def _work_arrays(
 ) -> dict[str, Array]:
     """The work space of a solve, by the names in ``work.WORK``."""
     count, m, nu, nq = len(goals), found.rows, len(found.arrays["dofs"]), robot.nq
-    levels = len({goal.priority for goal in goals})
-    levels, dense = (levels, m) if levels > 1 else (0, 0)  # what only priorities need
+    levels = 1 + max(levels_of(goals))
+    several = levels > 1 or any(goal.soft for goal in goals)
+    levels, dense = (levels, m) if several else (0, 0)  # what only priorities and soft goals need
     k, p = max(m, nu, 1), min(m, nu)
     shapes: dict[str, Any] = {
         "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
         "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
-        "reach": (count, 4), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
+        "reach": (count, 4), "beyond": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
+        "frames": (count, 12),
         "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
         "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
         "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
@@ -139,7 +141,7 @@ def _work_arrays(
         "outward": (nu,),
     }  # fmt: skip
     arrays: dict[str, Any] = {
-        name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
+        name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)
         for name, shape in shapes.items()
     }
     arrays["nodes"] = found.nodes
@@ -185,26 +187,21 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self.trace = trace
-        self.compiled = CompiledProblem(
-            robot, self.given, self.tolerance, self.budget.iterations + 1 if trace else 0
-        )
+        self.compiled = CompiledProblem(robot, self.given, self.tolerance, work.TRACE_ROOM if trace else 0)
         compiled = self.compiled
         self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes
         self.target, self.dofs = compiled.goal_arrays["target"], compiled.goal_arrays["dofs"]
-        self.weights = compiled.goal_arrays["weight"]  # (g, 2) on metres (over the length) and on radians
+        self.weights = compiled.goal_arrays["asked"][:, :2]  # on metres (over the length) and on radians
         self._whole = [goal.rows.whole for goal in self.given]
         self._reach: list[tuple[int, float, float, float, float]] = []
         for g, goal in enumerate(self.given):
             asks = goal.rows.place != NO_PLACE and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+            asks = asks and not goal.soft
             ball = robot.reach(goal.frame) if asks else None
             if ball is not None:
                 slack = (goal.tolerance or self.tolerance).position
                 self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
-                if self._whole[g]:
-                    self.arrays["reach"][g] = self._reach[-1][1:]
-                else:
-                    self.arrays["reach"][g] = 0.0, 0.0, 0.0, np.inf
-        self.walls = not all(self._whole[g] for g, *_ in self._reach)  # which only ``out_of_reach`` knows
+                self.arrays["reach"][g] = self._reach[-1][1:]
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -225,11 +222,13 @@ class Problem:
 
     @property
     def features(self) -> frozenset[str]:
-        """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``."""
+        """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``, ``soft``."""
         arrays, found = self.compiled.goal_arrays, set()
         if (self.robot.tree.tied[:, 1] >= 0).any() and len(arrays["tied"]):
             found.add("couplings")
-        if len({goal.priority for goal in self.given}) > 1:
+        if any(goal.soft for goal in self.given):
+            found.add("soft")
+        elif len({goal.priority for goal in self.given}) > 1:
             found.add("priorities")
         if (arrays["ease"] != 1.0).any():
             found.add("stiffness")
@@ -388,7 +387,8 @@ class Problem:
         for index, (mine, goal) in enumerate(zip(self.given, goals, strict=True)):
             if goal.weights != mine.weights:
                 metres, radians = goal.weights
-                self.weights[index] = metres / self.length(goal), radians
+                weight = metres / self.length(goal), radians
+                self.weights[index] = self.compiled.goal_arrays["weight"][index] = weight
             self._put(goal, index)
 
     def _require_same(self, target: Goal, index: int) -> None:
@@ -415,12 +415,11 @@ class Problem:
         return beyond
 
     def out_of_reach(self) -> bool:
-        """Whether some goal for a place is proven unreachable: farther than all links laid end to end."""
+        """Whether a whole position is proven unreachable: farther than all links laid end to end.
+
+        The compiled loops find that out by themselves, and of parts of a position as well.
+        """
         for g, x, y, z, radius in self._reach:
-            if not self._whole[g]:
-                if wall_distance(self.given[g], np.array([x, y, z])) > radius:
-                    return True
-                continue
             # As Python's own numbers, which are quicker one by one than NumPy's.
             a, b, c = self.target[g, :3].tolist()
             if math.hypot(a - x, b - y, c - z) > radius:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Status(enum.IntEnum):
-    """How a solve ended; only CONVERGED means that every goal is within tolerance."""
+    """How a solve ended; only CONVERGED means that every goal that is needed is within tolerance."""
 
     CONVERGED = work.CONVERGED
     STALLED = work.STALLED
@@ -49,7 +49,7 @@ def short_numbers(q: Array) -> str:
 STATUS_OF = {int(status): status for status in Status}
 
 _MEANING = {
-    Status.CONVERGED: "every goal is within tolerance",
+    Status.CONVERGED: "every goal that is needed is within tolerance",
     Status.STALLED: "no step improves it any more; the nearest point found is kept",
     Status.ITERATION_LIMIT: "the iteration budget ran out; the nearest point found is kept",
     Status.TIME_LIMIT: "the time budget ran out; the nearest point found is kept",
@@ -61,7 +61,7 @@ _MEANING = {
 
 @dataclass(frozen=True)
 class Miss:
-    """Honest distance to the goals, unweighted: the largest of all goals.
+    """Honest distance to the goals, unweighted: the largest of all that are not soft.
 
     Attributes:
         position: Metres; 0 when no goal asks for a position.
@@ -112,7 +112,7 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether every goal is within tolerance."""
+        """Whether every goal that is needed is within tolerance."""
         return self.status is Status.CONVERGED
 
     @cached_property
@@ -127,8 +127,12 @@ class Solution:
 
     @property
     def miss(self) -> Miss:
-        """The largest miss over all goals, measured by MuJoCo's own forward pass on first access."""
-        return Miss(max(m.position for m in self.misses), max(m.angle for m in self.misses))
+        """The largest miss over all goals that are needed, by MuJoCo's own forward pass on first access."""
+        needed = [miss for goal, miss in zip(self.goals, self.misses, strict=True) if not goal.soft]
+        return Miss(
+            max((miss.position for miss in needed), default=0.0),
+            max((miss.angle for miss in needed), default=0.0),
+        )
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:

@@ -184,6 +184,8 @@ class Goal:
         frame: Name of the frame; None means the robot's tool.
         priority: Goals of 0 are served first; those of 1 get what freedom is left, and so on.
         tolerance: What counts as reached for this goal; None = as the problem says.
+        soft: Wanted, not needed: it gets what freedom all other goals leave, never counts for ``converged``,
+            and is not searched for.  Soft goals have priorities among themselves.
         length: Metres that count as much as one radian; None = about a third of the robot's reach.
             A00's scale c: one metre counts as much as d degrees for c = 360 / (2π d).
     """
@@ -192,6 +194,7 @@ class Goal:
     priority: int = field(default=0, kw_only=True)
     tolerance: Tolerance | None = field(default=None, kw_only=True)
     length: float | None = field(default=None, kw_only=True)
+    soft: bool = field(default=False, kw_only=True)
 
     name: ClassVar[str] = "goal"
     # Whether the goal has a part in metres, and one in radians.
@@ -209,6 +212,8 @@ class Goal:
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
+        if not isinstance(self.soft, bool | np.bool_):
+            raise InvalidGoalError(f"soft is True or False, not {self.soft!r}")
         if self.length is not None and not (positive_number(self.length, "length") > 0.0):
             raise InvalidGoalError(f"length must be positive, not {self.length!r}")
 
@@ -256,7 +261,7 @@ class Goal:
     @property
     def signature(self) -> tuple[object, ...]:
         """What a problem is compiled for; goals of one frame that agree in it differ only in their target."""
-        return type(self), self.weights, self.priority, self.tolerance, self.length, self.rows
+        return type(self), self.weights, self.priority, self.soft, self.tolerance, self.length, self.rows
 
     def moved_to(self, target: Pose) -> Goal:
         """The same goal with another target."""

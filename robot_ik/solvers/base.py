@@ -82,7 +82,8 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``.
+        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+            ``soft`` goals.
     """
 
     name: ClassVar[str] = ""
@@ -196,6 +197,7 @@ class Solver(ABC):
 _FEATURES = {
     "couplings": "joints that follow others",
     "priorities": "goals of different priorities",
+    "soft": "soft goals",
     "stiffness": "joints of different stiffness",
 }
 
@@ -250,21 +252,19 @@ class IterativeSolver(Solver):
             run.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
         began = time.perf_counter()
         run.state[...], run.value[...] = run.fresh
-        if problem.walls and problem.out_of_reach():
-            run.state[work.BEYOND] = 1
-        if budget.seconds is None:
+        trace = None
+        if budget.seconds is None and not problem.trace:
             run.entry(*run.arguments)
         else:
-            self._in_slices(run.entry, run.arguments, run.state, began + budget.seconds)
-        status, iterations, restarts, rows, beyond = run.outcome.tolist()
+            trace = _in_slices(run, problem.arrays["trace"], began)
+        status, iterations, restarts, _, beyond = run.outcome.tolist()
         if status == work.NUMERICAL:
             problem.robot.check_q(run.start, "start")
         elif beyond and status != work.CONVERGED:
             status = work.UNREACHABLE
         return Solution(
             run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
-            self.name, problem.robot, problem.given, run.target.copy(),
-            problem.arrays["trace"][:rows].copy() if rows else None,
+            self.name, problem.robot, problem.given, run.target.copy(), trace,
         )  # fmt: skip
 
     def _run_for(self, problem: Problem) -> Run:
@@ -286,22 +286,6 @@ class IterativeSolver(Solver):
         # Any seed, zero included, becomes a nonzero state of the generator.
         state[work.SEED] = (seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
         return state, value
-
-    @staticmethod
-    def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:
-        slice_steps = _FIRST_SLICE if time.perf_counter() < deadline else 0
-        while True:
-            state[work.SLICE_END] = state[work.ITERATIONS] + slice_steps
-            began = time.perf_counter()
-            kernel(*run)
-            now = time.perf_counter()
-            if state[work.STATUS] != work.RUNNING:
-                return
-            if now >= deadline:
-                state[work.STATUS] = work.TIME_LIMIT
-                return
-            pace = slice_steps / max(now - began, 1e-6)
-            slice_steps = max(1, int(pace * min(_SLICE_SECONDS, deadline - now)))
 
 
 class Run:
@@ -338,6 +322,32 @@ class Run:
         if budget != self.budget or seed != self.seed:
             self.fresh = self.solver.fresh_state(budget, seed)
         self.budget, self.seed = budget, seed
+
+
+def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
+    """Runs a kernel piece by piece, with looks at the clock between; takes the rows of the trace away, if any.
+
+    A solve in pieces is the same to the last bit.
+    """
+    state, rows, longest = run.state, [], len(trace) or work.NO_LIMIT
+    seconds = run.budget.seconds
+    deadline = math.inf if seconds is None else began + seconds
+    steps = longest if seconds is None else _FIRST_SLICE if time.perf_counter() < deadline else 0
+    while True:
+        state[work.SLICE_END] = state[work.ITERATIONS] + steps
+        before = time.perf_counter()
+        run.entry(*run.arguments)
+        now = time.perf_counter()
+        if len(trace):
+            rows.append(trace[: state[work.TRACE_ROWS]].copy())
+            state[work.TRACE_ROWS] = 0
+        if state[work.STATUS] == work.RUNNING and now >= deadline:
+            state[work.STATUS] = work.TIME_LIMIT
+        if state[work.STATUS] != work.RUNNING:
+            return np.concatenate(rows) if rows else None
+        if seconds is not None:
+            pace = steps / max(now - before, 1e-6)
+            steps = min(longest, max(1, int(pace * min(_SLICE_SECONDS, deadline - now))))
 
 
 def take_start(problem: Problem, start: ArrayLike | None) -> None:

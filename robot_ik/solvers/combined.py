@@ -38,7 +38,7 @@ class Combined(Solver):
 
     parts: ClassVar[bool] = True
     # Those of its methods that can.
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "stiffness"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
@@ -97,7 +97,8 @@ class Combined(Solver):
         last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][BEST_COST])
         for member in self._turns(problem)[1:]:
-            rest = _rest(budget, iterations, restarts, time.perf_counter() - began, proven)
+            futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
+            rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
             solution = member.attempt(problem, start, rest)
             rows.append(_later(solution.trace_rows, iterations, restarts))
             iterations, restarts = iterations + solution.iterations, restarts + solution.restarts

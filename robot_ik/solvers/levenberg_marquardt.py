@@ -59,6 +59,8 @@ _NO_CLAMP = 1e6
 # more to gain: a share of the cost, of which rounding leaves some 1e-15.
 _EXACT_DECREASE = 0.1
 _NOTHING_LEFT = 1e-13
+# What is served level after level.
+_LEVELS = frozenset({"priorities", "soft"})
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class LevenbergMarquardt(IterativeSolver):
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     @property
@@ -99,11 +101,11 @@ class LevenbergMarquardt(IterativeSolver):
         return lm_guided if self.guided else lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
-        return lm_levels if "priorities" in problem.features else self.kernel()
+        return lm_levels if problem.features & _LEVELS else self.kernel()
 
     def beyond(self, problem: Problem) -> str:
-        if self.guided and "priorities" in problem.features:
-            return "goals of different priorities together with clamp, gain or alternative"
+        if self.guided and problem.features & _LEVELS:
+            return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().beyond(problem)
 
     def parameters(self) -> tuple[float, ...]:
@@ -118,7 +120,7 @@ class LevenbergMarquardt(IterativeSolver):
         self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
     ) -> None:
         run = self._run_for(problem)
-        if budget.seconds is not None or problem.walls or self.guided:
+        if budget.seconds is not None or self.guided:
             super().attempt_many(problem, targets, starts, answers, budget)  # only Python can read a clock
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")
