@@ -126,8 +126,9 @@ class LevenbergMarquardt(IterativeSolver):
         jit.announce(lm_many, f"batches of solver {self.name!r}")
         fresh, value = self.fresh_state(budget, problem.seed)
         run.value[...] = value
+        (address,) = run.arguments
         lm_many(
-            *run.arguments, fresh, targets, starts,
+            address, fresh, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations, answers.restarts,
         )  # fmt: skip
 
