@@ -48,7 +48,8 @@ def parts(problem, q):
 
 def by_differences(problem, q, ease, h=1e-4):
     n = len(problem.dofs)
-    step, hessian = np.eye(n) * h * ease, np.zeros((n, n))
+    step, hessian = np.zeros((n, len(q))), np.zeros((n, n))
+    step[np.arange(n), problem.dofs] = h * ease  # hinges and slides: q has one number for each
     for i in range(n):
         for j in range(n):
             signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
