@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import sys
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 
@@ -139,7 +140,7 @@ def compiled(monkeypatch):
             made.append(args)
             super().__init__(*args, **options)
 
-    monkeypatch.setattr("robot_ik.solve.Problem", Counted)
+    monkeypatch.setattr(sys.modules["robot_ik.solve"], "Problem", Counted)
     return made
 
 

@@ -58,12 +58,12 @@ class Combined(Solver):
         return member.applies(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        began = time.perf_counter()
-        turns = self._turns(problem)
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept.members
         solution = turns[0].attempt(problem, start, budget)
         if solution.status is Status.CONVERGED or len(turns) == 1:
             return solution
-        return self._go_on(problem, start, budget, solution, began)
+        return self._go_on(problem, start, budget, solution)
 
     def load(self, problem: Problem) -> None:
         self._turns(problem)
@@ -89,10 +89,9 @@ class Combined(Solver):
             raise UnsupportedGoalError(self.name, what, able_solvers(problem))
         return turns
 
-    def _go_on(
-        self, problem: Problem, start: ArrayLike | None, budget: Budget, best: Solution, began: float
-    ) -> Solution:
+    def _go_on(self, problem: Problem, start: ArrayLike | None, budget: Budget, best: Solution) -> Solution:
         """The other methods, after the first has failed with ``best``; what all of them took is reported."""
+        began = time.perf_counter() - best.seconds
         iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
         last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][BEST_COST])
