@@ -325,7 +325,7 @@ class Run:
 
 
 def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
-    """Runs a kernel piece by piece, with looks at the clock between; takes the rows of the trace away, if any.
+    """Runs a kernel piece by piece: between, it looks at the clock and takes the rows of the trace away.
 
     A solve in pieces is the same to the last bit.
     """
