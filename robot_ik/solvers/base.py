@@ -115,6 +115,10 @@ class Solver(ABC):
         """Whether it can try this problem at all."""
         return not self.beyond(problem)
 
+    def family(self, problem: Problem) -> str:
+        """What it has recognised the arm as, for this goal; empty when it recognises none."""
+        return ""
+
     def worthwhile(self, problem: Problem) -> bool:
         """Whether it is a better first choice than a numeric method where it applies; asked by ``auto``."""
         return True
