@@ -129,10 +129,7 @@ class Solution:
     def miss(self) -> Miss:
         """The largest miss over all goals that are needed, by MuJoCo's own forward pass on first access."""
         needed = [miss for goal, miss in zip(self.goals, self.misses, strict=True) if not goal.soft]
-        return Miss(
-            max((miss.position for miss in needed), default=0.0),
-            max((miss.angle for miss in needed), default=0.0),
-        )
+        return Miss(max([0.0, *(m.position for m in needed)]), max([0.0, *(m.angle for m in needed)]))
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:

@@ -115,6 +115,10 @@ class Solver(ABC):
         """Whether it can try this problem at all."""
         return not self.beyond(problem)
 
+    def family(self, problem: Problem) -> str:
+        """What it has recognised the arm as, for this goal; empty when it recognises none."""
+        return ""
+
     def worthwhile(self, problem: Problem) -> bool:
         """Whether it is a better first choice than a numeric method where it applies; asked by ``auto``."""
         return True
@@ -250,7 +254,7 @@ class IterativeSolver(Solver):
         began = time.perf_counter()
         run.state[...], run.value[...] = run.fresh
         trace = None
-        if budget.seconds is None and not problem.trace:
+        if run.whole:
             run.entry(*run.arguments)
         else:
             trace = _in_slices(run, problem.arrays["trace"], began)
@@ -294,11 +298,12 @@ class Run:
         tables: What it works on; holds what ``arguments`` has addresses of.
         arguments: What it takes: the addresses of tables, and arrays.
         fresh: State and values that a solve begins with.
+        traced, whole: Whether a trace is kept; whether nothing is to be done between the steps.
     """
 
     __slots__ = (
         "arguments", "best", "budget", "entry", "fresh", "outcome", "seed", "shape", "solver", "start",
-        "state", "tables", "target", "value",
+        "state", "tables", "target", "traced", "value", "whole",
     )  # fmt: skip
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
@@ -313,16 +318,19 @@ class Run:
         self.best, self.target, self.shape = arrays["best"], problem.target, self.start.shape
         self.budget, self.seed = problem.budget, problem.seed
         self.fresh = solver.fresh_state(self.budget, self.seed)
+        self.traced = problem.trace
+        self.whole = not self.traced and self.budget.seconds is None
 
     def renew(self, budget: Budget, seed: int) -> None:
         """Makes ready for another budget and seed."""
         if budget != self.budget or seed != self.seed:
             self.fresh = self.solver.fresh_state(budget, seed)
         self.budget, self.seed = budget, seed
+        self.whole = not self.traced and budget.seconds is None
 
 
 def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
-    """Runs a kernel piece by piece, with looks at the clock between; takes the rows of the trace away, if any.
+    """Runs a kernel piece by piece: between, it looks at the clock and takes the rows of the trace away.
 
     A solve in pieces is the same to the last bit.
     """

@@ -7,7 +7,7 @@ where there is one, then Levenberg-Marquardt.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -16,11 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
-from robot_ik.kernels.work import BEST_COST
+from robot_ik.kernels import jit
+from robot_ik.kernels.bundle import address_of
+from robot_ik.kernels.near import starts_near
+from robot_ik.kernels.work import BEST_COST, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
-from robot_ik.solvers.base import Answers, Solver, option
+from robot_ik.solvers.base import Answers, Solver, option, take_start
+from robot_ik.solvers.first_choice import FIRST_CHOICE
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -58,27 +62,33 @@ class Combined(Solver):
         return member.applies(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        kept: _Turns | None = problem.made.get(id(self))
-        turns = self._turns(problem) if kept is None else kept.members
+        return self._in_turn(self._turns(problem).members, problem, start, budget)
+
+    def _in_turn(
+        self, turns: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
+    ) -> Solution:
         solution = turns[0].attempt(problem, start, budget)
         if solution.status is Status.CONVERGED or len(turns) == 1:
             return solution
-        return self._go_on(problem, start, budget, solution)
+        return self._go_on(turns[1:], problem, start, budget, solution)
 
     def load(self, problem: Problem) -> None:
         self._turns(problem)
 
-    def _turns(self, problem: Problem) -> tuple[Solver, ...]:
+    def _turns(self, problem: Problem) -> _Turns:
         """The methods that can try a problem: asked, and loaded, once.
 
         All are loaded before the first is tried: the first goal that it misses would else stall a loop.
         """
-        kept: _Turns | None = problem.compiled.made.get(id(self))
+        kept: _Turns | None = problem.made.get(id(self))
         if kept is None:
-            kept = problem.compiled.made_for(self, lambda: _Turns(self, self._choose(problem)))
-            for member in kept.members:
+            kept = problem.compiled.made_for(self, lambda: self._make_turns(problem))
+            for member in (*kept.members, *kept.nearby):
                 member.load(problem)
-        return kept.members
+        return kept
+
+    def _make_turns(self, problem: Problem) -> _Turns:
+        return _Turns(self, self._choose(problem))
 
     def _choose(self, problem: Problem) -> tuple[Solver, ...]:
         turns = tuple(member for member in self._members if self._takes(member, problem))
@@ -89,13 +99,20 @@ class Combined(Solver):
             raise UnsupportedGoalError(self.name, what, able_solvers(problem))
         return turns
 
-    def _go_on(self, problem: Problem, start: ArrayLike | None, budget: Budget, best: Solution) -> Solution:
+    def _go_on(
+        self,
+        others: tuple[Solver, ...],
+        problem: Problem,
+        start: ArrayLike | None,
+        budget: Budget,
+        best: Solution,
+    ) -> Solution:
         """The other methods, after the first has failed with ``best``; what all of them took is reported."""
         began = time.perf_counter() - best.seconds
         iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
         last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][BEST_COST])
-        for member in self._turns(problem)[1:]:
+        for member in others:
             futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
             rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
             solution = member.attempt(problem, start, rest)
@@ -122,7 +139,7 @@ class Combined(Solver):
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
             super().attempt_many(problem, targets, starts, answers, budget)
             return
-        turns = self._turns(problem)
+        turns = self._turns(problem).members
         turns[0].attempt_many(problem, targets, starts, answers, budget)
         left = np.flatnonzero(answers.status != Status.CONVERGED)
         if not len(left) or len(turns) == 1:
@@ -155,10 +172,19 @@ _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class _Turns:
-    """The methods that try a problem, in their order, and who asked."""
+    """The methods that try a problem, in their order, and who asked.
+
+    Attributes:
+        nearby: Those that try it where its start is near its goal; empty: the same.
+        near: Whether that is so, asked of the work space; ``address`` and ``table`` are what it reads.
+    """
 
     solver: Combined
     members: tuple[Solver, ...]
+    nearby: tuple[Solver, ...] = ()
+    near: Callable[[int, float], bool] | None = None
+    address: int = 0
+    table: NDArray[np.int64] | None = None
 
 
 def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven: bool) -> Budget:
@@ -200,12 +226,60 @@ def _cost(problem: Problem, miss: Array) -> Array:
     return np.asarray((miss[:, 0] * weight[0]) ** 2 + (miss[:, 1] * weight[1]) ** 2)
 
 
+# A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
+_NEAR = 0.01
+# Restarts of ``lm`` where it comes before the closed form, which knows what cannot be reached.
+_FEW_RESTARTS = 8
+
+
 @dataclass(frozen=True)
 class Auto(Combined):
-    """The closed form where this robot and goal have one, else Levenberg-Marquardt."""
+    """The closed form where this robot and goal have one, else Levenberg-Marquardt; the quicker one first."""
 
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "closed form where there is one, else Levenberg-Marquardt"
 
     def _takes(self, member: Solver, problem: Problem) -> bool:
         return member.worthwhile(problem) and member.applies(problem)
+
+    @cached_property
+    def _quick(self) -> Solver:
+        """``lm`` before the closed form."""
+        return make_solver("lm", restarts=_FEW_RESTARTS)
+
+    @cached_property
+    def _local(self) -> Solver:
+        """``lm`` from a start near the goal."""
+        return make_solver("lm", restarts=0)
+
+    def _make_turns(self, problem: Problem) -> _Turns:
+        members = self._choose(problem)
+        if [member.name for member in members] != ["analytic", "lm"]:
+            return _Turns(self, members)
+        cold, warm = (
+            FIRST_CHOICE.get((members[0].family(problem), start), "analytic") for start in ("cold", "warm")
+        )
+        if cold == "lm":
+            return _Turns(self, (self._quick, *members))
+        if warm != "lm":
+            return _Turns(self, members)
+        compiled = problem.compiled
+        table = RUN.pack(
+            {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": np.zeros(0)}
+        )
+        address = address_of(table)
+        near = jit.entry(starts_near, address, _NEAR)
+        return _Turns(self, members, (self._local, *members), near, address, table)
+
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
+        turns = self._turns(problem)
+        members = turns.members
+        if turns.near is not None and budget.iterations > 0:
+            begin = problem.arrays["start"]
+            if type(start) is np.ndarray and start.shape == begin.shape:
+                begin[...] = start  # whether it is finite, the method asks: nothing is near that is not
+            else:
+                take_start(problem, start)
+            if turns.near(turns.address, _NEAR):
+                members = turns.nearby
+        return self._in_turn(members, problem, start, budget)

@@ -61,7 +61,7 @@ def unease(figure, q):
 
 
 def long_minimisation(figure, path):
-    """Joint angles of least unease with all else met to some micrometres: a plain weighted sum, tightly solved."""
+    """Joint angles of least unease with all else met to some micrometres: a weighted sum, tightly solved."""
     goals = whole_body(figure, path[0], (0, 0, 0, 0), {"weight": 1e-3})
     budget = Budget(iterations=400, restarts=0)
     problem = Problem(figure, goals, tolerance=Tolerance(1e-12, 1e-12), budget=budget)
@@ -75,7 +75,7 @@ def long_minimisation(figure, path):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, form):
-    """600 frames: hand, feet, balance and gaze within tolerance in each, the posture nearly as near as can be."""
+    """Hand, feet, balance and gaze within tolerance in each frame, the posture nearly as near as can be."""
     priorities, posture = FORMS[form]
     path = ball_path(figure)
     problem = Problem(figure, whole_body(figure, path[0], priorities, posture | {"soft": True}))

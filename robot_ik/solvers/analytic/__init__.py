@@ -104,6 +104,10 @@ class Analytic(Solver):
         """Whether this robot and goal have a closed form."""
         return self.prepare(problem) is not None
 
+    def family(self, problem: Problem) -> str:
+        prepared = self.prepare(problem)
+        return "" if prepared is None else prepared.form.family.name.lower()
+
     def worthwhile(self, problem: Problem) -> bool:
         # Positions and aims of a limb: exact, but Levenberg-Marquardt is twice as quick and moves less.
         form = _form_of(problem)
