@@ -150,25 +150,34 @@ class Branch:
         return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
 
 
+Branches = tuple[Branch, ...]
+
+
 @overload
 def solve_all(
     robot: Robot, goal: Goal | Pose, *, start: ArrayLike | None = None, limits: bool = True
-) -> tuple[Branch, ...]: ...
+) -> Branches: ...
 
 
 @overload
 def solve_all(
     robot: Robot, goal: Sequence[Goal | Pose], *, start: ArrayLike | None = None, limits: bool = True
-) -> tuple[tuple[Branch, ...], ...]: ...
+) -> tuple[Branches, ...]: ...
+
+
+@overload
+def solve_all(
+    robot: Robot, goal: NDArray[np.float64], *, start: ArrayLike | None = None, limits: bool = True
+) -> Branches | tuple[Branches, ...]: ...
 
 
 def solve_all(
     robot: Robot,
-    goal: Goal | Pose | Sequence[Goal | Pose],
+    goal: Goal | Pose | NDArray[np.float64] | Sequence[Goal | Pose],
     *,
     start: ArrayLike | None = None,
     limits: bool = True,
-) -> tuple[Branch, ...] | tuple[tuple[Branch, ...], ...]:
+) -> Branches | tuple[Branches, ...]:
     """Every way of meeting a goal that the closed form knows, the nearest to ``start`` first.
 
     At a singular pose one joint angle is free; it is kept as near to ``start`` as can be.
@@ -176,8 +185,8 @@ def solve_all(
     Args:
         robot: From ``load_robot``.
         goal: A pose for six axes or a limb of seven (each branch at the swivel nearest to ``start``), a
-            position for a planar two-link or the wrist's centre of a limb.  A ``Pose`` is the
-            tool's.  Of a list, each on its own.
+            position for a planar two-link or the wrist's centre of a limb.  A ``Pose`` or a
+            matrix (4, 4) is the tool's.  Of a list, or of matrices (n, 4, 4), each on its own.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
 
@@ -187,14 +196,18 @@ def solve_all(
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
     """
-    if not isinstance(goal, Goal | Pose):
-        if isinstance(goal, np.ndarray) and goal.shape == (4, 4):
-            return solve_all(robot, Pose.from_matrix(goal), start=start, limits=limits)
-        each = [Pose.from_matrix(one) if isinstance(one, np.ndarray) else one for one in goal]
-        return tuple(solve_all(robot, one, start=start, limits=limits) for one in each)
+    if isinstance(goal, Goal | Pose) or (isinstance(goal, np.ndarray) and goal.ndim == 2):
+        return _branches(robot, goal, start, limits)
+    return tuple(_branches(robot, one, start, limits) for one in goal)
+
+
+def _branches(
+    robot: Robot, goal: Goal | Pose | NDArray[np.float64], start: ArrayLike | None, limits: bool
+) -> Branches:
+    """``solve_all`` for one."""
     from robot_ik.solvers.analytic import Analytic
 
-    wanted = PoseGoal.at(None, goal) if isinstance(goal, Pose) else goal
+    wanted = goal if isinstance(goal, Goal) else PoseGoal.at(None, _pose_of(goal))
     with _lent(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
         origin = robot.home if start is None else robot.check_q(start, "start")
         branches = cast(Analytic, solver).branches(problem, origin)
@@ -207,6 +220,10 @@ def solve_all(
     found = [(far[k], Branch(*branches[k], inside=not robot.outside(qs[k]))) for k in first]
     ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
     return tuple(branch for _, branch in ordered if branch.inside or not limits)
+
+
+def _pose_of(pose: Pose | NDArray[np.float64]) -> Pose:
+    return pose if isinstance(pose, Pose) else Pose.from_matrix(pose)
 
 
 def solve_batch(
