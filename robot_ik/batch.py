@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,7 +88,7 @@ def run_batch(
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     answers = Answers.empty(len(targets), starts.shape[1])
     count = max(1, min(threads or usable_cores(), len(targets) // _LEAST_PER_THREAD))
-    edges = np.linspace(0, len(targets), count + 1).astype(int)
+    edges = [len(targets) * k // count for k in range(count + 1)]
 
     def part(k: int) -> str:
         here = slice(edges[k], edges[k + 1])
@@ -120,11 +121,10 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
         InvalidGoalError: Wrong shape, a number that is not finite, a zero quaternion, a matrix that is no
             rotation.
     """
-    if isinstance(poses, Pose):
-        poses = [poses]
-    if isinstance(poses, Sequence) and len(poses) and all(isinstance(pose, Pose) for pose in poses):
-        return np.array([pose_row(pose) for pose in poses]), True
-    array = numbers(poses, "poses")
+    several: Any = [poses] if isinstance(poses, Pose) else poses
+    if isinstance(several, Sequence) and several and all(isinstance(pose, Pose) for pose in several):
+        return np.array([pose_row(pose) for pose in several]), True
+    array = numbers(several, "poses")
     if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
         bad = int((~(np.abs(array) <= LARGEST)).sum())
         raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")

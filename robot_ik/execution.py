@@ -8,6 +8,7 @@ more is sent; what the arm does then is its own exit policy.
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -15,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import TrajectoryError
-from robot_ik.goals import Goal
+from robot_ik.errors import RobotIkError, TrajectoryError
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
 from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
 from robot_ik.motion.schedule import Schedule, clock_of
@@ -143,6 +144,8 @@ def follow(
 ) -> FollowReport:
     """Asks for a goal, solves from the last command, sends; ``rate`` times a second.
 
+    What goals of the tool may need, one out of reach included, is loaded before the loop starts.
+
     Each joint moves at most ``speed`` times its velocity limit; when one would be too fast all are
     slowed alike, so the way stays straight.  A solution that did not converge is followed too: it is
     the nearest that was found.  Runs until ``duration`` is over or ``until`` says so, else for ever.
@@ -174,6 +177,7 @@ def follow(
     first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
     chase = _Chase(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
+    chase.load()
     schedule = Schedule(clock)
     begin = schedule.origin
     while True:
@@ -210,6 +214,17 @@ class _Chase:
         self._statuses: Counter[str] = Counter()
         self._largest_step = np.zeros_like(start)
         self._tracking: Array | None = None
+
+    def load(self) -> None:
+        """Loads what the method may need for goals of the tool, so that none of them stalls the loop.
+
+        A goal on another chain of joints, or several at once, may need more: that is loaded with the first.
+        """
+        from robot_ik.problem import Problem
+
+        for goal in (PoseGoal(None, (0.0, 0.0, 0.0)), PositionGoal(None, (0.0, 0.0, 0.0))):
+            with contextlib.suppress(RobotIkError):  # a kind of goal that the method does not serve
+                self.solver.load(Problem(self.robot, goal, tolerance=self.tolerance))
 
     def step(self, goal: Goals | None) -> bool:
         """Moves the command towards ``goal``; True when the way was cut short."""

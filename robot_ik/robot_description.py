@@ -268,6 +268,8 @@ class Robot:
         """Names of joints beyond their limits by more than ``slack`` (rad or m)."""
         q = self.check_q(q)
         gone = np.abs(self.clip(q) - q)
+        if not gone.max(initial=0.0) > slack:
+            return []
         tree, names = self.tree, []
         for k, joint in enumerate(self.joints):
             width = Q_WIDTH[int(tree.kind[k])]

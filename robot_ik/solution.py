@@ -39,6 +39,12 @@ class Status(enum.IntEnum):
         return _MEANING[self]
 
 
+def short_numbers(q: Array) -> str:
+    """Joint angles (nq,) for people, on one line: of many the first."""
+    more = f" … {len(q) - 8} more" if len(q) > 8 else ""
+    return np.array2string(q[:8], precision=4, max_line_width=200)[:-1] + more + "]"
+
+
 # By number, which is quicker than asking the enumeration.
 STATUS_OF = {int(status): status for status in Status}
 
@@ -153,6 +159,6 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"Solution({self.status.name}, q={np.array2string(self.q, precision=4)}, solver={self.solver!r}, "
+            f"Solution({self.status.name}, q={short_numbers(self.q)}, solver={self.solver!r}, "
             f"iterations={self.iterations}, restarts={self.restarts}, seconds={self.seconds:.2g})"
         )

@@ -18,7 +18,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance, goal_kind, require_options
 from robot_ik.robot import Robot
-from robot_ik.solution import Solution
+from robot_ik.solution import Solution, short_numbers
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
 
@@ -146,6 +146,9 @@ class Branch:
     q: NDArray[np.float64]
     inside: bool
 
+    def __repr__(self) -> str:
+        return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
+
 
 @overload
 def solve_all(
@@ -195,12 +198,15 @@ def solve_all(
     with _lent(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
         origin = robot.home if start is None else robot.check_q(start, "start")
         branches = cast(Analytic, solver).branches(problem, origin)
-    found: list[Branch] = []
-    for name, q in branches:
-        if not any(np.abs(q - other.q).max() < _SAME for other in found):
-            found.append(Branch(name, q, not robot.outside(q)))
-    ordered = sorted(found, key=lambda b: (not b.inside, float(np.sum((b.q - origin) ** 2))))
-    return tuple(b for b in ordered if b.inside or not limits)
+    if not branches:
+        return ()
+    qs = np.array([q for _, q in branches])
+    same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
+    far = ((qs - origin) ** 2).sum(axis=1).tolist()
+    first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
+    found = [(far[k], Branch(*branches[k], inside=not robot.outside(qs[k]))) for k in first]
+    ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
+    return tuple(branch for _, branch in ordered if branch.inside or not limits)
 
 
 def solve_batch(

@@ -166,7 +166,7 @@ def test_a_call_that_begins_while_another_is_under_way_is_refused(puma):
     problem, poses, rows = problem_for("lm", puma)
     solver = make_solver("lm")
     before = problem.target.copy()
-    with problem.compiled.lock:  # as during another thread's call
+    with problem.in_use():  # as during another thread's call
         for call in (
             lambda: solver.solve(problem),
             lambda: make_solver("auto").solve(problem),

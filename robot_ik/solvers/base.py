@@ -148,13 +148,15 @@ class Solver(ABC):
             ModelError: ``start`` has the wrong length, or is not finite.
             ProblemInUseError: Another thread's call on the problem is under way.
         """
-        lock = problem.compiled.lock
-        if not lock.acquire(False):
-            raise ProblemInUseError
+        turn = problem.turn
+        try:
+            turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
         try:
             return self.attempt(problem, start, problem.budget)
         finally:
-            lock.release()
+            turn.append(None)
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
@@ -164,17 +166,12 @@ class Solver(ABC):
         Raises:
             As ``solve``.
         """
-        lock = problem.compiled.lock
-        if not lock.acquire(False):
-            raise ProblemInUseError
-        try:
+        with problem.in_use():
             self.attempt_many(problem, targets, starts, answers, problem.budget)
-        finally:
-            lock.release()
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        """``solve`` within what others left of the budget; the caller holds the problem's lock."""
+        """``solve`` within what others left of the budget; the caller has the problem's turn."""
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
@@ -245,7 +242,7 @@ class IterativeSolver(Solver):
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
-        run: Run | None = problem.compiled.made.get(id(self))
+        run: Run | None = problem.made.get(id(self))
         if run is None:
             run = self._run_for(problem)
         if run.budget is not budget or run.seed != problem.seed:

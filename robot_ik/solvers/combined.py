@@ -62,16 +62,19 @@ class Combined(Solver):
         return member.applies(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        return self._in_turn(self._turns(problem).members, problem, start, budget)
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept
+        return self._in_turn(turns.members, problem, start, budget)
 
     def _in_turn(
-        self, turns: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
+        self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
     ) -> Solution:
-        began = time.perf_counter()
-        solution = turns[0].attempt(problem, start, budget)
-        if solution.status is Status.CONVERGED or len(turns) == 1:
+        solution = members[0].attempt(problem, start, budget)
+        if solution.status is Status.CONVERGED or len(members) == 1:
             return solution
-        return self._go_on(turns[1:], problem, start, budget, solution, began)
+        if solution.status is Status.UNREACHABLE and members[0].name == members[-1].name:
+            return solution  # proven, and the nearest is found: the last would do the same
+        return self._go_on(members[1:], problem, start, budget, solution)
 
     def load(self, problem: Problem) -> None:
         self._turns(problem)
@@ -107,9 +110,9 @@ class Combined(Solver):
         start: ArrayLike | None,
         budget: Budget,
         best: Solution,
-        began: float,
     ) -> Solution:
         """The other methods, after the first has failed with ``best``; what all of them took is reported."""
+        began = time.perf_counter() - best.seconds
         iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
         last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][BEST_COST])
@@ -140,16 +143,19 @@ class Combined(Solver):
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
             super().attempt_many(problem, targets, starts, answers, budget)
             return
-        left = np.arange(len(targets))
-        best = np.full(len(targets), np.inf)
-        proven = np.zeros(len(targets), dtype=bool)
-        last = np.zeros(len(targets), dtype=np.int64)
-        for member in self._turns(problem).members:
+        turns = self._turns(problem).members
+        turns[0].attempt_many(problem, targets, starts, answers, budget)
+        left = np.flatnonzero(answers.status != Status.CONVERGED)
+        if not len(left) or len(turns) == 1:
+            return
+        best = _cost(problem, answers.miss)
+        last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
+        for member in turns[1:]:
             for rows, rest in _shares(budget, left, answers, proven):
                 part = Answers.empty(len(rows), answers.q.shape[1])
                 member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
-                cost[part.status == Status.CONVERGED] = 0.0
+                cost[part.status == Status.CONVERGED] = -1.0
                 better = cost < best[rows]
                 best[rows[better]] = cost[better]
                 for name in ("q", "miss", "status"):
@@ -159,8 +165,8 @@ class Combined(Solver):
                 proven[rows] |= part.status == Status.UNREACHABLE
                 last[rows] = part.status
             left = left[answers.status[left] != Status.CONVERGED]
-        over = left[np.isin(last[left], _OVER)]
-        answers.status[over] = last[over]
+        for status in _OVER:
+            answers.status[left[last[left] == status]] = status
         answers.status[left[proven[left]]] = Status.UNREACHABLE
 
 
@@ -270,7 +276,8 @@ class Auto(Combined):
         return _Turns(self, members, (self._local, *members), near, address, table)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        turns = self._turns(problem)
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept
         members = turns.members
         if turns.near is not None and budget.iterations > 0:
             begin = problem.arrays["start"]

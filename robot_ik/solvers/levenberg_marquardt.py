@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
@@ -27,6 +28,7 @@ from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.room import room
 from robot_ik.kernels.row_space import row_products, row_step
+from robot_ik.kernels.second_order import has_second_order, second_order
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.work import (
     ACCEPTED,
@@ -35,10 +37,12 @@ from robot_ik.kernels.work import (
     COST,
     DAMPING,
     ITERATIONS,
+    NO_LIMIT,
     POLISHING,
     PRESSED,
     RESTARTS,
     RUN,
+    STALLS,
     STATUS,
     TRY_STEPS,
     UNREACHABLE,
@@ -51,6 +55,10 @@ from robot_ik.solvers.base import Answers, IterativeSolver, option
 Array = NDArray[np.float64]
 
 _NO_CLAMP = 1e6
+# In the last descent the exact Hessian makes the steps.  They need little damping, and show when there is no
+# more to gain: a share of the cost, of which rounding leaves some 1e-15.
+_EXACT_DECREASE = 0.1
+_NOTHING_LEFT = 1e-13
 # What is served level after level.
 _LEVELS = frozenset({"priorities", "soft"})
 
@@ -118,8 +126,9 @@ class LevenbergMarquardt(IterativeSolver):
         jit.announce(lm_many, f"batches of solver {self.name!r}")
         fresh, value = self.fresh_state(budget, problem.seed)
         run.value[...] = value
+        (address,) = run.arguments
         lm_many(
-            *run.arguments, fresh, targets, starts,
+            address, fresh, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations, answers.restarts,
         )  # fmt: skip
 
@@ -175,12 +184,18 @@ def lm_step(tree, goal, work, points, wanted, options):
     jacobian, gradient, low, high, step = work.jacobian, work.gradient, work.low, work.high, work.step
     floor, first, increase, decrease, least = options[0], options[1], options[2], options[3], options[4]
     m, n = jacobian.shape
+    exact = state[POLISHING] > 0 and has_second_order(tree, goal)
     if value[COST] < value[ACCEPTED]:
+        if exact:
+            decrease, least = _EXACT_DECREASE, 0.0
         value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
         copy(work.q, work.accepted)
         goal_jacobian(tree, goal, work, points)
-        if m < n:
+        if exact:
+            second_order(tree, goal, work, work.metric)
+            normal_equations(jacobian, wanted, normal, gradient)
+        elif m < n:
             copy(wanted, work.wanted)  # a step that is taken back leaves another residual behind
             row_products(jacobian, wanted, goal.hits, goal.hit_count, normal, gradient)
         else:
@@ -191,7 +206,9 @@ def lm_step(tree, goal, work, points, wanted, options):
         copy(work.accepted, work.q)
     damping = value[DAMPING] * value[COST] + floor
     spare_room(tree, goal, work, options[5])
-    if m < n:
+    if exact:
+        pressed = exact_step(work, damping)
+    elif m < n:
         pressed = row_step(
             jacobian, work.wanted, normal, gradient, damping, low, high,
             goal.hits, goal.hit_count, step, work.free, work.side, work.factor, work.rhs,
@@ -210,6 +227,29 @@ def lm_step(tree, goal, work, points, wanted, options):
         state[PRESSED] = pressed
         if roams(tree, work):
             go_round(tree, goal, work)
+
+
+@pure
+def exact_step(work, damping):
+    """The step to the exact Hessian where that is positive definite, else that of Gauss-Newton.
+
+    Where it promises next to nothing the descent is over: its patience is spent at once.
+    """
+    normal, damped, low, high, step = work.normal, work.damped, work.low, work.high, work.step
+    pressed = types.int64(-1)
+    for second in (1.0, 0.0):
+        if pressed < 0:
+            for i in range(step.shape[0]):
+                for j in range(i + 1):
+                    damped[i, j] = normal[i, j] + second * work.metric[i, j]
+                damped[i, i] += damping
+            pressed = box_step(damped, work.gradient, low, high, step, work.free, work.side, work.factor)
+    promised = 0.0
+    for i in range(step.shape[0]):
+        promised += work.gradient[i] * step[i]
+    if pressed >= 0 and promised < _NOTHING_LEFT * work.value[COST]:
+        work.state[STALLS] = NO_LIMIT
+    return pressed
 
 
 @outlined

@@ -5,7 +5,7 @@ import pytest
 
 from robot_ik.errors import ConfigError, InvalidGoalError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Problem
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solve import solve, solve_batch
@@ -91,3 +91,67 @@ def test_malformed_batches_are_refused(puma, poses):
 
 def test_an_empty_batch_is_no_problem(puma):
     assert len(solve_batch(puma, np.zeros((0, 4, 4)))) == 0
+
+
+# Behind the limits of the PUMA: no method meets it, and nothing proves so.
+def behind(puma):
+    return PoseGoal(None, (0.02, 0.03, -0.5), (0.5, 0.5, -0.5, 0.5))
+
+
+def test_a_combined_solve_reports_what_all_its_methods_took(puma):
+    budget = Budget(iterations=400, restarts=3)
+    problem = Problem(puma, behind(puma), budget=budget, trace=True)
+    together = make_solver("combined", methods="ccd lm").solve(problem)
+    one = make_solver("ccd").solve(problem)
+    rest = Budget(iterations=400 - one.iterations, restarts=3 - one.restarts)
+    other = make_solver("lm").solve(Problem(puma, behind(puma), budget=rest, trace=True))
+    assert not together.converged and one.iterations and other.iterations
+    assert together.iterations == one.iterations + other.iterations <= 400
+    assert together.restarts == one.restarts + other.restarts <= 3
+    assert len(together.trace) == together.iterations
+    assert [row.iteration for row in together.trace] == list(range(1, together.iterations + 1))
+    assert together.trace[: len(one.trace)] == one.trace
+    assert together.trace[-1].cost == other.trace[-1].cost
+    assert together.trace[-1].restart == one.restarts + other.trace[-1].restart
+
+
+def test_the_time_of_a_combined_solve_is_that_of_all_methods_and_one_budget(puma):
+    solver = make_solver("combined", methods="ccd lm")
+    solver.solve(Problem(puma, behind(puma), budget=Budget(iterations=1)))
+    solution = solver.solve(Problem(puma, behind(puma), budget=Budget(1 << 40, 0.15, 1 << 40)))
+    assert solution.status is Status.TIME_LIMIT
+    assert 0.15 <= solution.seconds < 2.0  # generous: the machine may be busy
+
+
+@pytest.mark.parametrize("name", ["auto", "combined"])
+@pytest.mark.parametrize("budget", [Budget(0), Budget(1), Budget(8, restarts=0), Budget(300, restarts=2)])
+def test_in_a_batch_a_budget_is_one_for_all_methods_as_in_single_solves(puma, name, budget):
+    solver = make_solver(name) if name == "auto" else make_solver(name, methods="dls analytic lm")
+    goals = [PoseGoal.at(None, pose) for pose in poses_of(puma, 6)] + [behind(puma)] * 2
+    goals.append(PoseGoal(None, (3.0, 1.0, 1.0)))
+    poses = [goal.target for goal in goals]
+    batch = solve_batch(puma, poses, solver=solver, budget=budget)
+    for row, goal in enumerate(goals):
+        alone = solver.solve(Problem(puma, goal, budget=budget))
+        assert (batch.status[row], batch.iterations[row], batch.restarts[row]) == (
+            alone.status, alone.iterations, alone.restarts,
+        )  # fmt: skip
+    assert batch.iterations.max() <= budget.iterations
+    if budget.restarts is not None:
+        assert batch.restarts.max() <= budget.restarts
+
+
+def test_a_method_whose_budget_ran_out_does_not_say_that_nothing_helps(puma):
+    for methods in ("ccd lm", "dls lm"):
+        solution = solve(puma, behind(puma), solver="combined", methods=methods, budget=Budget(iterations=40))
+        assert solution.status is Status.ITERATION_LIMIT and solution.iterations == 40
+
+
+def test_lists_of_poses_are_batches_too(puma):
+    poses = poses_of(puma, 4)
+    by_matrix = solve_batch(puma, np.array([p.matrix for p in poses]))
+    for given in (poses, tuple(poses)):
+        assert np.abs(solve_batch(puma, given).q - by_matrix.q).max() < 1e-9
+    assert np.abs(solve_batch(puma, poses[0]).q - by_matrix.q[:1]).max() < 1e-9
+    with pytest.raises(InvalidGoalError, match="poses"):
+        solve_batch(puma, [poses[0], "nothing"])

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ProblemInUseError, UnsupportedGoalError
+from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import AimGoal, Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
@@ -115,9 +115,7 @@ class Analytic(Solver):
 
     def prepare(self, problem: Problem) -> Prepared | None:
         """The closed form for a problem, made once; None when there is none."""
-        found = problem.compiled.made.get(id(self))
-        if found is None:
-            found = problem.compiled.made_for(self, lambda: _prepare(self, problem))
+        found = problem.compiled.made_for(self, lambda: _prepare(self, problem))
         return found if isinstance(found, Prepared) else None
 
     def load(self, problem: Problem) -> None:
@@ -138,7 +136,9 @@ class Analytic(Solver):
         return prepared
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        prepared = self._require(problem)
+        prepared = problem.made.get(id(self))
+        if type(prepared) is not Prepared:
+            prepared = self._require(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
@@ -182,13 +182,8 @@ class Analytic(Solver):
         Raises:
             UnsupportedGoalError, ModelError, ProblemInUseError: As ``solve``.
         """
-        lock = problem.compiled.lock
-        if not lock.acquire(False):
-            raise ProblemInUseError
-        try:
+        with problem.in_use():
             return self._branches(problem, start)
-        finally:
-            lock.release()
 
     def _branches(self, problem: Problem, start: ArrayLike | None) -> list[tuple[str, Array]]:
         prepared = self._require(problem)
