@@ -186,7 +186,7 @@ class Goal:
         tolerance: What counts as reached for this goal; None = as the problem says.
         soft: Wanted, not needed: it gets what freedom all other goals leave, never counts for ``converged``,
             and is not searched for.  Soft goals have priorities among themselves.
-        length: Metres that count as much as one radian; None = about a third of the robot's reach.
+        length: Metres that count as much as one radian; None = 0.15 of the robot's reach.
             A00's scale c: one metre counts as much as d degrees for c = 360 / (2π d).
     """
 

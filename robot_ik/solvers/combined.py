@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import ClassVar
 
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
-from robot_ik.kernels.near import starts_near
+from robot_ik.kernels.near import starts_near, starts_near_many
 from robot_ik.kernels.work import BEST_COST, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
@@ -62,15 +62,19 @@ class Combined(Solver):
         return member.applies(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        return self._in_turn(self._turns(problem).members, problem, start, budget)
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept
+        return self._in_turn(turns.members, problem, start, budget)
 
     def _in_turn(
-        self, turns: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
+        self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
     ) -> Solution:
-        solution = turns[0].attempt(problem, start, budget)
-        if solution.status is Status.CONVERGED or len(turns) == 1:
+        solution = members[0].attempt(problem, start, budget)
+        if solution.status is Status.CONVERGED or len(members) == 1:
             return solution
-        return self._go_on(turns[1:], problem, start, budget, solution)
+        if solution.status is Status.UNREACHABLE and members[0].name == members[-1].name:
+            return solution  # proven, and the nearest is found: the last would do the same
+        return self._go_on(members[1:], problem, start, budget, solution)
 
     def load(self, problem: Problem) -> None:
         self._turns(problem)
@@ -80,7 +84,7 @@ class Combined(Solver):
 
         All are loaded before the first is tried: the first goal that it misses would else stall a loop.
         """
-        kept: _Turns | None = problem.made.get(id(self))
+        kept: _Turns | None = problem.compiled.made.get(id(self))
         if kept is None:
             kept = problem.compiled.made_for(self, lambda: self._make_turns(problem))
             for member in (*kept.members, *kept.nearby):
@@ -139,14 +143,26 @@ class Combined(Solver):
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
             super().attempt_many(problem, targets, starts, answers, budget)
             return
-        turns = self._turns(problem).members
-        turns[0].attempt_many(problem, targets, starts, answers, budget)
+        self._many_in_turn(self._turns(problem).members, problem, targets, starts, answers, budget)
+
+    def _many_in_turn(
+        self,
+        members: tuple[Solver, ...],
+        problem: Problem,
+        targets: Array,
+        starts: Array,
+        answers: Answers,
+        budget: Budget,
+    ) -> None:
+        members[0].attempt_many(problem, targets, starts, answers, budget)
         left = np.flatnonzero(answers.status != Status.CONVERGED)
-        if not len(left) or len(turns) == 1:
+        if members[0].name == members[-1].name:
+            left = left[answers.status[left] != Status.UNREACHABLE]
+        if not len(left) or len(members) == 1:
             return
         best = _cost(problem, answers.miss)
         last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
-        for member in turns[1:]:
+        for member in members[1:]:
             for rows, rest in _shares(budget, left, answers, proven):
                 part = Answers.empty(len(rows), answers.q.shape[1])
                 member.attempt_many(problem, targets[rows], starts[rows], part, rest)
@@ -272,7 +288,8 @@ class Auto(Combined):
         return _Turns(self, members, (self._local, *members), near, address, table)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        turns = self._turns(problem)
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept
         members = turns.members
         if turns.near is not None and budget.iterations > 0:
             begin = problem.arrays["start"]
@@ -283,3 +300,21 @@ class Auto(Combined):
             if turns.near(turns.address, _NEAR):
                 members = turns.nearby
         return self._in_turn(members, problem, start, budget)
+
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        turns = self._turns(problem)
+        if turns.near is None or budget.seconds is not None or not budget.iterations:
+            super().attempt_many(problem, targets, starts, answers, budget)
+            return
+        near = np.zeros(len(targets), dtype=np.int64)
+        starts_near_many(turns.address, _NEAR, targets, starts, near)
+        for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
+            if here.all():
+                self._many_in_turn(members, problem, targets, starts, answers, budget)
+            elif here.any():
+                part = Answers.empty(int(here.sum()), answers.q.shape[1])
+                self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
+                for item in fields(Answers):
+                    getattr(answers, item.name)[here] = getattr(part, item.name)

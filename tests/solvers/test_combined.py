@@ -155,3 +155,75 @@ def test_lists_of_poses_are_batches_too(puma):
     assert np.abs(solve_batch(puma, poses[0]).q - by_matrix.q[:1]).max() < 1e-9
     with pytest.raises(InvalidGoalError, match="poses"):
         solve_batch(puma, [poses[0], "nothing"])
+
+
+# ------------------------------------------------------------------------------ what auto asks first
+
+
+def near_starts(robot, count, seed=3):
+    """Targets, and starts beside joint angles that meet them."""
+    rng = np.random.default_rng(seed)
+    inside = [
+        robot.lower + (robot.upper - robot.lower) * rng.uniform(0.2, 0.8, robot.nq) for _ in range(count)
+    ]
+    return [robot.forward(q) for q in inside], [q + rng.uniform(-0.01, 0.01, robot.nq) for q in inside]
+
+
+@pytest.mark.parametrize("name", ["puma560", "ur5e"])
+def test_near_its_goal_auto_asks_lm_first_and_far_from_it_the_closed_form(name):
+    robot = load_robot(name)
+    for pose, start in zip(*near_starts(robot, 20), strict=True):
+        warm = solve(robot, PoseGoal.at(None, pose), start=start)
+        assert warm.converged and warm.solver == "lm" and warm.restarts == 0
+        assert np.abs(warm.q - start).max() < 0.1  # the branch on which it began
+    for pose in poses_of(robot, 20):
+        cold = solve(robot, PoseGoal.at(None, pose))
+        assert cold.converged and cold.solver == "analytic"
+
+
+def test_a_limb_with_a_closed_form_is_solved_by_lm_and_its_proofs_are_kept():
+    arm = load_robot("srs_arm")
+    problem, auto = Problem(arm, PoseGoal(None, (0.4, 0.1, 0.5))), make_solver("auto")
+    solvers = []
+    for pose in poses_of(arm, 1000):
+        problem.retarget(pose)
+        found = auto.solve(problem)
+        assert found.converged
+        solvers.append(found.solver)
+    assert solvers.count("lm") > 900
+    # Within the ball of all links laid end to end, but the wrist would be too near the shoulder or too far.
+    radius = arm.reach(arm.tool)[1]
+    centre = arm.reach(arm.tool)[0]
+    proven = PoseGoal(None, centre + np.array([0, 0, 0.97 * radius]), (0, 1, 0, 0))
+    assert make_solver("analytic").solve(Problem(arm, proven)).status is Status.UNREACHABLE
+    assert auto.solve(Problem(arm, proven)).status is Status.UNREACHABLE
+
+
+@pytest.mark.parametrize("name", ["puma560", "srs_arm"])
+def test_a_batch_chooses_as_one_solve_does(name):
+    robot = load_robot(name)
+    near, starts = near_starts(robot, 12)
+    poses = [*near, *poses_of(robot, 12)]
+    starts = np.array([*starts, *([robot.home] * 12)])
+    batch = solve_batch(robot, np.array([pose.matrix for pose in poses]), starts=starts)
+    problem, auto = Problem(robot, PoseGoal.at(None, poses[0])), make_solver("auto")
+    for row, (pose, start) in enumerate(zip(poses, starts, strict=True)):
+        problem.retarget(pose)
+        assert auto.solve(problem, start).q.tobytes() == batch.q[row].tobytes()
+
+
+def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
+    from robot_ik.bench.first_choice import METHODS, choose
+    from robot_ik.solvers.analytic.geometry import Family
+    from robot_ik.solvers.first_choice import FIRST_CHOICE
+
+    families = {family.name.lower() for family in Family}
+    assert {family for family, _ in FIRST_CHOICE} <= families
+    assert {start for _, start in FIRST_CHOICE} == {"cold", "warm"} and set(FIRST_CHOICE.values()) <= set(
+        METHODS
+    )
+    times = {
+        ("limb", "cold"): {"lm": 12.0, "analytic": 36.0},
+        ("limb", "warm"): {"lm": 9.5, "analytic": 10.0},
+    }
+    assert choose(times) == {("limb", "cold"): "lm", ("limb", "warm"): "analytic"}
