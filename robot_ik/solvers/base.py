@@ -334,7 +334,8 @@ def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
 
     A solve in pieces is the same to the last bit.
     """
-    state, rows, longest = run.state, [], len(trace) or work.NO_LIMIT
+    rows: list[Array] = []
+    state, longest = run.state, len(trace) or work.NO_LIMIT
     seconds = run.budget.seconds
     deadline = math.inf if seconds is None else began + seconds
     steps = longest if seconds is None else _FIRST_SLICE if time.perf_counter() < deadline else 0

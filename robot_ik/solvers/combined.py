@@ -244,6 +244,7 @@ def _cost(problem: Problem, miss: Array) -> Array:
 
 # A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
 _NEAR = 0.01
+_WHICH_NEAR: Callable[..., None] = starts_near_many
 # Restarts of ``lm`` where it comes before the closed form, which knows what cannot be reached.
 _FEW_RESTARTS = 8
 
@@ -309,7 +310,7 @@ class Auto(Combined):
             super().attempt_many(problem, targets, starts, answers, budget)
             return
         near = np.zeros(len(targets), dtype=np.int64)
-        starts_near_many(turns.address, _NEAR, targets, starts, near)
+        _WHICH_NEAR(turns.address, _NEAR, targets, starts, near)
         for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
             if here.all():
                 self._many_in_turn(members, problem, targets, starts, answers, budget)
