@@ -3,8 +3,8 @@
     python docs/measure_front_door.py            # prints the table
     python docs/measure_front_door.py --write    # and puts it into docs/performance.md
 
-A time is the wall-clock time of a whole Python call, garbage collection off, one thread.  All cases take
-turns on the same poses, and of some rounds the quietest counts: other work on a machine only adds to a time.
+A time is the wall-clock time of a whole Python call in a plain loop over some poses, garbage collection off,
+one thread.  Each pose counts with the best of some rounds: other work on a machine only adds to a time.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import gc
 import platform
-import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -67,22 +66,21 @@ def cases(robot: rik.Robot, count: int) -> dict[str, Callable[[int], object]]:
 
 
 def measure(robot: rik.Robot, rounds: int, count: int) -> dict[str, tuple[float, float]]:
-    """Median and 99th percentile of each case, µs, of its quietest round."""
+    """Median and 99th percentile over the poses, µs, each pose's time the best of all rounds."""
     timed = cases(robot, count)
     rik.warm_up(robot)
-    for case in timed.values():
-        case(0)
-    best = {name: (np.inf, np.inf) for name in timed}
+    best = {name: np.full(count, np.inf) for name in timed}
     for _ in range(rounds):
-        spent: dict[str, list[float]] = {name: [] for name in timed}
-        for k in range(count):
-            for name, case in timed.items():
+        for name, case in timed.items():
+            case(0)
+            for k in range(count):
                 begin = time.perf_counter()
                 case(k)
-                spent[name].append(1e6 * (time.perf_counter() - begin))
-        for name, times in spent.items():
-            best[name] = min(best[name], (statistics.median(times), float(np.percentile(times, 99))))
-    return best
+                best[name][k] = min(best[name][k], time.perf_counter() - begin)
+    return {
+        name: (1e6 * float(np.median(times)), 1e6 * float(np.percentile(times, 99)))
+        for name, times in best.items()
+    }
 
 
 def cell(times: tuple[float, float]) -> str:

@@ -1,36 +1,81 @@
 """An arm of servos: takes joint angles, gives joint angles, and is left in the way its owner chose.
 
 ``DISCONNECTED`` → connect → ``CONNECTED`` → enable → ``ENABLED`` ↔ ``HOLD``; ``PARKING`` on the way to a
-pose; ``FAULT`` is latched until ``reset_fault``, ``reconnect`` or ``close``.  One thread drives an arm.
+pose; ``FAULT`` is latched until ``reset_fault``, ``reconnect`` or ``close``.  One thread drives an arm; the
+heartbeat is the only other one, and shares a lock with it.  Who acts when nobody drives: ``watchdogs``.
 """
 
 from __future__ import annotations
 
+import enum
 import logging
-from collections.abc import Mapping
-from typing import Self
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TypeVar
 
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import ArmStateError, HardwareError
-from robot_ik.hardware.arm_base import MOVABLE
+from robot_ik.errors import ArmStateError, HardwareError, StopRequestedError, UnsafeCommandError
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.currents import set_currents
 from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.feedback import Feedback
-from robot_ik.hardware.gripping import Gripping
+from robot_ik.hardware.gripper import Fingers, Grip
+from robot_ik.hardware.motion_report import MotionReport
 from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
-from robot_ik.hardware.registers import read_all
-from robot_ik.hardware.shutdown import torque_off
-from robot_ik.hardware.state import ArmState
-from robot_ik.hardware.switch_on import torque_on
-from robot_ik.ports import JointReading
+from robot_ik.hardware.registers import read_all, shared_register
+from robot_ik.hardware.stop_file import StopFile
+from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
+from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
+from robot_ik.ports import Array, Clock, JointReading, VirtualClock
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.virtual.bus import VirtualBus
 
 __all__ = ["Arm", "ArmState"]
 
 log = logging.getLogger(__name__)
 
+LOCK_PATIENCE = 0.5
+"""s for which leaving waits for a cycle of another thread; then the arm is left all the same."""
 
-class Arm(Gripping):
+_AT_REST = 1e-3  # rad/s (m/s): slower than this a joint stands still
+_LOOK_PERIOD = 0.02  # s between two looks for a request to stop
+
+T = TypeVar("T")
+
+
+class ArmState(enum.Enum):
+    """What an arm is doing."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+    ENABLED = "enabled"
+    HOLD = "hold"
+    PARKING = "parking"
+    FAULT = "fault"
+
+
+_S = ArmState
+_MOVES: Mapping[ArmState, ArmState] = {_S.ENABLED: _S.ENABLED, _S.HOLD: _S.ENABLED}
+
+EVENTS: Mapping[str, Mapping[ArmState, ArmState]] = {
+    "connect": {_S.DISCONNECTED: _S.CONNECTED},
+    "enable": {_S.CONNECTED: _S.ENABLED},
+    "send": _MOVES,
+    "grip": _MOVES,
+    "hold": {_S.ENABLED: _S.HOLD, _S.HOLD: _S.HOLD},
+    "park": {_S.ENABLED: _S.PARKING, _S.HOLD: _S.PARKING},
+    "limit the current": {_S.CONNECTED: _S.CONNECTED, _S.ENABLED: _S.ENABLED, _S.HOLD: _S.HOLD},
+    "reset a fault": {_S.FAULT: _S.CONNECTED},
+    "reconnect": {_S.FAULT: _S.CONNECTED, _S.CONNECTED: _S.CONNECTED},
+}
+"""The life of an arm: event -> state before -> state after.  ``close`` and a fault come in every state."""
+
+
+class Arm:
     """Servos of one arm file on one bus: a ``JointSink`` and a ``JointSource``.
 
     Args:
@@ -42,10 +87,53 @@ class Arm(Gripping):
         park_at: (n,) rad; by default where the arm was enabled: there it had stood without torque.
 
     Attributes:
-        state: See ``ArmState``.
+        state: See ``ArmState``; ``fault``: what put the arm into ``FAULT``.
         joints: Names; ``lower``, ``upper``, ``resolution``: (n,) rad.
         exit_report: How the arm was left; None before.
     """
+
+    def __init__(
+        self,
+        config: ArmConfig,
+        bus: ServoBus,
+        clock: Clock,
+        *,
+        virtual_bus: VirtualBus | None = None,
+        on_exit: str | None = None,
+        park_at: ArrayLike | None = None,
+    ) -> None:
+        self.on_exit = checked_policy(on_exit or config.on_exit, config)
+        self.config, self.bus, self.clock, self.virtual_bus = config, bus, clock, virtual_bus
+        self.joints: tuple[str, ...] = config.names
+        self.lower, self.upper, self.resolution = config.lower, config.upper, config.resolution
+        self.state = ArmState.DISCONNECTED
+        self.fault: HardwareError | None = None
+        self.exit_report: ExitReport | None = None
+        self._cycle = Cycle(config, bus, clock)
+        self._park_at = park_at
+        self._rest: tuple[float, ...] = ()
+        self._energised = False  # torque may be on because of us, whatever the state says
+        self._guard = ExitGuard(self._last_resort)
+        self._lock = threading.RLock()
+        self._heartbeat = Heartbeat(self._look)
+        self._streaming = False  # commands come one after the other, none of them meant to last
+        self._commanded = 0.0  # when the last one came
+        self._stop_file = StopFile(bus.port, config.name)
+        self._stop_policy: str | None = None  # somebody asked to stop: how the arm is left, whatever on_exit
+        self._stop_answered = True
+        self._looked = 0.0
+
+    @property
+    def reports(self) -> MotionReport:
+        """What happened to the commands since ``enable``."""
+        return self._cycle.reports
+
+    @property
+    def ages(self) -> Array:
+        """(n,) s since each joint's last good sample; infinite before the first."""
+        return self.clock.now() - self._cycle.samples.times[: len(self.joints)]
+
+    # ------------------------------------------------------------------------------ from off to on
 
     def connect(self) -> None:
         """Opens the bus, checks that these are the arm file's servos, sets them up.  Torque stays as it is.
@@ -56,65 +144,91 @@ class Arm(Gripping):
             BusCorruptError, BusDisconnectedError, ServoRefusedError: Nothing was switched on; the bus is
             closed again.
         """
-        self._require("connect", ArmState.DISCONNECTED)
+        after = self._after("connect")
         try:
             self.bus.open()
             feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
         except BaseException:
             self.bus.close()
             raise
-        self._fault = None
+        self.fault = self.exit_report = self._stop_policy = None
+        self._stop_answered = True
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
-        self.state = ArmState.CONNECTED
+        self.state = after
 
+    @uninterrupted
     def enable(self) -> None:
         """Torque on where the arm stands; from here on signals and exceptions end in ``close``'s policy.
 
+        A signal that comes meanwhile is raised at the end, and torque is off again.
+
         Raises:
-            ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again.
+            ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again where
+                ``exit_report`` says so.  Joints that held before, after a fault, hold where ``on_exit`` is
+                ``hold``.
+            KeyboardInterrupt, SystemExit: The signal.
         """
-        self._require("enable", ArmState.CONNECTED)
+        after = self._after("enable")
+        if not self.config.stale_ms:
+            log.warning(
+                "stale_ms = 0: in a pause of the commands nobody holds the arm, and a loaded joint sinks"
+            )
         self._guard.install()
-        first = not self._energised
-        self._energised = True
+        first, self._energised = not self._energised, True
         try:
             goals = torque_on(self.bus, self.config)
             self._cycle.stand(goals)
             self._cycle.samples.begin(goals, self.clock.now())
+            if first:  # later it is somewhere it never stood without torque
+                self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
+            self._commanded, self._streaming = self.clock.now(), False
+            if not isinstance(self.clock, VirtualClock):
+                self._stop_file.open()
+                self._heartbeat.start()
+            self.state = after
         except BaseException:
-            with self._guard.shield():
-                self.exit_report = torque_off(self.bus, self.config, clock=self.clock)
-                self._energised = False
-            self._guard.remove()
+            self._undo_enable(first)
             raise
-        if first:  # later it is somewhere it never stood without torque
-            self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
-        self.state = ArmState.ENABLED
-        self._start_heartbeat()
+        if self._guard.received:
+            self._undo_enable(first)
+
+    def _undo_enable(self, first: bool) -> None:
+        """Leaves the arm as it was before ``enable``, and remembers where that was not confirmed."""
+        self._heartbeat.dismiss()
+        self._leave("torque_off" if first or self.on_exit != "hold" else "hold")
+        self.state = ArmState.CONNECTED
+        if self.exit_report is not None and self.exit_report.ok and first:
+            self._energised = False
+            self._stop_file.close()
+            self._guard.remove()
 
     def __enter__(self) -> Self:
         if self.state is ArmState.DISCONNECTED:
             self.connect()
         return self
 
+    # --------------------------------------------------------------------------------- in motion
+
     def send(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
         """One bus cycle: goals within limits and caps to all servos, positions of all back.
 
         Args:
             q: (n,) rad, or joint name -> rad (the others stay).
-            now: Time for which ``q`` is meant, s.
+            now: Time for which ``q`` is meant, s.  The arm never moves faster than its own clock allows.
 
         Raises:
             UnsafeCommandError: NaN, wrong length, unknown joint; nothing was sent.
             ArmStateError: Not enabled.
             MotorFaultError: A servo shut down or went silent, by joint; the others hold.  Latched.
             BusTimeoutError: All servos went silent.  BusDisconnectedError: The port went away.  Latched.
+            StopRequestedError: Somebody asked the arm to stop.  Latched.
         """
         with self._lock:
-            self._require("send", *MOVABLE)
+            after = self._after("send")
+            self._obey_stop()
             self._commanded, self._streaming = self.clock.now(), True
             self._latching(lambda: self._cycle.drive(q, now))
-            self.state = ArmState.ENABLED
+            self.state = after
 
     def read(self) -> JointReading:
         """Measured joint angles; those of this cycle's ``send`` cost nothing, otherwise the servos are asked.
@@ -137,17 +251,25 @@ class Arm(Gripping):
                 self._latching(self._cycle.measure)
             return JointReading(samples.q[: len(self.joints)].copy(), float(samples.times.min()))
 
+    def positions(self) -> dict[str, float]:
+        """Joint -> last measured rad (m of a slide), those of a gripper too; NaN before the first sample."""
+        with self._lock:
+            names = self.config.whole.names
+            return dict(zip(names, self._cycle.samples.q.tolist(), strict=True))
+
     def hold(self) -> None:
         """Stay where you are; the next ``send`` goes on from here, from rest.
+
+        A joint that is pushed further than ``cycle.SAG`` from its goal yields, once, when holding begins.
 
         Raises:
             ArmStateError, MotorFaultError, BusTimeoutError, BusDisconnectedError.
         """
         with self._lock:
-            self._require("hold", *MOVABLE)
+            after = self._after("hold")
             self._streaming = False
             self._latching(self._cycle.hold)
-            self.state = ArmState.HOLD
+            self.state = after
 
     def park(self, q: ArrayLike | Mapping[str, float], timeout: float | None = None) -> None:
         """Goes to ``q`` within the caps and holds there; returns when the shafts have arrived.
@@ -160,7 +282,6 @@ class Arm(Gripping):
             HardwareError: Not arrived in time.  Otherwise as ``send``.
         """
         with self._lock:
-            self._require("park", *MOVABLE)
             self._streaming = False
             off = self._go(q, timeout, stop=lambda: False)
         if off.any():
@@ -170,6 +291,33 @@ class Arm(Gripping):
                 f"{worst.name!r} is still {way} from where it was sent",
                 hint="is something in its way?",
             )
+
+    def grip(
+        self, q: float | Mapping[str, float], *, current: float | None = None, timeout: float | None = None
+    ) -> tuple[Grip, ...]:
+        """Moves the fingers until they are there or something stops them; the other joints are held.
+
+        Fingers in current-based position mode press on from here, no harder than ``current``, whatever the
+        arm does meanwhile; others push with all they have, and what they cannot close on is an overload.
+
+        Args:
+            q: m (rad of a hinge) for every joint of the group ``gripper``, or joint name -> m.
+            current: mA, at most the arm file's ``current_ma``; None: as it was.
+            timeout: s; by default what the caps ask for and 2 s.
+
+        Raises:
+            UnknownJointError, UnsafeCommandError: No gripper, no such joint or current; nothing was sent.
+            ArmStateError, MotorFaultError, bus errors: As ``send``.
+        """
+        with self._lock:
+            after = self._after("grip")
+            fingers = Fingers(self.config, q)
+            if current is not None:
+                set_currents(self.bus, self.config, dict.fromkeys(fingers.goals, current))
+            self._streaming = False
+            self._go(fingers.goals, timeout, lambda: fingers.at_rest(self.clock.now(), self._cycle))
+            self.state = after
+            return fingers.report(self.bus, self._cycle)
 
     def limit_current(self, currents: Mapping[str, float]) -> None:
         """How hard joints in current-based position mode press from here on: a gripper's grip.
@@ -182,8 +330,52 @@ class Arm(Gripping):
             ArmStateError, bus errors.
         """
         with self._lock:
-            self._require("limit the current", ArmState.CONNECTED, *MOVABLE)
+            self._after("limit the current")
             set_currents(self.bus, self.config, currents)
+
+    def _go(
+        self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
+    ) -> Array:
+        """(joints of q and of the gripper,) rad still to go."""
+        self.state = self._after("park")
+        try:
+            off = self._latching(lambda: self._cycle.go(q, timeout, lambda: stop() or self._stop_asked()))
+            self._obey_stop()
+            return off
+        finally:
+            if self.state is ArmState.PARKING:
+                self.state = ArmState.HOLD
+
+    def _after(self, event: str) -> ArmState:
+        """The state after ``event``; raises where it may not come now."""
+        allowed = EVENTS[event]
+        if self.state in allowed:
+            return allowed[self.state]
+        if self.state is ArmState.FAULT and self.fault is not None:
+            raise self.fault.with_traceback(None)
+        need = " or ".join(state.value for state in allowed)
+        steps = "connect(), enable(), then send(); after a fault reset_fault() or close()"
+        raise ArmStateError(f"cannot {event}: the arm is {self.state.value}, not {need}", hint=steps)
+
+    # ----------------------------------------------------------------------------- what goes wrong
+
+    def _latching(self, action: Callable[[], T]) -> T:
+        """Runs one step of motion; what the servos or the bus raise becomes the arm's fault."""
+        try:
+            return action()
+        except UnsafeCommandError:
+            raise
+        except HardwareError as error:
+            self.state, self.fault = ArmState.FAULT, error
+            log.info("fault: %s", error)  # whoever asked for the step gets the error itself
+            try:  # the others stay where they are; the one in fault cannot hear or will not obey
+                if self.bus.is_open:
+                    self._cycle.goals = self._cycle.holding_goals()
+                    self._cycle.held = True
+                    self.bus.sync_write(shared_register(self.config, "goal_position"), self._cycle.goals)
+            except HardwareError as second:
+                log.warning("holding the other joints: %s", second)
+            raise
 
     def reset_fault(self) -> tuple[str, ...]:
         """Restarts the servos that have shut down and verifies everything; then ``enable`` goes on.
@@ -199,11 +391,11 @@ class Arm(Gripping):
             HardwareError: Still not as it should be, e.g. a servo has lost its turns.  The fault stays.
         """
         with self._lock:
-            self._require("reset a fault", ArmState.FAULT)
+            after = self._after("reset a fault")
             if not self.bus.is_open:
                 raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
             joints = restart_faulty(self.bus, self.config, self.clock)
-            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None))
+            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None), after)
             return joints
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -218,13 +410,175 @@ class Arm(Gripping):
             HardwareError: These are not the servos as they were left.  The fault stays.
         """
         with self._lock:
-            self._require("reconnect", ArmState.FAULT, ArmState.CONNECTED)
+            after = self._after("reconnect")
             real = self.virtual_bus is None
-            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout, real=real))
+            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout, real=real), after)
 
-    def _begin_anew(self, feedback: Feedback) -> None:
-        """From a verified bus to ``CONNECTED``; torque stays as it is."""
+    def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
+        """From a verified bus to ``CONNECTED``; torque stays as it is, and so do the goals."""
         check_turns_kept(self.bus, self.config, self._cycle.samples)
+        goals = self._cycle.goals
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
-        self._fault = None
-        self.state = ArmState.CONNECTED
+        self._cycle.goals, self._cycle.held = goals, True
+        self.fault = self._stop_policy = None
+        self.state = after
+
+    # ----------------------------------------------------------------- while the program does not command
+
+    def _look(self) -> None:
+        """One beat.  Whoever holds the lock is at work: then there is nothing to look after."""
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
+            if self._heartbeat.stopping() or not self._energised:
+                return
+            self._obey_stop()
+            if self.state in _MOVES and self.config.stale_ms:
+                self._attend(self.clock.now() - self._commanded)
+        except Exception as error:
+            log.error("found while no command came: %s", error)  # the next command raises it
+        finally:
+            self._lock.release()
+
+    def _attend(self, idle: float) -> None:
+        """Looks after an arm that got no command for ``idle`` seconds."""
+        stale = stale_time(self.config.stale_ms, self._cycle.period)
+        if idle < stale:
+            return
+        if self.state is ArmState.ENABLED and self._streaming:
+            # At rest after the last command of a motion this is nothing to report.
+            moving = any(abs(speed) > _AT_REST for speed in self._cycle.limits.velocity)
+            log.log(
+                logging.WARNING if moving else logging.INFO, "no command for %.2f s: the arm is held", idle
+            )
+            self._cycle.reports.stale += 1
+            self._latching(self._cycle.hold)
+            self.state = ArmState.HOLD
+        else:
+            self._latching(self._cycle.measure)
+        if self._streaming and self.config.on_stale != "hold" and idle > max(GIVE_UP, stale):
+            self._give_up(idle)
+
+    def _give_up(self, idle: float) -> None:
+        """The program is as good as gone: the arm file says what to do then."""
+        parked = self.config.on_stale == "park" and self._park(stop=self._heartbeat.stopping)
+        report = self._leave("torque_off", parked=parked)
+        self.fault = HardwareError(
+            f"no command came for {idle:.1f} s: {report.text}",
+            hint="reset_fault(), then enable(), or close(); on_stale and stale_ms are in the arm file",
+        )
+        self.state = ArmState.FAULT
+        log.error("%s", self.fault)
+
+    # --------------------------------------------------------------------------- somebody asks to stop
+
+    def request_stop(self, policy: str = "hold") -> None:
+        """Asks the arm to stop, from any thread: the next cycle or beat holds it and latches a fault.
+
+        Afterwards ``close`` leaves it so, whatever ``on_exit`` says; ``reset_fault`` and ``enable`` go on.
+
+        Args:
+            policy: ``hold`` or ``torque_off``.
+        """
+        self._stop_policy = "torque_off" if policy == "torque_off" else "hold"
+        self._stop_answered = False
+
+    def _stop_asked(self) -> bool:
+        """Whether somebody asks, in this process or in another one."""
+        now = self.clock.now()
+        if self._stop_answered and now - self._looked >= _LOOK_PERIOD:
+            self._looked = now
+            if (policy := self._stop_file.requested()) is not None:
+                self.request_stop(policy)
+        return not self._stop_answered
+
+    def _obey_stop(self) -> None:
+        """Carries out what was asked, and raises it."""
+        if not self._stop_asked():
+            return
+        assert self._stop_policy is not None
+        report = self._leave(self._stop_policy)
+        self._stop_answered = True
+        self._stop_file.answer(ok=report.ok, text=report.text)
+        stopped = StopRequestedError(
+            f"stopped on request: {report.text}", hint="reset_fault(), then enable(), or close()"
+        )
+        if self.state is not ArmState.FAULT:  # an earlier one says more
+            self.state, self.fault = ArmState.FAULT, stopped
+        log.info("%s", stopped)
+        raise stopped
+
+    # ------------------------------------------------------------------------------------ the end
+
+    @uninterrupted
+    def close(self) -> None:
+        """Leaves the arm as ``on_exit`` says, then the bus; ``exit_report`` says how.  Call it at any time.
+
+        A signal that arrives meanwhile waits until the arm is left; the second one since ``enable`` ends a
+        parking.
+
+        Raises:
+            KeyboardInterrupt, SystemExit: The signal that waited.
+        """
+        self._heartbeat.dismiss()
+        locked = self._lock.acquire(timeout=LOCK_PATIENCE)
+        try:
+            self._leave_for_good()
+        finally:
+            # Each whatever becomes of the others; the handlers last, for then signals are no longer kept.
+            for step in (self._heartbeat.stop, self.bus.close, self._stop_file.close):
+                try:
+                    step()
+                except Exception as error:
+                    log.error("closing the arm: %s", error)
+            self.state, self._energised = ArmState.DISCONNECTED, False
+            if locked:
+                self._lock.release()
+            self._guard.remove()
+
+    @uninterrupted
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _leave_for_good(self) -> None:
+        if not self._energised:
+            if self.state is not ArmState.DISCONNECTED and self.exit_report is None:
+                self.exit_report = ExitReport("untouched")
+            return
+        parked = self.on_exit == "park" and self._park(stop=lambda: self._guard.received > 1)
+        report = self._leave(self._stop_policy or self.on_exit, parked=parked)
+        if not self._stop_answered:  # it came too late for a cycle
+            self._stop_answered = True
+            self._stop_file.answer(ok=report.ok, text=report.text)
+
+    def _leave(self, policy: str, *, parked: bool = False) -> ExitReport:
+        """Every way out goes through here; torque goes off where even that fails."""
+        goals: dict[int, int] = {}
+        try:
+            if policy == "hold" and self._cycle.goals:
+                goals = self._cycle.goals = self._cycle.holding_goals()
+                self._cycle.held = True
+        except Exception as error:
+            log.error("the goals to hold are not known: %s", error)
+        self.exit_report = leave(self.bus, self.config, policy, goals, parked=parked, clock=self.clock)
+        return self.exit_report
+
+    def _park(self, stop: Callable[[], bool]) -> bool:
+        """Whether the arm is where it is to be left; False where it cannot go there."""
+        there = self._rest if self._park_at is None else self._park_at
+        try:
+            return self.state in _MOVES and not self._go(there, None, stop).any()
+        except Exception as error:
+            log.error("not parked: %s", error)
+            return False
+
+    def _last_resort(self) -> None:
+        """At the end of the interpreter: nobody closed the arm."""
+        if self._energised:
+            log.error("the program ended without closing its arm")
+            try:
+                self.close()
+            except BaseException as error:
+                log.error("closing it failed: %s", error)

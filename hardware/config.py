@@ -14,7 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnknownJointError
 from robot_ik.files import read_text, write_atomically
 from robot_ik.hardware.config_check import check_arm
-from robot_ik.hardware.config_file import ArmFile, JointFile, SlideFile, arm_file_text, parse_arm_file
+from robot_ik.hardware.config_file import (
+    STALE_MS,
+    WATCHDOG_MS,
+    ArmFile,
+    BusFile,
+    JointFile,
+    SlideFile,
+    arm_file_text,
+    parse_arm_file,
+)
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
 from robot_ik.hardware.joint_map import ARM, MODES, JointMap, Twin
 
@@ -39,6 +48,7 @@ class ArmConfig:
             and moves them by name.
         file: Where it was read from; ``None`` when made by a program.
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
+            The Bus Watchdog must be longer by what ``watchdogs.least_watchdog_ms`` says.
         on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
     """
 
@@ -50,7 +60,7 @@ class ArmConfig:
     on_exit: str
     joints: tuple[JointMap, ...]
     file: Path | None = field(default=None, compare=False)
-    stale_ms: int = 250
+    stale_ms: int = STALE_MS
     on_stale: str = "hold"
     aside: tuple[JointMap, ...] = ()
 
@@ -106,7 +116,7 @@ class ArmConfig:
             mode, middle = OperatingMode.EXTENDED_POSITION, TICKS_PER_TURN // 2
             maps.append(JointMap(name, k + 1, "XM430-W350", mode, 1, middle, 1.0, low, high, speed, ramp))
         title = f"{robot_name} with {n} virtual servos"
-        return cls(title, robot_name, 1_000_000, 100.0, 200, "torque_off", tuple(maps))
+        return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", tuple(maps))
 
     def save(self, path: Path | str) -> None:
         """Writes the arm file whole or not at all (beside it first, then renamed over it)."""
@@ -212,10 +222,17 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
         bus.on_exit,
         joints,
         file,
-        bus.stale_ms,
+        _stale_ms(bus),
         bus.on_stale,
         tuple(maps[len(joints) :]),
     )
+
+
+def _stale_ms(bus: BusFile) -> int:
+    """What the file says, else half of ``watchdog_ms``."""
+    if bus.stale_ms is not None:
+        return bus.stale_ms
+    return bus.watchdog_ms // 2 or STALE_MS
 
 
 def _joint_map(j: JointFile) -> JointMap:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.control_table import ControlTable, OperatingMode, control_table
 from robot_ik.hardware.joint_map import MODE_TICKS, JointMap
+from robot_ik.hardware.watchdogs import least_watchdog_ms
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -24,6 +25,7 @@ def check_arm(config: ArmConfig, file: Path | str) -> None:
     Raises:
         ConfigError: With file, key and what would be right.
     """
+    _check_watchdogs(config, file)
     names: dict[str, int] = {}
     ids: dict[int, str] = {}
     for k, joint in enumerate((*config.joints, *config.aside)):
@@ -41,6 +43,21 @@ def check_arm(config: ArmConfig, file: Path | str) -> None:
             ids[servo.id] = place
         _check_current(joint, table, at, file)
         _check_range(joint, at, file)
+
+
+def _check_watchdogs(config: ArmConfig, file: Path | str) -> None:
+    """The heartbeat must act before the servos stop by themselves, or a held arm sinks a little each time."""
+    if not config.watchdog_ms or not config.stale_ms:
+        return
+    least = least_watchdog_ms(config.stale_ms, 1.0 / config.rate_hz)
+    if config.watchdog_ms < least:
+        raise ConfigError(
+            f"the servos would stop by themselves after {config.watchdog_ms} ms, before the program can hold "
+            f"them (stale_ms = {config.stale_ms} at {config.rate_hz:g} Hz)",
+            file=file,
+            key="bus.watchdog_ms",
+            allowed=f"{least} or more, or a shorter stale_ms; 0: no bus watchdog",
+        )
 
 
 def current_unit(table: ControlTable) -> float:

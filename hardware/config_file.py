@@ -15,14 +15,16 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 from robot_ik.errors import ConfigError, close_matches
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
 from robot_ik.hardware.joint_map import ARM, JointMap
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
     from robot_ik.hardware.config import ArmConfig
 
-WATCHDOG_STEP_MS = 20
-WATCHDOG_MAX_MS = 127 * WATCHDOG_STEP_MS
+WATCHDOG_MS, STALE_MS = 400, 200
+"""Where the arm file does not say."""
+WATCHDOG_MAX_MS = 127 * WATCHDOG_UNIT_MS
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -39,9 +41,9 @@ class BusFile(_Table):
 
     baud: int = 1_000_000
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 100.0
-    watchdog_ms: Annotated[int, Field(ge=0, le=WATCHDOG_MAX_MS, multiple_of=WATCHDOG_STEP_MS)] = 200
+    watchdog_ms: Annotated[int, Field(ge=0, le=WATCHDOG_MAX_MS, multiple_of=WATCHDOG_UNIT_MS)] = WATCHDOG_MS
     on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
-    stale_ms: Annotated[int, Field(ge=0, le=60_000)] = 250
+    stale_ms: Annotated[int | None, Field(ge=0, le=60_000)] = None  # half of watchdog_ms
     on_stale: Literal["hold", "park", "torque_off"] = "hold"
 
 

@@ -19,7 +19,8 @@ from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
 from robot_ik.hardware.motion_report import MotionReport
 from robot_ik.hardware.registers import read_all, shared_register
 from robot_ik.hardware.samples import Samples
-from robot_ik.hardware.switch_on import WATCHDOG_UNIT_MS, arm_watchdog
+from robot_ik.hardware.torque import arm_watchdog
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array, Clock
 
 log = logging.getLogger(__name__)
@@ -27,9 +28,18 @@ log = logging.getLogger(__name__)
 PAUSE = 0.25
 """s between two commands after which the arm is taken to stand: the next command starts from rest."""
 
+LONGEST_TICK = 2.0
+"""Control periods that one command may move the arm by, however long ago the last one was."""
+
+SHORTEST_TICK = 0.01
+"""Control periods below which a command moves nothing: over shorter times velocities are rounding."""
+
+JITTER = 0.1
+"""Control periods of unused time left to the next commands: the clock is read a little early or late."""
+
 SAG = 0.05
 """rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.  Beyond, something
-pushes: it yields."""
+pushes: it yields, once."""
 
 FOLLOWING_ALARM = 0.15
 """rad of tracking error at which a servo is asked whether it still has torque (it may have restarted)."""
@@ -56,6 +66,7 @@ class Cycle:
 
     Attributes:
         samples: Measured positions; ``limits``: state of the limiter; ``goals``: servo id -> ticks last sent.
+        held: The goals are those of an arm that holds: nobody changes them but the next command.
         reports: See ``MotionReport``.
     """
 
@@ -67,6 +78,7 @@ class Cycle:
         self.samples = Samples(config)
         self.limits = LimiterState.at_rest(np.zeros(n))
         self.goals: dict[int, int] = {}
+        self.held = False
         self.reports = MotionReport.empty(n)
         self.period = 1.0 / config.rate_hz
         self._config, self._bus, self._clock = config, bus, clock
@@ -82,14 +94,15 @@ class Cycle:
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
         self._suspect = False
         self._last_now: float | None = None
+        self._moved_until = -math.inf  # time on our own clock that the commands so far have used
         self._last_traffic = self._last_alarm = -math.inf
 
     def stand(self, goals: Mapping[int, int]) -> None:
         """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
         self.goals = dict(goals)
         self.limits = LimiterState.at_rest([j.to_radians(goals[j.id]) for j in self._config.joints])
-        self._last_now = None
-        self._last_traffic = self._clock.now()
+        self._last_now, self.held = None, False
+        self._last_traffic = self._moved_until = self._clock.now()
 
     def drive(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
         """Limits and caps, then goals to all servos and positions of all back in one exchange.
@@ -108,6 +121,7 @@ class Cycle:
         # anywhere between, and the next look must see that.
         start = self._clock.now()
         self.stay_alive()
+        self.held = False
         before = np.array(self.limits.q)
         dt = self._tick(now)
         if dt > 0.0:
@@ -193,15 +207,25 @@ class Cycle:
             self._drive(tuple(command.tolist()), now)
 
     def hold(self) -> None:
-        """Goals of joints that answered: where they are, or where they were sent if they are nearly there."""
+        """Holds every joint at its last goal, or yields where it was pushed away; see ``holding_goals``.
+
+        Of an arm that holds already nothing changes.
+        """
         self.stay_alive()
-        self.goals = self.holding_goals()
-        self._bus.sync_write(self._goal, self.goals)
-        self.stand(self.goals)
+        goals = self.holding_goals()
+        self._bus.sync_write(self._goal, goals)
+        self.stand(goals)
+        self.held = True
 
     def holding_goals(self) -> dict[int, int]:
-        """Servo id -> ticks.  Taking the present position every time would let a loaded joint creep down."""
+        """Servo id -> ticks where the arm is held: its last goals, or the shafts where these are far off.
+
+        That is decided once, when holding begins: again and again of a loaded joint, each goal would be a
+        little lower than the last, and the arm would creep down.
+        """
         goals = dict(self.goals)
+        if self.held:
+            return goals
         for joint in self._config.servos:
             if _presses(joint) and joint.id not in self.samples.jumped:
                 continue  # it is meant to press: yielding would let go of what it grips
@@ -211,7 +235,7 @@ class Cycle:
         return goals
 
     def stay_alive(self) -> None:
-        """Where a bus watchdog may have tripped, sees to it that the arm goes on from where it is, from rest.
+        """Where a bus watchdog may have tripped, sees to it that the arm goes on from its goals, from rest.
 
         A servo whose watchdog has tripped refuses goals, and a sync write has no answer to say so.
 
@@ -227,28 +251,39 @@ class Cycle:
         statuses = self._bus.sync_read(self._config.servo_ids, watchdog)
         if all(status.data in (armed, None) for status in statuses.values()):
             return
-        log.info("a bus watchdog tripped in a pause of the commands; going on from the present position")
+        log.info("a bus watchdog tripped in a pause of the commands; the arm is held")
         self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
-        present = read_all(self._bus, self._config, "present_position")
-        pressing = {s.id: self.goals[s.id] for s in self._config.servos if s.id in self.goals and _presses(s)}
-        self._bus.sync_write(self._goal, present | pressing)
+        self.samples.take(dict(read_all(self._bus, self._config, "present_position")), self._clock.now())
+        goals = self.holding_goals()
+        self._bus.sync_write(self._goal, goals)
         arm_watchdog(self._bus, self._config)
-        self.stand(present | pressing)
+        self.stand(goals)
+        self.held = True
 
     def _tick(self, now: float) -> float:
-        """Seconds this command is after the last one; 0: no time has passed, nothing may move."""
+        """Seconds by which this command may move the arm; 0: no time has passed.
+
+        The least of what the caller says has passed, of what has passed on our own clock, and of
+        ``LONGEST_TICK`` periods: a caller's clock may jump, and a program that was stopped may send in one
+        burst what it missed.
+        """
         last, self._last_now = self._last_now, now
+        here = self._clock.now()
         if last is None:
+            self._moved_until = here
             return self.period
-        dt = now - last
-        if 0.0 < dt <= PAUSE:
-            return dt
-        if dt > PAUSE:
+        asked, spent = now - last, here - self._moved_until
+        if asked > PAUSE:
             self.limits = LimiterState.at_rest(self.limits.q)
-            return self.period
-        # The same time again, or another loop with another zero of time: our own clock decides.
-        spent = self._clock.now() - self._last_traffic
-        return self.period if spent >= 0.5 * self.period else 0.0
+            asked = self.period
+        elif asked <= 0.0:
+            # The same time again, or another loop with another zero of time: our own clock decides.
+            asked = self.period if spent >= 0.5 * self.period else 0.0
+        dt = min(asked, spent, LONGEST_TICK * self.period)
+        if dt < SHORTEST_TICK * self.period:
+            return 0.0  # what has passed is left to the next command
+        self._moved_until = max(self._moved_until + dt, here - JITTER * self.period)
+        return dt
 
     def _check_torque(self) -> None:
         """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque.

@@ -220,11 +220,11 @@ class _Chase:
 
         A goal on another chain of joints, or several at once, may need more: that is loaded with the first.
         """
-        from robot_ik.problem import Problem
+        from robot_ik.solve import warm_up
 
         for goal in (PoseGoal(None, (0.0, 0.0, 0.0)), PositionGoal(None, (0.0, 0.0, 0.0))):
             with contextlib.suppress(RobotIkError):  # a kind of goal that the method does not serve
-                self.solver.load(Problem(self.robot, goal, tolerance=self.tolerance))
+                warm_up(self.robot, goal, solver=self.solver, tolerance=self.tolerance)
 
     def step(self, goal: Goals | None) -> bool:
         """Moves the command towards ``goal``; True when the way was cut short."""

@@ -127,6 +127,13 @@ class Pose:
         object.__setattr__(self, "wxyz", q)
 
     @classmethod
+    def of_checked(cls, position: Array, wxyz: Array) -> Pose:
+        """From read-only arrays that are finite, and a unit quaternion: nothing is looked at again."""
+        pose = object.__new__(cls)
+        pose.__dict__.update(position=position, wxyz=wxyz)
+        return pose
+
+    @classmethod
     def from_rotation(cls, rotation: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
         """From a rotation matrix (3, 3) and a position (3,)."""
         return cls(position, matrix_to_quat(rotation))

@@ -454,13 +454,17 @@ def goal_kind(goal: Goal) -> Hashable:
     return goal.frame, kind, metres > 0.0, radians > 0.0, *others
 
 
+# Made once: the front door asks in every solve.
+_TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
+
+
 def require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
     """Raises in words for the likely slips: a name in place of a robot, a number in place of a tolerance."""
     if not isinstance(robot, Robot):
         raise ModelError(f"a problem needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
-    if not isinstance(tolerance, Tolerance | None):
+    if not isinstance(tolerance, _TOLERANCE):
         raise InvalidGoalError(f"not a tolerance: {tolerance!r}", hint="Tolerance(position=1e-4, angle=1e-3)")
-    if not isinstance(budget, Budget | None):
+    if not isinstance(budget, _BUDGET):
         raise InvalidGoalError(f"not a budget: {budget!r}", hint="Budget(iterations=2000, seconds=0.1)")
-    if not isinstance(seed, int | np.integer):
+    if not isinstance(seed, _WHOLE):
         raise InvalidGoalError(f"a seed is a whole number, not {seed!r}")

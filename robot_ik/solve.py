@@ -26,6 +26,8 @@ __all__ = ["BatchSolution", "Branch", "solve", "solve_all", "solve_batch", "warm
 
 # Branches nearer than this in every joint (rad) are one.
 _SAME = 1e-6
+# rad, m: so far beyond a limit a joint still counts as inside.
+_SLACK = 1e-9
 # Kinds of problems that are kept for a robot, and problems of a kind: one for each thread that asks at once.
 _KINDS_KEPT, _EACH_KEPT = 16, 8
 _BUDGET = Budget()
@@ -217,9 +219,18 @@ def _branches(
     same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
     far = ((qs - origin) ** 2).sum(axis=1).tolist()
     first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
-    found = [(far[k], Branch(*branches[k], inside=not robot.outside(qs[k]))) for k in first]
+    inside = _inside(robot, qs)
+    found = [(far[k], Branch(*branches[k], inside=inside[k])) for k in first]
     ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
     return tuple(branch for _, branch in ordered if branch.inside or not limits)
+
+
+def _inside(robot: Robot, qs: NDArray[np.float64]) -> list[bool]:
+    """Which rows of ``qs`` (n, nq) are inside the limits, as ``Robot.outside`` has it."""
+    if robot.nq > robot.nv:  # balls and floating bases have limits of their own
+        return [not robot.outside(q) for q in qs]
+    near = (qs >= robot.lower - _SLACK) & (qs <= robot.upper + _SLACK)
+    return cast(list[bool], near.all(axis=1).tolist())
 
 
 def _pose_of(pose: Pose | NDArray[np.float64]) -> Pose:

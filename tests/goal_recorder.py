@@ -104,17 +104,17 @@ def _tap_bus(module: Any) -> None:
 
 
 def _tap_arm(module: Any) -> None:
-    make = module.ArmBase.__init__
+    make = module.Arm.__init__
 
     def made(self: Any, config: ArmConfig, *arguments: object, **options: object) -> None:
         make(self, config, *arguments, **options)
         if self.virtual_bus is not None:
             _now.watch(self.virtual_bus, config)
 
-    module.ArmBase.__init__ = made
+    module.Arm.__init__ = made
 
 
-_TAPS = {"robot_ik.hardware.virtual.bus": _tap_bus, "robot_ik.hardware.arm_base": _tap_arm}
+_TAPS = {"robot_ik.hardware.virtual.bus": _tap_bus, "robot_ik.hardware.arm": _tap_arm}
 
 
 class _Tapper(MetaPathFinder):

@@ -107,6 +107,12 @@ COMMANDS: dict[str, Command] = {
     "servo": Command(
         "", "", "servos by hand: find, set up, calibrate, watch, move, record, save", subcommands=_SERVO
     ),
+    "stop": Command(
+        "robot_ik.cli.stop",
+        "StopOptions",
+        "make an arm that another program drives stop and hold",
+        mujoco=False,
+    ),
     "ar": Command(
         "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, on a printed board"
     ),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import select
+import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -33,6 +36,9 @@ if TYPE_CHECKING:
 
 #: Ports that only a machine's own board has; no adapter of servos is behind them.
 _ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
+
+
+_KEY_POLL = 0.05  # s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +190,7 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
         ConfigError: No such way to leave an arm.
     """
     from robot_ik.hardware import open_arm
-    from robot_ik.hardware.shutdown import ON_EXIT
+    from robot_ik.hardware.torque import ON_EXIT
 
     if on_exit and on_exit not in ON_EXIT:
         raise wrong("--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
@@ -192,14 +198,54 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
 
 
 @contextmanager
+def stop_on_space(arm: Arm) -> Iterator[None]:
+    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
+    try:
+        import termios
+        import tty
+
+        file = sys.stdin.fileno()
+        # A program in the shell's background may not touch the terminal.
+        listening = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
+    except (ImportError, OSError, ValueError, AttributeError):  # no terminals here, or stdin is closed
+        listening = False
+    if not listening:
+        yield
+        return
+    before = termios.tcgetattr(file)
+    over = threading.Event()
+
+    def listen() -> None:
+        while not over.is_set():
+            if select.select([file], [], [], _KEY_POLL)[0]:
+                key = os.read(file, 1)
+                if key == b" ":
+                    arm.request_stop()
+                elif not key:
+                    return
+
+    listener = threading.Thread(target=listen, name="space", daemon=True)
+    try:
+        tty.setcbreak(file)
+        console.say("space: stop and hold", "dim")
+        listener.start()
+        yield
+    finally:
+        over.set()
+        if listener.ident is not None:
+            listener.join()
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
+
+@contextmanager
 def driving(arm: Arm) -> Iterator[None]:
     """The arm connected, and left by its policy; says how it was left, also after a signal or an error."""
     try:
-        with arm:
+        with arm, stop_on_space(arm):
             yield
     finally:
         if words := left(arm):
-            console.say(words, "dim")
+            console.say(words, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
 
 
 Limits = dict[str, tuple[float, float]]
@@ -238,9 +284,5 @@ def model_limits(config: ArmConfig) -> Limits:
 
 
 def left(arm: Arm) -> str:
-    """How an arm was left, in words."""
-    report = arm.exit_report
-    if report is None or not report.ok:  # who did not confirm it was told when that was found
-        return ""
-    words = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
-    return words[report.done] + (" (parked first)" if report.parked else "")
+    """How an arm was left, in words; empty where it was never connected."""
+    return arm.exit_report.text if arm.exit_report is not None else ""

@@ -34,6 +34,7 @@ from robot_ik.errors.hardware import (
     MotorFaultError,
     ServoMismatchError,
     ServoRefusedError,
+    StopRequestedError,
     UnsafeCommandError,
 )
 from robot_ik.errors.robot import (
@@ -76,6 +77,7 @@ __all__ = [
     "RobotIkError",
     "ServoMismatchError",
     "ServoRefusedError",
+    "StopRequestedError",
     "TrajectoryError",
     "UnknownFrameError",
     "UnknownJointError",

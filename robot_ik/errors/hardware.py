@@ -117,6 +117,10 @@ class MotorFaultError(HardwareError):
         super().__init__(f"joint {joint!r} is in fault: {', '.join(status)}", hint=hint)
 
 
+class StopRequestedError(HardwareError):
+    """Somebody asked the arm to stop: ``robot-ik stop``, a key, another thread."""
+
+
 class UnsafeCommandError(HardwareError, ValueError):
     """A command that must not be obeyed even in part; nothing was sent."""
 

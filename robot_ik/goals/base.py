@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Squares of larger numbers leave the range of floats.
 LARGEST = 1e100
+# Made once: goals are made in loops.
+_WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
             f"{what} is a zero quaternion, which is no orientation",
             hint="quaternions are w, x, y, z; 1 0 0 0 turns nothing",
         )
+    if norm == 1.0:
+        return array
     unit = array / norm
     unit.flags.writeable = False
     return unit
@@ -208,11 +212,11 @@ class Goal:
                 hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
             )
         priority: object = self.priority
-        if not (isinstance(priority, int | np.integer) and priority >= 0):
+        if not (isinstance(priority, _WHOLE) and priority >= 0):
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
-        if not isinstance(self.soft, bool | np.bool_):
+        if not isinstance(self.soft, _YES_OR_NO):
             raise InvalidGoalError(f"soft is True or False, not {self.soft!r}")
         if self.length is not None and not (positive_number(self.length, "length") > 0.0):
             raise InvalidGoalError(f"length must be positive, not {self.length!r}")

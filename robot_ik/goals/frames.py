@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 from numpy.typing import ArrayLike
 
 from robot_ik.geometry import Pose
 from robot_ik.goals.base import (
+    Array,
     Goal,
     Rows,
     axes_mask,
@@ -156,7 +157,7 @@ class PoseGoal(Goal):
 
     @property
     def target(self) -> Pose:
-        return Pose(self.position, self.wxyz)
+        return Pose.of_checked(cast(Array, self.position), cast(Array, self.wxyz))
 
     @property
     def weights(self) -> tuple[float, float]:

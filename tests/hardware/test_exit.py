@@ -9,13 +9,11 @@ import random
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import numpy as np
 import pytest
 
-from robot_ik.hardware.exit_guard import ExitGuard
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.fault_kinds import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
@@ -230,52 +228,3 @@ def test_a_cable_pulled_with_the_signal_does_not_hang_the_program(served, child)
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=30)
     assert process.returncode in (1, 143), err
-
-
-# ------------------------------------------------------------------------- the guard by itself
-
-
-@pytest.fixture
-def guard():
-    guard = ExitGuard(lambda: None)
-    yield guard
-    guard.remove()
-
-
-def test_the_first_signal_raises_and_the_second_is_only_counted(guard):
-    guard.install()
-    with pytest.raises(SystemExit) as caught:
-        signal.raise_signal(signal.SIGTERM)
-    assert caught.value.code == 143
-    signal.raise_signal(signal.SIGTERM)
-    signal.raise_signal(signal.SIGINT)
-    assert guard.received == 3 and guard.deferred() is None
-
-
-def test_inside_the_shield_a_signal_waits(guard):
-    guard.install()
-    with guard.shield():
-        signal.raise_signal(signal.SIGINT)
-    assert isinstance(guard.deferred(), KeyboardInterrupt) and guard.deferred() is None
-
-
-def test_handlers_are_given_back_and_ignored_signals_stay_ignored(guard):
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        guard.install()
-        assert signal.getsignal(signal.SIGTERM) != before[signal.SIGTERM]
-        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-        guard.remove()
-        assert signal.getsignal(signal.SIGINT) == before[signal.SIGINT]
-        assert signal.getsignal(signal.SIGTERM) == before[signal.SIGTERM]
-    finally:
-        signal.signal(signal.SIGHUP, before[signal.SIGHUP])
-
-
-def test_outside_the_main_thread_no_handler_is_touched(guard):
-    before = signal.getsignal(signal.SIGTERM)
-    thread = threading.Thread(target=guard.install)
-    thread.start()
-    thread.join()
-    assert signal.getsignal(signal.SIGTERM) == before

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import HardwareError, MotorFaultError
-from robot_ik.hardware import heartbeat, open_arm
+from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.heartbeat import Heartbeat
+from robot_ik.hardware.watchdogs import Heartbeat
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def wait_until(condition, seconds=10.0):
     assert condition()
 
 
-def watchdogs(arm):
+def bus_watchdogs(arm):
     assert all(servo.torque for servo in arm.virtual_bus.servos)  # a servo sees the time when it is looked at
     return [servo.memory.get("bus_watchdog") for servo in arm.virtual_bus.servos]
 
@@ -38,7 +38,7 @@ def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(arm,
     wait_until(lambda: arm.state is ArmState.HOLD)
     assert arm.reports.stale == 1
     time.sleep(0.4)
-    assert watchdogs(arm) == [10] * 6
+    assert bus_watchdogs(arm) == [10] * 6
     assert arm.ages.max() < 0.3  # somebody looks
     here = arm.read().q
     stream(arm, smooth(here, here + 0.1, 0.3))  # and the program goes on
@@ -58,7 +58,7 @@ def test_a_fault_in_the_meantime_is_raised_by_the_next_command(arm, stream, star
 def test_a_program_that_hangs_is_replaced_by_the_policy_of_the_file(
     arm_config, stream, smooth, start, policy, monkeypatch
 ):
-    monkeypatch.setattr("robot_ik.hardware.arm_base.GIVE_UP", 0.5)
+    monkeypatch.setattr("robot_ik.hardware.arm.GIVE_UP", 0.5)
     config = dataclasses.replace(arm_config, on_stale=policy)
     with open_arm(config, "pty", start=start) as arm:
         arm.enable()
@@ -72,7 +72,7 @@ def test_a_program_that_hangs_is_replaced_by_the_policy_of_the_file(
 
 
 def test_an_arm_told_to_hold_holds_for_ever(arm_config, stream, start, monkeypatch):
-    monkeypatch.setattr("robot_ik.hardware.arm_base.GIVE_UP", 0.3)
+    monkeypatch.setattr("robot_ik.hardware.arm.GIVE_UP", 0.3)
     with open_arm(dataclasses.replace(arm_config, on_stale="torque_off"), "pty", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 3)
@@ -87,11 +87,11 @@ def test_it_can_be_switched_off(arm_config, stream, start):
         stream(arm, [start] * 3)
         time.sleep(0.5)
         assert arm.state is ArmState.ENABLED
-        assert watchdogs(arm) == [-1] * 6
+        assert bus_watchdogs(arm) == [-1] * 6
 
 
 def test_no_look_begins_after_stop(monkeypatch):
-    monkeypatch.setattr(heartbeat, "BEAT", 0.001)
+    monkeypatch.setattr(watchdogs, "BEAT", 0.001)
     looks = []
     beat = Heartbeat(lambda: looks.append(time.monotonic()))
     beat.start()

@@ -20,9 +20,9 @@ from robot_ik.hardware import open_bus
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.exit_guard import ending_signals
 from robot_ik.hardware.quiet_port import QuietPortHandler, describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.watchdogs import ending_signals
 
 WINDOWS, MAC = "win32", "darwin"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot_ik.hardware.state import ArmState
+from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.situation import Situation, StepFailed
 from robot_ik.jobs.script.steps import RecoverStep

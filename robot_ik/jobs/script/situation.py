@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_ik.execution import START_TOLERANCE, execute
-from robot_ik.hardware.state import ArmState
+from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.limbs import LastCommand, Limbs
 from robot_ik.jobs.script.file import Script
 from robot_ik.jobs.script.report import StepResult

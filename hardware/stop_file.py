@@ -1,0 +1,209 @@
+"""How one process asks the arm that another one drives to stop, without its port: ``robot-ik stop``.
+
+A running arm has a file in the user's runtime folder and keeps it locked, so that a dead program's file is
+known for what it is.  Who asks writes a request beside it; the arm looks for it in its control cycle and with
+every beat of its heartbeat, stops, and writes an answer.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import stat
+import tempfile
+import time
+import uuid
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robot_ik.errors import HardwareError
+from robot_ik.files import write_atomically
+
+log = logging.getLogger(__name__)
+
+POLICIES = ("hold", "torque_off")
+"""What may be asked for."""
+
+_POLL = 0.01  # s between two looks for an answer
+
+
+def runtime_folder() -> Path:
+    """A folder that only this user can look into; made if need be.
+
+    Raises:
+        HardwareError: There is something else of that name, or it belongs to another user.
+    """
+    base = os.environ.get("XDG_RUNTIME_DIR", "")
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    if base and Path(base).is_dir() and os.access(base, os.W_OK):
+        folder = Path(base) / "robot-ik"
+    else:
+        folder = Path(tempfile.gettempdir()) / f"robot-ik-run-{user}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise HardwareError(f"no runtime folder {folder}: {error.strerror}") from error
+    if not stat.S_ISDIR(found.st_mode) or (hasattr(os, "getuid") and found.st_uid != user):
+        raise HardwareError(f"{folder} is not a folder of this user", hint="remove it, or ask its owner to")
+    if stat.S_IMODE(found.st_mode) != 0o700:
+        folder.chmod(0o700)
+    return folder
+
+
+class StopFile:
+    """The arm's side.
+
+    Args:
+        port: Of its bus.
+        name: Of the arm.
+    """
+
+    def __init__(self, port: str, name: str) -> None:
+        self._about = {"pid": os.getpid(), "port": os.path.realpath(port), "name": name}
+        self._stem: Path | None = None
+        self._request = ""
+        self._file = -1
+
+    def open(self) -> None:
+        """From here on the arm can be found; without a folder it cannot, and the log says so."""
+        try:
+            stem = runtime_folder() / uuid.uuid4().hex
+            self._file = os.open(stem.with_suffix(".arm"), os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+            _locked(self._file)
+            os.write(self._file, json.dumps(self._about).encode())
+        except (OSError, HardwareError) as error:
+            log.warning("robot-ik stop cannot reach this arm: %s", error)
+            self.close()
+            return
+        self._stem, self._request = stem, str(stem.with_suffix(".stop"))
+
+    def requested(self) -> str | None:
+        """One of ``POLICIES`` if somebody asks for it."""
+        if not self._request or not os.path.exists(self._request):
+            return None
+        try:
+            policy = json.loads(Path(self._request).read_text("utf-8"))["policy"]
+        except (OSError, ValueError, LookupError, TypeError):
+            policy = None
+        return policy if policy in POLICIES else "hold"  # whatever it says, somebody wants it to stop
+
+    def answer(self, *, ok: bool, text: str) -> None:
+        """What became of the request; it is over."""
+        if self._stem is None:
+            return
+        try:
+            write_atomically(self._stem.with_suffix(".done"), json.dumps({"ok": ok, "text": text}))
+            os.unlink(self._request)
+        except OSError as error:
+            log.warning("answering robot-ik stop: %s", error)
+
+    def close(self) -> None:
+        """The arm is left.  May be called any number of times."""
+        file, self._file = self._file, -1
+        stem, self._stem, self._request = self._stem, None, ""
+        if stem is not None:
+            for ending in (".arm", ".stop"):  # an answer stays for who waits for it
+                with suppress(OSError):
+                    stem.with_suffix(ending).unlink()
+        if file >= 0:
+            os.close(file)
+
+
+@dataclass(frozen=True)
+class RunningArm:
+    """An arm that a living program of this user drives.
+
+    Attributes:
+        name, port, pid: Of the arm file, of its bus, of the program.
+        stem: Its files without their endings.
+    """
+
+    name: str
+    port: str
+    pid: int
+    stem: Path
+
+    def stop(self, policy: str = "hold", timeout: float = 3.0) -> tuple[bool, str]:
+        """Asks it to stop and waits for the answer.
+
+        Args:
+            policy: One of ``POLICIES``.
+            timeout: s.
+
+        Returns:
+            Whether every servo confirmed it; what happened, in words.
+        """
+        answer, request = self.stem.with_suffix(".done"), self.stem.with_suffix(".stop")
+        answer.unlink(missing_ok=True)
+        write_atomically(request, json.dumps({"policy": policy}))
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            if answer.exists():
+                said = json.loads(answer.read_text("utf-8"))
+                answer.unlink(missing_ok=True)
+                return bool(said["ok"]), str(said["text"])
+            time.sleep(_POLL)
+        request.unlink(missing_ok=True)
+        return False, f"no answer for {timeout:g} s; cut the power if it still moves"
+
+
+def running_arms(port: str | None = None) -> list[RunningArm]:
+    """Arms that are enabled now; those on ``port`` only, if it is named.
+
+    Raises:
+        HardwareError: The runtime folder is not this user's.
+    """
+    found = []
+    for path in sorted(runtime_folder().glob("*.arm")):
+        about = _read_living(path)
+        if about is None:
+            if path.exists() and path.stat().st_size:  # an empty one is about to be locked
+                for ending in (".arm", ".stop", ".done"):  # its program was killed
+                    path.with_suffix(ending).unlink(missing_ok=True)
+        elif port is None or about["port"] == os.path.realpath(port):
+            stem = path.with_suffix("")
+            found.append(RunningArm(str(about["name"]), str(about["port"]), int(about["pid"]), stem))
+    return found
+
+
+def _read_living(path: Path) -> dict[str, Any] | None:
+    """What the file says; None where nobody has it locked any more."""
+    try:
+        file = os.open(path, os.O_RDWR)
+    except OSError:
+        return None
+    try:
+        if _locked(file):
+            return None
+        about = json.loads(os.read(file, 4096) or b"{}")
+        return about if {"name", "port", "pid"} <= about.keys() else None
+    except (OSError, ValueError, AttributeError):
+        return None
+    finally:
+        os.close(file)
+
+
+def _locked(file: int) -> bool:
+    """Takes the lock of an open file if nobody has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        try:
+            os.lseek(file, 1 << 20, os.SEEK_SET)  # behind the text, which others must be able to read
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+            return True
+        except OSError:
+            return False
+        finally:
+            os.lseek(file, 0, os.SEEK_SET)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except OSError:
+        return False

@@ -1,0 +1,332 @@
+"""Torque on without a jerk, and ``leave``: the only way out, each servo by itself and verified."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
+from robot_ik.hardware.registers import read_all, shared_register
+from robot_ik.hardware.samples import TWIST
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
+from robot_ik.ports import Clock, RealClock
+
+log = logging.getLogger(__name__)
+
+ON_EXIT = ("torque_off", "hold", "park")
+"""Ways to leave an arm; ``park`` ends in torque off."""
+
+PATIENCE = 1.0
+"""s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
+
+_PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
+_ATTEMPTS = 3  # a sync write has no answer: it is read back, and repeated if it was lost
+_REBASE_TICKS = TICKS_PER_TURN // 8  # a shaft does not move so far while torque comes on; a lost turn does
+
+
+# ------------------------------------------------------------------------------------------------- on
+
+
+def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
+    """Goal = present, read back; torque on, read back; then the Bus Watchdog.
+
+    Returns:
+        Servo id -> goal position, ticks: where the arm now holds.
+
+    Raises:
+        HardwareError: A goal was not taken, or a multi-turn servo has lost its turns.  Torque may be on then:
+            the caller switches it off.
+        MotorFaultError: A servo refuses torque, by joint and with its hardware error.
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    """
+    goals = read_all(bus, config, "present_position")
+    _check_turns(config, goals)
+    _check_twins(config, goals)
+    missing = _sync_set(bus, config, "goal_position", goals)
+    if missing:
+        raise HardwareError(
+            f"{_names(missing)} did not take the present position as goal; nothing was switched on",
+            hint="is the shaft outside the servo's own position limits? turn it back inside by hand",
+        )
+    missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
+    if missing:
+        errors = read_all(bus, config, "hardware_error_status")
+        names = hardware_error_names(errors[missing[0].id])
+        raise MotorFaultError(missing[0].name, names or ("torque_refused",))
+    arm_watchdog(bus, config)
+    present = read_all(bus, config, "present_position")
+    for joint in config.servos:
+        after = present[joint.id]
+        if abs(after - goals[joint.id]) > _REBASE_TICKS:
+            raise HardwareError(
+                f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
+                hint="a servo may count its turns anew when torque comes on: check zero_ticks",
+            )
+    return goals
+
+
+def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
+    """Servos stop by themselves when the bus is silent for ``watchdog_ms`` (0: never).
+
+    Raises:
+        HardwareError: A servo did not take it.
+    """
+    if not config.watchdog_ms:
+        return  # cleared when the arm was connected, where there is one
+    value = config.watchdog_ms // WATCHDOG_UNIT_MS
+    missing = _sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.servo_ids, value))
+    if missing:
+        raise HardwareError(
+            f"{_names(missing)} did not take the bus watchdog",
+            hint="power-cycle the servos and try again",
+        )
+
+
+def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[JointMap]:
+    """Servos that do not read back what was written."""
+    register = shared_register(config, name)
+    wrong = list(config.servos)
+    for _ in range(_ATTEMPTS):
+        bus.sync_write(register, {joint.id: values[joint.id] for joint in wrong})
+        present = read_all(bus, config, name)
+        wrong = [joint for joint in config.servos if present[joint.id] != values[joint.id]]
+        if not wrong:
+            break
+    return wrong
+
+
+def _names(servos: list[JointMap]) -> str:
+    return ", ".join(dict.fromkeys(servo.name for servo in servos))
+
+
+def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
+    """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
+    for joint in config.servos:
+        q = joint.to_radians(present[joint.id])
+        lower, upper = joint.limits
+        outside = max(lower - q, q - upper, 0.0)
+        if outside / joint.resolution > TICKS_PER_TURN / 2:
+            raise HardwareError(
+                f"joint {joint.name!r} reads {joint.text(q)}, more than half a servo turn outside "
+                f"{joint.text(lower)} .. {joint.text(upper)}; nothing was switched on",
+                hint="the servo has probably lost count of its turns: turn the joint by hand, or correct "
+                "zero_ticks in the arm file",
+            )
+
+
+def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
+    """Two servos of one joint that do not agree where it is would fight each other."""
+    for joint in config.whole.joints:
+        angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
+        if abs(angles[-1] - angles[0]) > TWIST * joint.lever:
+            raise HardwareError(
+                f"the two servos of joint {joint.name!r} read {joint.text(angles[0])} and "
+                f"{joint.text(angles[-1])}; nothing was switched on",
+                hint="correct direction or zero_ticks of joints.twin in the arm file",
+            )
+
+
+# -------------------------------------------------------------------------------------------- leaving
+
+
+def checked_policy(name: str, config: ArmConfig) -> str:
+    """``name`` if it is one of ``ON_EXIT``.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if name not in ON_EXIT:
+        raise ConfigError(
+            f"{name!r} is no way to leave an arm",
+            file=config.file or config.name,
+            key="bus.on_exit",
+            allowed=", ".join(ON_EXIT),
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class ExitReport:
+    """How an arm was left.
+
+    Attributes:
+        done: ``torque_off``, ``hold`` or ``untouched`` (was never switched on here).
+        verified: Joints of which every servo confirmed it.
+        unverified: Joints that did not.  ``torque_off``: their torque may still be on; ``hold``: they may be
+            limp, or have another goal.
+        limp: Those of ``unverified`` that were to hold and say that they have no torque.
+        parked: The way to the park pose was finished before.
+        seconds: How long it took on the arm's clock, parking not counted.
+    """
+
+    done: str
+    verified: tuple[str, ...] = ()
+    unverified: tuple[str, ...] = ()
+    parked: bool = False
+    seconds: float = 0.0
+    limp: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Every servo confirmed it."""
+        return not self.unverified
+
+    @property
+    def doubt(self) -> str:
+        """Who did not confirm it, and what that may mean; empty where all did."""
+        parts = [f"{', '.join(self.limp)} does NOT hold: no torque"] if self.limp else []
+        if silent := [name for name in self.unverified if name not in self.limp]:
+            danger = "torque may be ON, cut the power" if self.done == "torque_off" else "torque may be off"
+            parts.append(f"not confirmed by {', '.join(silent)}: {danger}")
+        return "; ".join(parts)
+
+    @property
+    def text(self) -> str:
+        """One sentence for people."""
+        what = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
+        parked = " (parked first)" if self.parked else ""
+        return what[self.done] + parked + ("; " + self.doubt if self.unverified else "")
+
+
+def leave(
+    bus: ServoBus,
+    config: ArmConfig,
+    policy: str,
+    goals: Mapping[int, int],
+    *,
+    parked: bool = False,
+    clock: Clock | None = None,
+) -> ExitReport:
+    """The only way out of an arm: torque off or hold, written to the arm's own servos only, and read back.
+
+    Never raises on what the bus does: what failed is in the report and in the log.  Servos that confirm have
+    no Bus Watchdog armed afterwards, so that the next program's goals are not refused.
+
+    Args:
+        bus: If it is not open, the report says that nobody confirmed.
+        config: Of the arm; other servos on the wire are not touched.
+        policy: One of ``ON_EXIT``; ``park`` is torque off here.
+        goals: Servo id -> goal position, ticks, for ``hold``; without them torque goes off.
+        parked: For the report.
+        clock: The arm's, by which patience is counted; the machine's by default.
+    """
+    clock = clock or RealClock()
+    begin = clock.now()
+    left = {servo.id: servo.name for servo in config.servos}
+    reported: set[str] = set()
+    holds = policy == "hold" and set(left) <= set(goals)
+    if holds:
+        limp = _hold(bus, config, goals, left, clock, reported)
+    else:
+        limp = set()
+        _torque_off(bus, config, left, clock, reported)
+    return _report("hold" if holds else "torque_off", config, left, limp, clock.now() - begin, parked)
+
+
+def _torque_off(
+    bus: ServoBus, config: ArmConfig, left: dict[int, str], clock: Clock, reported: set[str]
+) -> None:
+    """All at once, then each by itself, until register 64 reads 0; takes who confirms out of ``left``."""
+    torque = shared_register(config, "torque_enable")
+    end = clock.now() + PATIENCE
+    # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
+    # and the torn head of that one can swallow the first.
+    for _ in range(2 if bus.is_open else 0):
+        with _tolerant("torque off for all", reported):
+            bus.sync_write(torque, dict.fromkeys(left, 0))
+    while left and bus.is_open:
+        with _tolerant("reading torque", reported):
+            off = [id for id, status in bus.sync_read(list(left), torque).items() if status.data == 0]
+            _disarm(bus, config, off, reported)
+            for id in off:
+                del left[id]
+        for id, name in left.items():
+            if clock.now() > end:
+                return
+            with _tolerant(f"torque off for {name}", reported):
+                bus.write(id, torque, 0)
+        if left:
+            clock.sleep_until(clock.now() + _PAUSE)
+
+
+def _disarm(bus: ServoBus, config: ArmConfig, ids: list[int], reported: set[str]) -> None:
+    """Clears the Bus Watchdogs of servos that confirmed; one that has tripped refuses goals until then."""
+    for _ in range(_ATTEMPTS if config.watchdog_ms else 0):
+        if not ids:
+            return
+        with _tolerant("bus watchdog", reported):
+            watchdog = shared_register(config, "bus_watchdog")
+            bus.sync_write(watchdog, dict.fromkeys(ids, 0))
+            ids = [id for id, status in bus.sync_read(ids, watchdog).items() if status.data != 0]
+
+
+def _hold(
+    bus: ServoBus,
+    config: ArmConfig,
+    goals: Mapping[int, int],
+    left: dict[int, str],
+    clock: Clock,
+    reported: set[str],
+) -> set[int]:
+    """Goals as they are, and no Bus Watchdog: another program may take over.
+
+    Takes who confirms its goal and its torque out of ``left``.
+
+    Returns:
+        Ids of servos that say they have no torque.
+    """
+    torque, goal = (shared_register(config, name) for name in ("torque_enable", "goal_position"))
+    watchdog = shared_register(config, "bus_watchdog")
+    end = clock.now() + PATIENCE
+    limp: set[int] = set()
+    while left and bus.is_open and clock.now() < end:
+        with _tolerant("hold", reported):
+            bus.sync_write(watchdog, dict.fromkeys(left, 0))
+            bus.sync_write(goal, {id: goals[id] for id in left})
+            there = bus.sync_read(list(left), goal)
+            powered = bus.sync_read(list(left), torque)
+            limp = {id for id in left if powered[id].data == 0}
+            for id in list(left):
+                if there[id].data == goals[id] and powered[id].data == 1:
+                    del left[id]
+        if left and limp.issuperset(left):
+            break  # nothing that is written here gives them torque
+        if left:
+            clock.sleep_until(clock.now() + _PAUSE)
+    return limp
+
+
+def _report(
+    done: str, config: ArmConfig, left: Mapping[int, str], limp: set[int], seconds: float, parked: bool
+) -> ExitReport:
+    names = dict.fromkeys(servo.name for servo in config.servos)
+    unverified = tuple(dict.fromkeys(left.values()))
+    report = ExitReport(
+        done,
+        tuple(name for name in names if name not in unverified),
+        unverified,
+        parked,
+        seconds,
+        tuple(dict.fromkeys(left[id] for id in left if id in limp)),
+    )
+    if left:
+        log.error("%s %s", done, report.doubt)
+    else:
+        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
+    return report
+
+
+@contextmanager
+def _tolerant(what: str, reported: set[str]) -> Iterator[None]:
+    """One step of leaving must not prevent the next.  What fails again and again is logged once."""
+    try:
+        yield
+    except Exception as error:
+        reason = error.args[0] if error.args else error  # the hint is the same for every servo
+        log.log(logging.DEBUG if what in reported else logging.WARNING, "%s: %s", what, reason)
+        reported.add(what)

@@ -1,0 +1,128 @@
+"""No clock that a caller brings makes an arm faster than its caps: its own clock bounds every step."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from robot_ik.hardware import open_arm
+
+PERIOD = 0.01
+FAR = 2.0  # rad; further than any of these motions gets
+
+
+class Goals:
+    """What is sent, and when: rows of time on the arm's clock and rad at the joints."""
+
+    def __init__(self, arm) -> None:
+        self.rows: list[tuple[float, np.ndarray]] = []
+        exchange, servos = arm.bus.exchange, arm.config.servos
+
+        def recorded(writes, reads, within=None):
+            if writes:
+                q = [servo.to_radians(writes[servo.id][1]) for servo in servos]
+                self.rows.append((arm.clock.now(), np.array(q)))
+            return exchange(writes, reads, within)
+
+        arm.bus.exchange = recorded
+
+    def worst(self, caps: np.ndarray, resolution: np.ndarray, window: float = 0.1) -> float:
+        """Largest travel between two goals ``window`` s or more apart, over what the caps allow in that
+        time and one period."""
+        worst = 0.0
+        for (t0, q0), (t1, q1) in itertools.combinations(self.rows, 2):
+            if t1 - t0 >= window - 1e-9:
+                allowed = caps * (t1 - t0 + PERIOD) * (1 + 1e-6) + resolution
+                worst = max(worst, float((np.abs(q1 - q0) / allowed).max()))
+        return worst
+
+
+@pytest.fixture
+def moving(arm_config):
+    """An enabled arm at its home, its recorded goals, and a command far away."""
+    with open_arm(arm_config, "sim", start=np.zeros(6)) as arm:
+        arm.enable()
+        yield arm, Goals(arm), np.full(6, FAR)
+
+
+def test_a_caller_whose_clock_runs_ahead_moves_nothing_faster(moving):
+    arm, goals, far = moving
+    for k in range(60):
+        arm.clock.sleep_until(arm.clock.now() + PERIOD)
+        arm.send(far, 0.2 * k)
+    travel = np.abs(goals.rows[-1][1] - goals.rows[0][1])
+    elapsed = goals.rows[-1][0] - goals.rows[0][0]
+    assert (travel <= arm.config.velocity * elapsed + arm.resolution).all()
+    assert (travel > 0.5 * arm.config.velocity * elapsed).any()  # and it does move
+    assert goals.worst(arm.config.velocity, arm.resolution) <= 1.0
+
+
+def test_a_burst_after_a_stop_is_no_faster_than_the_clock(moving):
+    arm, goals, far = moving
+    begin = arm.clock.now()
+    for k in range(40):
+        arm.clock.sleep_until(begin + PERIOD * (k + 1))
+        arm.send(far, PERIOD * (k + 1))
+    before = goals.rows[-1][1]
+    arm.clock.sleep_until(arm.clock.now() + 1.5)  # the program was stopped
+    for k in range(40, 190):  # and catches up at once
+        arm.send(far, PERIOD * (k + 1))
+    assert (np.abs(goals.rows[-1][1] - before) <= arm.config.velocity * 2.2 * PERIOD + arm.resolution).all()
+
+
+def test_a_stall_between_two_right_times_is_a_step_of_two_periods_at_most(moving):
+    arm, goals, far = moving
+    begin = arm.clock.now()
+    for k in range(40):
+        arm.clock.sleep_until(begin + PERIOD * (k + 1))
+        arm.send(far, arm.clock.now())
+    before = goals.rows[-1][1]
+    arm.clock.sleep_until(arm.clock.now() + 0.2)
+    arm.send(far, arm.clock.now())
+    step = np.abs(goals.rows[-1][1] - before)
+    assert (step <= arm.config.velocity * 2.0 * PERIOD + arm.resolution).all()
+
+
+def test_commands_at_the_right_time_are_not_slowed_down(moving, stream, smooth):
+    arm, _, _ = moving
+    begin = arm.clock.now()
+    jitter = np.random.default_rng(3).uniform(-4e-4, 4e-4, 200)
+    path = smooth(np.zeros(6), np.full(6, 0.5), 2.0)
+    for k, (q, late) in enumerate(zip(path, jitter, strict=True)):
+        arm.clock.sleep_until(begin + PERIOD * (k + 1) + late)
+        arm.send(q, PERIOD * (k + 1))
+    assert not arm.reports.capped
+    assert np.abs(arm._cycle.limits.q - path[-1]).max() < 1e-9
+
+
+steps = st.tuples(
+    st.one_of(st.just(PERIOD), st.floats(-0.5, 0.5), st.just(0.0)),  # the caller's
+    st.one_of(st.just(PERIOD), st.floats(0.0, 0.3)),  # the arm's
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+@given(st.lists(steps, min_size=20, max_size=80), st.sampled_from([1.0, -1.0]))
+def test_over_any_window_travel_is_within_the_cap(arm_config, steps, way):
+    with open_arm(arm_config, "sim", start=np.zeros(6)) as arm:
+        arm.enable()
+        goals, now = Goals(arm), 0.0
+        for theirs, ours in steps:
+            now += theirs
+            arm.clock.sleep_until(arm.clock.now() + ours)
+            arm.send(np.full(6, way * FAR), now)
+        assert goals.worst(arm.config.velocity, arm.resolution) <= 1.0
+
+
+def test_a_time_that_is_no_number_is_refused(moving):
+    arm, goals, far = moving
+    sent = len(goals.rows)
+    for bad in (math.nan, math.inf):
+        with pytest.raises(ValueError):
+            arm.send(far, bad)
+    assert len(goals.rows) == sent

@@ -1,0 +1,328 @@
+"""A signal at every line that an arm runs through, in process and on virtual time: it is always left.
+
+The lines are found by running a phase once under a tracer; then the phase is run once for each line, with the
+signal raised when that line is reached.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import pytest
+
+import robot_ik.hardware
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.watchdogs import ExitGuard, uninterrupted
+from robot_ik.ports import VirtualClock
+
+HARDWARE = str(Path(robot_ik.hardware.__file__).parent)
+LIFE_CYCLE = {"arm.py", "torque.py", "watchdogs.py", "stop_file.py"}
+Line = tuple[str, int]
+
+
+def is_ours(frame: FrameType, files: set[str] | None) -> bool:
+    """A function that runs on the host: neither in the virtual servos, nor while a module is imported."""
+    code = frame.f_code
+    folder, _, file = code.co_filename.rpartition("/")
+    return folder == HARDWARE and (files is None or file in files) and code.co_name != "<module>"
+
+
+@contextmanager
+def traced(see: Callable[[Line], None], files: set[str] | None):
+    """Calls ``see`` before every line of the host's side."""
+
+    def local(frame, event, argument):
+        if event == "line":
+            see((frame.f_code.co_filename, frame.f_lineno))
+        return local
+
+    sys.settrace(lambda frame, event, argument: local if is_ours(frame, files) else None)
+    try:
+        yield
+    finally:
+        sys.settrace(None)
+
+
+class Run:
+    """One arm from connect to close, with something in one phase of it."""
+
+    def __init__(self, config, start, policy: str, styled: str, files: set[str] | None) -> None:
+        self.servos = VirtualBus.from_config(config, VirtualClock(), start=start)
+        self.arm = open_arm(config, "sim", virtual_bus=self.servos, on_exit=policy)
+        self.start, self.styled, self.files = start, styled, files
+
+    def through(self, phase: str, see: Callable[[Line], None]) -> None:
+        """The whole life of the arm; ``see`` gets the lines of one phase."""
+
+        def step(name: str, action: Callable[[], object]) -> None:
+            if name != phase:
+                action()
+                return
+            with traced(see, self.files):
+                action()
+
+        def live() -> None:
+            step("enable", self.arm.enable)
+            begin = self.arm.clock.now()
+            for k in range(3):
+                self.arm.clock.sleep_until(begin + 0.01 * (k + 1))
+                step("send", lambda k=k: self.arm.send(self.start + 0.001 * k, begin + 0.01 * (k + 1)))
+            step("park", lambda: self.arm.park(self.start + 0.01))
+
+        if self.styled == "with":
+            self.arm.connect()
+            exit = type(self.arm).__exit__
+            try:
+                live()
+            except BaseException:
+                error = sys.exc_info()
+                step("close", lambda: exit(self.arm, *error))
+                raise
+            step("close", lambda: exit(self.arm, None, None, None))
+        else:
+            self.arm.connect()
+            try:
+                live()
+            finally:
+                step("close", self.arm.close)
+
+    def register(self, name: str) -> list[int]:
+        return [servo.memory.get(name) for servo in self.servos.servos]
+
+
+@pytest.fixture
+def two_joints(arm_config):
+    """The fewer servos, the faster the many runs; two, so that every loop is one."""
+    return replace(arm_config, joints=arm_config.joints[:2])
+
+
+def lines_of(make: Callable[[], Run], phase: str) -> list[Line]:
+    make().through(phase, lambda line: None)  # the second time nothing is looked up for the first time
+    lines: dict[Line, None] = {}
+    make().through(phase, lambda line: lines.setdefault(line))
+    return list(lines)
+
+
+def check_left(run: Run, phase: str, policy: str) -> None:
+    """The servos say what the report says, and the report what was promised."""
+    arm, report = run.arm, run.arm.exit_report
+    assert not arm.bus.is_open and arm.state is ArmState.DISCONNECTED
+    assert report is not None and report.ok
+    assert run.register("bus_watchdog") == [0] * 2
+    assert run.register("torque_enable") == [int(report.done == "hold")] * 2
+    if phase == "enable" and not report.parked:
+        # Before it was on, while it came on, or the policy where enabling was just over.
+        assert report.done in ("untouched", "torque_off", policy)
+    else:
+        assert report.done == ("hold" if policy == "hold" else "torque_off")
+        assert report.parked == (policy == "park")
+    if report.parked:
+        assert np.abs(run.servos.true_angles(arm.config) - run.start).max() < 0.01
+
+
+def signal_at_every_line(config, start, policy, styled, phase, files=None) -> int:
+    """Alternately Ctrl-C, left to Python, and SIGTERM with a handler of the program's own."""
+
+    def make() -> Run:
+        return Run(config, start, policy, styled, files)
+
+    lines = lines_of(make, phase)
+    for k, line in enumerate(lines):
+        run = make()
+        number = signal.SIGINT if k % 2 else signal.SIGTERM
+        where = f"{signal.Signals(number).name} at {Path(line[0]).name}:{line[1]}"
+        raised: list[Line] = []
+        called: list[bool] = []  # whether torque was on
+
+        def see(here: Line, line=line, number=number, raised=raised) -> None:
+            if here == line and not raised:
+                raised.append(here)
+                signal.raise_signal(number)
+
+        def handler(number, frame, run=run, called=called) -> None:
+            called.append(any(run.register("torque_enable")))
+
+        before = signal.signal(signal.SIGTERM, handler)
+        try:
+            run.through(phase, see)
+            ended = "normally"
+        except (KeyboardInterrupt, SystemExit) as error:
+            ended = type(error).__name__
+        finally:
+            after = signal.signal(signal.SIGTERM, before)
+        assert raised, where
+        assert after is handler and signal.getsignal(signal.SIGINT) is signal.default_int_handler, where
+        if number == signal.SIGTERM:  # once, when the arm was left, or before it was on
+            assert len(called) == 1, where
+            assert ended in ("SystemExit", "normally"), where  # normally: the handler was the program's
+            early = phase == "enable" and ended == "normally"
+            assert called[0] == (run.arm.exit_report.done == "hold" and not early), where
+        else:
+            assert ended == "KeyboardInterrupt", where
+        try:
+            check_left(run, phase, policy)
+        except AssertionError as error:
+            raise AssertionError(f"{where}: {error}") from error
+    return len(lines)
+
+
+STYLES = ["with", "finally"]
+POLICIES = ["torque_off", "hold", "park"]
+
+
+every_way = [
+    pytest.mark.parametrize("styled", STYLES),
+    pytest.mark.parametrize("policy", POLICIES),
+]
+
+
+def parametrized(*phases: str):
+    def decorate(test):
+        for mark in (*every_way, pytest.mark.parametrize("phase", phases)):
+            test = mark(test)
+        return test
+
+    return decorate
+
+
+@parametrized("enable", "close")
+def test_a_signal_at_any_line_leaves_the_arm_as_promised(two_joints, start, policy, styled, phase):
+    assert signal_at_every_line(two_joints, start[:2], policy, styled, phase, LIFE_CYCLE) > 20
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+@parametrized("enable", "close", "send", "park")
+def test_a_signal_at_any_line_of_all_that_runs(two_joints, start, policy, styled, phase):
+    assert signal_at_every_line(two_joints, start[:2], policy, styled, phase) > 100
+
+
+# ------------------------------------------------------------------------------ the guard by itself
+
+
+@pytest.fixture
+def guards():
+    made = [ExitGuard(lambda: None) for _ in range(3)]
+    yield made
+    for guard in made:
+        guard.remove()
+
+
+@pytest.fixture
+def calls():
+    """Signals that reached the program's own handler of SIGTERM."""
+    calls: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, frame: calls.append(number))
+    yield calls
+    signal.signal(signal.SIGTERM, before)
+
+
+def handlers() -> list[object]:
+    return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+
+
+def test_the_first_signal_raises_and_the_next_are_only_counted(guards):
+    guards[0].install()
+    with pytest.raises(SystemExit) as caught:
+        signal.raise_signal(signal.SIGTERM)
+    assert caught.value.code == 143
+    signal.raise_signal(signal.SIGTERM)
+    signal.raise_signal(signal.SIGINT)
+    assert guards[0].received == 3
+
+
+def test_a_program_that_swallows_the_exception_gets_another_after_a_while(guards, monkeypatch):
+    guards[0].install()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    monkeypatch.setattr("robot_ik.hardware.watchdogs.PATIENCE", 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_what_is_carried_through_raises_the_signal_at_its_end(guards):
+    guards[0].install()
+    done = []
+
+    @uninterrupted
+    def work() -> None:
+        signal.raise_signal(signal.SIGINT)
+        done.append("whole")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == ["whole"]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_the_handlers_from_before_are_restored_in_every_order_of_closing(guards, calls, order, elsewhere):
+    before = handlers()
+    for guard in guards:
+        guard.install()
+    assert all(a is not b for a, b in zip(handlers(), before, strict=True))
+    for k in order:
+        if elsewhere:
+            thread = threading.Thread(target=guards[k].remove)
+            thread.start()
+            thread.join()
+        else:
+            guards[k].remove()
+    assert handlers() == before
+    signal.raise_signal(signal.SIGTERM)
+    assert calls == [signal.SIGTERM]
+
+
+def test_ignored_signals_stay_ignored(guards):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        guards[0].install()
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_handler_put_above_ours_meanwhile_stays_and_reaches_what_was_before(guards, calls):
+    guards[0].install()
+    ours = signal.getsignal(signal.SIGTERM)
+    above = []
+    signal.signal(signal.SIGTERM, lambda number, frame: (above.append(number), ours(number, frame)))
+    with pytest.raises(SystemExit):
+        signal.raise_signal(signal.SIGTERM)
+    guards[0].remove()
+    signal.raise_signal(signal.SIGTERM)  # no arm any more: it passes through to the first one
+    assert above == [signal.SIGTERM] * 2 and calls == [signal.SIGTERM]
+
+
+def test_outside_the_main_thread_no_handler_is_touched(guards):
+    before = handlers()
+    thread = threading.Thread(target=guards[0].install)
+    thread.start()
+    thread.join()
+    assert handlers() == before
+
+
+def test_an_arm_closed_by_another_thread_leaves_the_signal_to_the_programs_own_handler(
+    arm_config, start, calls
+):
+    arm = open_arm(arm_config, "sim", start=start)
+    arm.connect()
+    arm.enable()
+    with pytest.raises(SystemExit):
+        signal.raise_signal(signal.SIGTERM)
+    assert calls == []  # the arm is not left yet
+    thread = threading.Thread(target=arm.close)
+    thread.start()
+    thread.join()
+    assert arm.exit_report.ok and arm.exit_report.done == "torque_off"
+    assert calls == [signal.SIGTERM]

@@ -1,0 +1,224 @@
+"""A second process makes a running arm stop, without its port; and so does a key, or another thread."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import StopRequestedError
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.stop_file import running_arms, runtime_folder
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.pty import PtyPort
+from robot_ik.ports import RealClock
+
+CHILD = """
+import itertools, signal, sys, time
+import numpy as np
+from robot_ik.errors import StopRequestedError
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.config import ArmConfig
+
+port, file, way = sys.argv[1:]
+try:
+    with open_arm(ArmConfig.load(file), port) as arm:
+        arm.enable()
+        home = arm.read().q
+        for k in itertools.count():
+            arm.send(home + 0.3 * np.sin(0.02 * k), 0.01 * k)
+            time.sleep(0.01)
+            if k == 20:
+                print("moving", flush=True)
+                if way == "idle":
+                    time.sleep(60.0)
+except StopRequestedError as error:
+    print(error, flush=True)
+    print(arm.exit_report.done, flush=True)
+"""
+
+
+@pytest.fixture(autouse=True)
+def private_runtime_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
+@pytest.fixture
+def served(arm_config, start):
+    with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=start)) as port:
+        yield port
+
+
+@pytest.fixture
+def child(served, arm_path):
+    started = []
+
+    def begin(way: str = "busy") -> subprocess.Popen:
+        words = [sys.executable, "-c", CHILD, served.path, str(arm_path), way]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout.readline().strip() == "moving"
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.wait(timeout=20)
+        process.stdout.close()
+
+
+def stop(*words: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "robot_ik", "stop", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL)
+
+
+def torque(served) -> list[bool]:
+    return [servo.torque for servo in served.bus.servos]
+
+
+@pytest.mark.parametrize("way", ["busy", "idle"])
+def test_a_running_arm_stops_holds_and_is_left_holding(served, child, arm_config, way):
+    process = child(way)
+    done = stop("--bus", served.path)
+    assert done.returncode == 0, done.stderr
+    assert "holds with torque ON" in done.stderr
+    here = served.bus.true_angles(arm_config)
+    time.sleep(0.3)
+    assert np.abs(served.bus.true_angles(arm_config) - here).max() < 2e-3 and torque(served) == [True] * 6
+    if way == "busy":
+        said, _ = process.communicate(timeout=30)
+        assert "stopped on request" in said and said.splitlines()[-1] == "hold"
+        assert torque(served) == [True] * 6  # on_exit is torque_off; a person asked to hold
+
+
+def test_torque_off_asks_first_and_then_lets_go(served, child):
+    child()
+    refused = stop("--torque-off")
+    assert refused.returncode == 2 and "--yes" in refused.stderr and torque(served) == [True] * 6
+    done = stop("--torque-off", "--yes")
+    assert done.returncode == 0 and "torque is off" in done.stderr
+    assert torque(served) == [False] * 6
+
+
+def test_without_a_running_arm_the_exit_code_is_1(served, child):
+    assert stop().returncode == 1
+    process = child()
+    assert stop("--bus", "/dev/null").returncode == 1  # another port
+    assert process.poll() is None
+    process.kill()
+    process.wait(timeout=20)
+    assert running_arms() == [] and stop().returncode == 1
+    assert [path.name for path in runtime_folder().iterdir()] == []  # what the dead program left is gone
+
+
+def test_an_arm_that_cannot_confirm_is_no_success(served, child):
+    child("idle")  # the heartbeat has found the fault by then, and obeys all the same
+    served.bus.servo(3).silent = True
+    done = stop()
+    assert done.returncode == 1 and "joint3" in done.stderr
+
+
+def test_an_arm_that_does_not_answer_is_no_success(served, child):
+    process = child()
+    process.send_signal(signal.SIGSTOP)
+    (arm,) = running_arms(served.path)
+    ok, text = arm.stop(timeout=0.2)
+    assert not ok and "no answer" in text
+    process.send_signal(signal.SIGCONT)
+
+
+def test_the_runtime_folder_is_this_users_alone(tmp_path):
+    folder = runtime_folder()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    folder.chmod(0o755)
+    assert stat.S_IMODE(runtime_folder().stat().st_mode) == 0o700
+    os.rmdir(folder)
+    folder.symlink_to(tmp_path)
+    with pytest.raises(Exception, match="not a folder of this user"):
+        runtime_folder()
+
+
+def test_whatever_a_request_says_the_arm_stops(arm_config, start):
+    with open_arm(arm_config, "pty", start=start) as arm:
+        arm.enable()
+        (running,) = running_arms()
+        running.stem.with_suffix(".stop").write_text("{")
+        with pytest.raises(StopRequestedError):
+            for k in range(200):
+                arm.send(start, 0.01 * k)
+                time.sleep(0.001)
+    assert arm.exit_report.done == "hold"
+    answer = json.loads(running.stem.with_suffix(".done").read_text())
+    assert answer["ok"] and not running.stem.with_suffix(".arm").exists()
+
+
+def test_another_thread_can_ask_and_a_reset_goes_on(arm, stream, smooth, start):
+    arm.enable()
+    stream(arm, smooth(start, start + 0.2, 0.4)[:20])
+    thread = threading.Thread(target=arm.request_stop)
+    thread.start()
+    thread.join()
+    with pytest.raises(StopRequestedError):
+        stream(arm, [start] * 3)
+    assert arm.state is ArmState.FAULT and [s.torque for s in arm.virtual_bus.servos] == [True] * 6
+    with pytest.raises(StopRequestedError):
+        arm.park(start)
+    arm.reset_fault()
+    arm.enable()
+    stream(arm, [start] * 3)
+    arm.close()
+    assert arm.exit_report.done == "torque_off"
+
+
+def test_a_stop_during_a_parking_ends_it_and_the_arm_holds(arm_config, start, stream, smooth):
+    with open_arm(arm_config, "sim", start=start, on_exit="park") as arm:
+        arm.enable()
+        stream(arm, smooth(start, start + 0.4, 1.0))
+        exchange = arm.bus.exchange
+
+        def asked(writes, reads, within=None):
+            if arm.state is ArmState.PARKING:
+                arm.request_stop()
+            return exchange(writes, reads, within)
+
+        arm.bus.exchange = asked
+    assert arm.exit_report.done == "hold" and arm.exit_report.ok and not arm.exit_report.parked
+
+
+def test_space_stops_a_servo_command_that_moves(served, arm_path, arm_config, start):
+    master, slave = pty.openpty()
+    words = ["servo", "move", "joint1=60", "--speed", "0.05", "--bus", served.path, "--arm", str(arm_path)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "robot_ik", *words],
+        stdin=slave,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: __import__("fcntl").ioctl(0, __import__("termios").TIOCSCTTY, 0),
+    )
+    try:
+        moved = served.bus.true_angles(arm_config)[0] + 0.02
+        end = time.monotonic() + 60.0
+        while served.bus.true_angles(arm_config)[0] < moved and time.monotonic() < end:
+            time.sleep(0.01)
+        os.write(master, b"x ")
+        said, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        os.close(master)
+        os.close(slave)
+    assert process.returncode == 1, said
+    assert "stopped on request" in said and "it holds with torque ON" in said
+    assert torque(served) == [True] * 6
+    assert served.bus.true_angles(arm_config)[0] < np.radians(50.0)
