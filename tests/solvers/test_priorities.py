@@ -66,8 +66,8 @@ def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
         strict = solve(arm, [first, second], solver="lm")
         assert strict.misses[0].position <= 1e-6
         mixed = solve(arm, [first, PositionGoal(elbow, (*away, 0.4))], solver="lm", budget=Budget(restarts=0))
-        if far > 1.0:  # without priorities they share the miss
-            assert mixed.misses[0].position > 1e-4
+        if far > 1.0:  # without priorities the far one has its way, whatever it costs the other
+            assert mixed.misses[1].position < strict.misses[1].position - 1e-3
         alone = solve(arm, second, solver="lm")
         assert strict.misses[1].position >= alone.miss.position - 1e-4
 
