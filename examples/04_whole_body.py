@@ -27,7 +27,7 @@ def wishes(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.G
         "balance over the feet": rik.CenterOfMassGoal(None, over_the_feet, axes="xy", priority=1),
         "right hand at the ball": rik.PositionGoal("right_hand", ball, priority=2),
         "eyes on the ball": rik.AimGoal("gaze", ball, axis="x", priority=3),
-        "joints as at ease": rik.PostureGoal(q=home, joints={"root": 0.0}, priority=4),
+        "joints as at ease": rik.PostureGoal(q=home, joints={"root": 0.0}, priority=4, soft=True),
     }
 
 

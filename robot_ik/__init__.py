@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from robot_ik.problem import Budget, Problem, Tolerance
     from robot_ik.robot import Robot, load_robot
     from robot_ik.solution import Miss, Solution, Status
-    from robot_ik.solve import solve, solve_all, solve_batch
+    from robot_ik.solve import solve, solve_all, solve_batch, warm_up
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
@@ -67,7 +67,7 @@ _HOME = {
     "robot_ik.problem": ("Budget", "Problem", "Tolerance"),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
-    "robot_ik.solve": ("solve", "solve_all", "solve_batch"),
+    "robot_ik.solve": ("solve", "solve_all", "solve_batch", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -109,6 +109,7 @@ __all__ = [
     "solve",
     "solve_all",
     "solve_batch",
+    "warm_up",
 ]
 
 if not TYPE_CHECKING:

@@ -1,22 +1,25 @@
-"""Many poses at once: arrays in, arrays out, all cores, no Python for each pose."""
+"""Many poses at once: arrays in, arrays out, all cores, no Python for each pose (``solve_batch``)."""
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.geometry import Pose
 from robot_ik.goals.base import LARGEST, numbers
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.model_tree import pose_row
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
-from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Answers, Solver
 
 Array = NDArray[np.float64]
@@ -36,6 +39,7 @@ class BatchSolution:
         status: (n,) numbers of ``Status``.
         position_miss, angle_miss: (n,) metres and radians, by the compiled forward pass (which the tests
             hold to MuJoCo's); 0 for a part that was not asked for.
+        iterations, restarts: (n,) steps of all tries of each pose; random restarts used.
         seconds: Wall-clock time of all.
         solver: Name of the method.
     """
@@ -44,6 +48,8 @@ class BatchSolution:
     status: NDArray[np.int64]
     position_miss: Array
     angle_miss: Array
+    iterations: NDArray[np.int64]
+    restarts: NDArray[np.int64]
     seconds: float
     solver: str
 
@@ -55,67 +61,50 @@ class BatchSolution:
     def __len__(self) -> int:
         return len(self.status)
 
+    def __repr__(self) -> str:
+        numbers, counts = np.unique(self.status, return_counts=True)
+        ends = ", ".join(f"{n} {Status(k).name}" for k, n in zip(numbers, counts, strict=True))
+        return f"BatchSolution({len(self)} poses: {ends or 'none'}; {self.solver!r}, {self.seconds:.2g} s)"
 
-def solve_batch(
-    robot: Robot,
-    poses: ArrayLike,
-    *,
-    frame: str | None = None,
-    starts: ArrayLike | None = None,
-    solver: str | Solver = "auto",
-    tolerance: Tolerance | None = None,
-    budget: Budget | None = None,
-    seed: int = 0,
-    threads: int | None = None,
+
+def run_batch(
+    parts: Callable[[], AbstractContextManager[tuple[Solver, Problem]]],
+    targets: Array,
+    starts: Array,
+    threads: int | None,
 ) -> BatchSolution:
-    """Solves each pose on its own, the same answers as ``solve`` one by one.
+    """Solves each row of ``targets`` (n, 12) from its row of ``starts`` (n, nq), on so many threads.
 
     Args:
-        robot: From ``load_robot``.
-        poses: (n, 4, 4) homogeneous matrices, (n, 7) position and quaternion wxyz, or (n, 3) positions
-            whose orientation is free.
-        frame: What shall get there; default the tool.
-        starts: (nq,) for all or (n, nq); default ``robot.home``.
-        solver: Name or instance; ``auto`` and ``lm`` run compiled from end to end.
-        tolerance: As in ``solve``.
-        budget: For each pose.
-        seed: Of the restarts, the same for each pose.
-        threads: Default: one for each core this process may use.
+        parts: Lends a method and a problem of one goal to each thread.
+        targets: Pose rows (n, 12).
+        starts: (n, nq).
+        threads: None = one for each core this process may use.
 
     Raises:
-        InvalidGoalError: Wrong shape, a pose or start that is not finite, a matrix that is no rotation, or
-            no thread at all.
-        UnsupportedGoalError: As in ``solve``.
+        InvalidGoalError: No thread at all.
     """
     if threads is not None and threads < 1:
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
-    targets, with_angle = _rows(poses)
-    begin = _starts(robot, starts, len(targets))
-    goal = PoseGoal(frame, (0.0, 0.0, 0.0)) if with_angle else PositionGoal(frame, (0.0, 0.0, 0.0))
-    method = make_solver(solver)
-    answers = Answers.empty(len(targets), robot.nq)
-    cores = threads or usable_cores()
-    count = max(1, min(cores, len(targets) // _LEAST_PER_THREAD))
-    edges = np.linspace(0, len(targets), count + 1).astype(int)
+    answers = Answers.empty(len(targets), starts.shape[1])
+    count = max(1, min(threads or usable_cores(), len(targets) // _LEAST_PER_THREAD))
+    edges = [len(targets) * k // count for k in range(count + 1)]
 
-    def part(k: int) -> None:
-        problem = Problem(robot, goal, tolerance=tolerance, budget=budget, seed=seed)
+    def part(k: int) -> str:
         here = slice(edges[k], edges[k + 1])
-        method.solve_many(problem, targets[here], begin[here], answers.part(here))
+        with parts() as (method, problem):
+            method.solve_many(problem, targets[here], starts[here], answers.part(here))
+        return method.name
 
     began = time.perf_counter()
     if count == 1:
-        part(0)
+        name = part(0)
     else:
         with ThreadPoolExecutor(count) as pool:
-            list(pool.map(part, range(count)))
+            name, *_ = list(pool.map(part, range(count)))
+    miss, seconds = answers.miss, time.perf_counter() - began
     return BatchSolution(
-        answers.q,
-        answers.status,
-        answers.miss[:, 0],
-        answers.miss[:, 1],
-        time.perf_counter() - began,
-        method.name,
+        answers.q, answers.status, miss[:, 0], miss[:, 1], answers.iterations, answers.restarts, seconds, name
     )
 
 
@@ -125,9 +114,17 @@ def usable_cores() -> int:
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
-def _rows(poses: ArrayLike) -> tuple[Array, bool]:
-    """Targets as pose rows (n, 12), and whether their orientation counts."""
-    array = numbers(poses, "poses")
+def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
+    """Targets as pose rows (n, 12), and whether their orientation counts.
+
+    Raises:
+        InvalidGoalError: Wrong shape, a number that is not finite, a zero quaternion, a matrix that is no
+            rotation.
+    """
+    several: Any = [poses] if isinstance(poses, Pose) else poses
+    if isinstance(several, Sequence) and several and all(isinstance(pose, Pose) for pose in several):
+        return np.array([pose_row(pose) for pose in several]), True
+    array = numbers(several, "poses")
     if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
         bad = int((~(np.abs(array) <= LARGEST)).sum())
         raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")
@@ -160,7 +157,7 @@ def _rows(poses: ArrayLike) -> tuple[Array, bool]:
         return rows, True
     raise InvalidGoalError(
         f"poses have shape {array.shape}",
-        hint="give (n, 4, 4) matrices, (n, 7) position and wxyz, or (n, 3) positions",
+        hint="give poses, (n, 4, 4) matrices, (n, 7) position and wxyz, or (n, 3) positions",
     )
 
 
@@ -176,7 +173,12 @@ def _require_rotations(rows: Array) -> None:
         )
 
 
-def _starts(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
+def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
+    """Starts (n, nq); one start (nq,), or home, counts for all.
+
+    Raises:
+        InvalidGoalError: Wrong shape, or not finite.
+    """
     array = robot.home if starts is None else numbers(starts, "starts")
     if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
         raise InvalidGoalError(

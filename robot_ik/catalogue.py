@@ -127,7 +127,7 @@ class _File(_Table):
     provenance: _Provenance = _Provenance()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RobotFile:
     """What ``robot.toml`` says; for a bare model file everything but the name is empty.
 
@@ -152,6 +152,9 @@ class RobotFile:
     reach: ReachScene | None = None
     gallery: GalleryScene | None = None
     sources: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"RobotFile({self.name!r}, {self.title!r}, {self.path})"
 
 
 def catalogue() -> dict[str, Path]:

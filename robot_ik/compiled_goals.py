@@ -22,12 +22,11 @@ from robot_ik.kernels.partial_rows import (
     OF,
     OF_FRAME,
     OF_MASS,
-    ONE_SIDE,
     PLACE,
     TURN,
     WHOLE,
 )
-from robot_ik.model_tree import pose_row
+from robot_ik.model_tree import pose_row, row_pose
 from robot_ik.robot import Robot
 
 Ints = NDArray[np.int64]
@@ -71,6 +70,13 @@ def target_row(goal: Goal) -> Array:
     return row
 
 
+def moved_goal(goal: Goal, row: Array) -> Goal:
+    """``goal`` with the target row (12,) that it has now; goals for parts are replaced when they move."""
+    if not goal.rows.whole or np.array_equal(target_row(goal), row):
+        return goal
+    return goal.moved_to(row_pose(row))
+
+
 def kind_of(goal: Goal) -> int:
     """The kernel's code: a whole position, orientation or pose, or PARTIAL for all the rest."""
     rows = goal.rows
@@ -107,9 +113,8 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
         "how": np.zeros((count, HOW_SIZE), dtype=np.int64),
         "row": np.empty(count, dtype=np.int64),
-        "level": np.searchsorted(sorted({g.priority for g in goals}), [g.priority for g in goals]).astype(
-            np.int64
-        ),
+        "level": np.array(levels_of(goals), dtype=np.int64),
+        "soft": np.array([goal.soft for goal in goals], dtype=np.int64),
         "node": np.full(count, -1, dtype=np.int64),
         "local": np.zeros((count, 12)),
         "target": np.array([target_row(goal) for goal in goals]),
@@ -147,9 +152,16 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
             arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ turn_z_to(asked.axis)).ravel()
     arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
     arrays["moments"] = np.zeros_like(arrays["masses"])
+    arrays["asked"] = np.hstack([arrays["weight"], arrays["tolerance"]])
     arrays |= _pattern(arrays, rows)
     nodes = np.array(sorted(used | leaders), dtype=np.int64)
     return CompiledGoals(arrays, rows, nodes)
+
+
+def levels_of(goals: Sequence[Goal]) -> list[int]:
+    """The place of each goal in the order in which they are served: by priority, the soft ones last."""
+    ranks = sorted({(goal.soft, goal.priority) for goal in goals})
+    return [ranks.index((goal.soft, goal.priority)) for goal in goals]
 
 
 def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal) -> None:
@@ -194,7 +206,9 @@ def _listed(marks: NDArray[np.bool_]) -> Ints:
 
 
 def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:
-    """What weighs nothing is not asked for, and so always met."""
+    """What weighs nothing is not asked for, and so always met; of a soft goal nothing is needed."""
+    if goal.soft:
+        return np.inf, np.inf
     mine = goal.tolerance or tolerance
     metres, radians = goal.weights
     return (mine.position if metres > 0.0 else np.inf, mine.angle if radians > 0.0 else np.inf)
@@ -242,9 +256,3 @@ def checked_goals(goals: object) -> list[Goal]:
             hint="for example PoseGoal.at(frame, pose) or PositionGoal(frame, (x, y, z))",
         )
     return several
-
-
-def wall_distance(goal: Goal, centre: Array) -> float:
-    """Metres that a point at ``centre`` (3,) misses the place that a goal asks for, which may be a part."""
-    off = (goal.target.rotation.T @ (goal.target.position - centre)) * goal.rows.mask
-    return float(np.linalg.norm(np.maximum(off, 0.0) if goal.rows.place == ONE_SIDE else off))

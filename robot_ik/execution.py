@@ -8,6 +8,7 @@ more is sent; what the arm does then is its own exit policy.
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -15,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import TrajectoryError, apart
-from robot_ik.goals import Goal
+from robot_ik.errors import RobotIkError, TrajectoryError, apart
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
 from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
 from robot_ik.motion.schedule import Schedule, clock_of
@@ -144,6 +145,8 @@ def follow(
 ) -> FollowReport:
     """Asks for a goal, solves from the last command, sends; ``rate`` times a second.
 
+    What goals of the tool may need, one out of reach included, is loaded before the loop starts.
+
     Each joint moves at most ``speed`` times its velocity limit; when one would be too fast all are
     slowed alike, so the way stays straight.  A solution that did not converge is followed too: it is
     the nearest that was found.  Runs until ``duration`` is over or ``until`` says so, else for ever.
@@ -175,6 +178,7 @@ def follow(
     first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
     chase = _Chase(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
+    chase.load()
     schedule = Schedule(clock)
     begin = schedule.origin
     while True:
@@ -212,6 +216,17 @@ class _Chase:
         self._largest_step = np.zeros_like(start)
         self._tracking: Array | None = None
 
+    def load(self) -> None:
+        """Loads what the method may need for goals of the tool, so that none of them stalls the loop.
+
+        A goal on another chain of joints, or several at once, may need more: that is loaded with the first.
+        """
+        from robot_ik.solve import warm_up
+
+        for goal in (PoseGoal(None, (0.0, 0.0, 0.0)), PositionGoal(None, (0.0, 0.0, 0.0))):
+            with contextlib.suppress(RobotIkError):  # a kind of goal that the method does not serve
+                warm_up(self.robot, goal, solver=self.solver, tolerance=self.tolerance)
+
     def step(self, goal: Goals | None) -> bool:
         """Moves the command towards ``goal``; True when the way was cut short."""
         self.ticks += 1
@@ -240,22 +255,18 @@ class _Chase:
 
     def _aim(self, goal: Goals) -> Problem:
         """The problem for ``goal``: one at hand with new targets and weights where only those changed."""
-        from robot_ik.problem import Budget, Problem
+        from robot_ik.problem import Budget, Problem, goal_kind
 
         goals = [goal] if isinstance(goal, Goal) else list(goal)
-        kind = tuple(_kind(g) for g in goals)
+        kind = tuple(goal_kind(g) for g in goals)
         problem = self._problems.get(kind)
         if problem is None:
             budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
             problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
             kept = list(self._problems.items())[-(_KINDS_KEPT - 1) :]
             self._problems = dict(kept) | {kind: problem}
-        for index, one in enumerate(goals):
-            if one.weights != problem.goals[index].weights:
-                metres, radians = one.weights
-                problem.weights[index] = metres / problem.length(one), radians
-                problem.goals[index] = one
-            problem.retarget(one, index)
+        else:
+            problem.exchange(goals)
         return problem
 
     def report(self, duration: float, schedule: Schedule) -> FollowReport:
@@ -273,12 +284,6 @@ class _Chase:
             largest_step=self._largest_step,
             tracking_error=self._tracking,
         )
-
-
-def _kind(goal: Goal) -> tuple[object, ...]:
-    """What a problem is made for; goals that agree in it differ only in target and size of weights."""
-    kind, _, *others = goal.signature  # the second part is the weights
-    return goal.frame, kind, tuple(weight > 0.0 for weight in goal.weights), *others
 
 
 def _frozen(q: ArrayLike) -> Array:

@@ -6,6 +6,7 @@ Naming: ``pose_ab`` is the pose of b seen from a; it maps b's coordinates into a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import overload
@@ -35,7 +36,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 def quat_to_matrix(wxyz: Array) -> Array:
     """Rotation matrix (3, 3) of a unit quaternion (4,)."""
-    w, x, y, z = wxyz
+    w, x, y, z = wxyz.tolist()  # Python's own numbers are quicker one by one than NumPy's
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -96,7 +97,8 @@ def rotation_exp(vector: ArrayLike) -> Array:
 class Pose:
     """Position (3,) in metres and unit quaternion (4,), wxyz.
 
-    The quaternion is normalised on construction; both arrays are read-only copies.
+    The quaternion is normalised on construction; both arrays are read-only copies.  Poses are equal when all
+    their numbers are: q and -q are the same rotation, but not the same numbers (``distance`` asks for that).
 
     Raises:
         ValueError: Wrong shape, a number that is not finite, or a zero quaternion.
@@ -112,8 +114,9 @@ class Pose:
             raise ValueError(
                 f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}"
             )
-        norm = float(np.linalg.norm(q))
-        if not (np.isfinite(p).all() and np.isfinite(norm)):
+        w, x, y, z = q.tolist()
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        if not math.isfinite(sum(p.tolist(), norm)) and not (np.isfinite(p).all() and np.isfinite(q).all()):
             raise ValueError(f"a pose must be finite, not {p.tolist()}, {q.tolist()}")
         if norm < 1e-12:
             raise ValueError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
@@ -122,6 +125,13 @@ class Pose:
         q.flags.writeable = False
         object.__setattr__(self, "position", p)
         object.__setattr__(self, "wxyz", q)
+
+    @classmethod
+    def of_checked(cls, position: Array, wxyz: Array) -> Pose:
+        """From read-only arrays that are finite, and a unit quaternion: nothing is looked at again."""
+        pose = object.__new__(cls)
+        pose.__dict__.update(position=position, wxyz=wxyz)
+        return pose
 
     @classmethod
     def from_rotation(cls, rotation: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
@@ -190,6 +200,14 @@ class Pose:
             float(np.linalg.norm(other.position - self.position)),
             float(np.linalg.norm(turn)),
         )
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return bool((self.position == other.position).all() and (self.wxyz == other.wxyz).all())
+
+    def __hash__(self) -> int:
+        return hash((*self.position.tolist(), *self.wxyz.tolist()))
 
     def __repr__(self) -> str:
         p = ", ".join(f"{v:.6g}" for v in self.position)

@@ -35,7 +35,9 @@ class Attachment:
 
 def pose_row(pose: Pose) -> Array:
     """(12,): position, then the rotation matrix row by row."""
-    return np.concatenate([pose.position, pose.rotation.ravel()])
+    row = np.empty(12)
+    row[:3], row[3:] = pose.position, pose.rotation.ravel()
+    return row
 
 
 def row_pose(row: Array) -> Pose:

@@ -72,6 +72,9 @@ class Clock(Protocol):
 class RealClock:
     """The machine's monotonic clock: jumps of the wall clock have no effect."""
 
+    def __repr__(self) -> str:
+        return "RealClock()"
+
     def now(self) -> float:
         return time.monotonic()
 
@@ -86,6 +89,9 @@ class VirtualClock:
 
     def __init__(self, start: float = 0.0) -> None:
         self._now = start
+
+    def __repr__(self) -> str:
+        return f"VirtualClock(now={self._now:g} s)"
 
     def now(self) -> float:
         return self._now

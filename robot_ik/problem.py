@@ -1,49 +1,56 @@
 """``Problem``: all that a solver may see: compiled goals, limits, tolerance, budget, seed.
 
-Building one costs a few microseconds times ten; the hot loop builds it once and then moves its target:
+Building one takes some hundred microseconds; the hot loop builds it once and then moves its target:
 
     problem = Problem(robot, PoseGoal("gripper", position, wxyz))
     for pose in path:
         problem.retarget(pose)
         q = solver.solve(problem, q).q
+
+``CompiledProblem`` owns the arrays behind it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.compiled_goals import (
+    CompiledGoals,
     checked_goals,
     compile_goals,
     length_of,
+    levels_of,
+    moved_goal,
     set_posture,
     target_row,
-    wall_distance,
 )
-from robot_ik.errors import InvalidGoalError, ModelError
+from robot_ik.errors import InvalidGoalError, ModelError, ProblemInUseError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PostureGoal, Tolerance
 from robot_ik.goals.base import numbers, rotation_matrix, vector
 from robot_ik.kernels import residuals, work
-from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME
+from robot_ik.kernels.partial_rows import NO_PLACE, OF_FRAME, OF_MASS
 from robot_ik.kernels.targets import Mover
-from robot_ik.model_tree import pose_row
 from robot_ik.robot import Robot
 
-__all__ = ["Budget", "Problem", "Tolerance"]
+__all__ = ["Budget", "CompiledProblem", "Problem", "Tolerance"]
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 # What the compiled loops can count to.
 _MOST = 1 << 62
+# Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.
+_SOLVERS_KEPT = 16
 
 
 @dataclass(frozen=True)
@@ -72,15 +79,89 @@ class Budget:
             raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds!r}")
 
 
+class CompiledProblem:
+    """The one owner of all that kernels see of a problem; nothing of it is ever replaced.
+
+    A table of addresses keeps its arrays alive (``kernels/bundle.py``), and whoever hands out the address of
+    a table holds the table too.  So an address is good for as long as its holder lives, whatever is compiled,
+    solved or copied in between.
+
+    Attributes:
+        tree, goals, work: Tables of addresses: of the robot's tree, of ``goal_arrays``, of ``arrays``.
+        goal_arrays: By their names in ``residuals.GOALS``.
+        arrays: The work space, by the names in ``work.WORK``.
+        rows: Length of the residual.
+        nodes: Joints that move any goal and those that lead them, parents first.
+        made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
+        turn: Holds one thing, which a call takes out while it uses the arrays: who finds nothing is refused.
+            (``list.pop`` is one step for all threads, and costs a fifth of a lock.)
+    """
+
+    __slots__ = ("arrays", "goal_arrays", "goals", "made", "nodes", "rows", "tree", "turn", "work")
+
+    def __init__(self, robot: Robot, goals: Sequence[Goal], tolerance: Tolerance, trace_rows: int) -> None:
+        found = compile_goals(robot, goals, tolerance)
+        self.goal_arrays, self.rows, self.nodes = found.arrays, found.rows, found.nodes
+        self.arrays = _work_arrays(robot, goals, found, trace_rows)
+        self.tree = robot.tree.handle
+        self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), work.WORK.pack(self.arrays)
+        self.made: dict[int, Any] = {}
+        self.turn = [None]
+
+    def made_for(self, solver: object, make: Callable[[], T]) -> T:
+        """What ``make`` returns, which must hold ``solver``: made once for each solver."""
+        found: T | None = self.made.get(id(solver))
+        if found is None:
+            if len(self.made) >= _SOLVERS_KEPT:
+                self.made.clear()
+            found = self.made[id(solver)] = make()
+        return found
+
+
+def _work_arrays(
+    robot: Robot, goals: Sequence[Goal], found: CompiledGoals, trace_rows: int
+) -> dict[str, Array]:
+    """The work space of a solve, by the names in ``work.WORK``."""
+    count, m, nu, nq = len(goals), found.rows, len(found.arrays["dofs"]), robot.nq
+    levels = 1 + max(levels_of(goals))
+    several = levels > 1 or any(goal.soft for goal in goals)
+    levels, dense = (levels, m) if several else (0, 0)  # what only priorities and soft goals need
+    k, p = max(m, nu, 1), min(m, nu)
+    shapes: dict[str, Any] = {
+        "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
+        "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
+        "reach": (count, 4), "beyond": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
+        "frames": (count, 12),
+        "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
+        "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
+        "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
+        "trace": (trace_rows, len(work.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
+        "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
+        "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
+        "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
+        "outward": (nu,),
+    }  # fmt: skip
+    arrays: dict[str, Any] = {
+        name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)
+        for name, shape in shapes.items()
+    }
+    arrays["nodes"] = found.nodes
+    arrays["rest"][:] = robot.home
+    arrays["reach"][:, 3] = np.inf
+    return arrays
+
+
 class Problem:
     """Goals of one robot in compiled form, with the work space of the solve.
 
-    Not to be shared between threads: the arrays in it are the solver's.
+    Threads may use it in turn; a call that begins while another is under way is refused.
 
     Attributes:
-        robot, goals, tolerance, budget, seed: As given.
+        robot, tolerance, budget, seed: As given.
         trace: Whether to keep a row for every step.
-        prepared: What solvers worked out for this problem once, by their name.
+        given: The goals as they were last given; those that a pose or a matrix has moved since are in
+            ``target``, and ``goals`` puts the two together.
+        compiled: The owner of all arrays that kernels see.
     """
 
     def __init__(
@@ -100,30 +181,42 @@ class Problem:
             UnknownFrameError: A goal names a frame that the robot does not have.
             UnsupportedJointError: A frozen joint should follow one that the goals would move.
         """
-        _require_options(robot, tolerance, budget, seed)
+        require_options(robot, tolerance, budget, seed)
         self.robot = robot
-        self.goals = checked_goals(goals)
+        self.given = tuple(checked_goals(goals))
         self.tolerance = tolerance or Tolerance()
         self.budget = budget or Budget()
         self.seed = int(seed)
         self.trace = trace
-        self.prepared: dict[str, Any] = {}
-        self._compiled = compile_goals(robot, self.goals, self.tolerance)
-        arrays = self._compiled.arrays
-        self.rows, self.nodes = self._compiled.rows, self._compiled.nodes
-        self.target, self.dofs = arrays["target"], arrays["dofs"]
-        self.weights = arrays["weight"]  # (g, 2) on metres (over the length scale) and on radians
-        self.handle = residuals.GOALS.pack(arrays)
-        self._whole = [goal.rows.whole for goal in self.goals]
+        self.compiled = CompiledProblem(robot, self.given, self.tolerance, work.TRACE_ROOM if trace else 0)
+        compiled = self.compiled
+        self.made, self.turn = compiled.made, compiled.turn
+        self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes
+        self.target, self.dofs = compiled.goal_arrays["target"], compiled.goal_arrays["dofs"]
+        self.weights = compiled.goal_arrays["asked"][:, :2]  # on metres (over the length) and on radians
+        self._whole = [goal.rows.whole for goal in self.given]
         self._reach: list[tuple[int, float, float, float, float]] = []
-        for g, goal in enumerate(self.goals):
+        for g, goal in enumerate(self.given):
             asks = goal.rows.place != NO_PLACE and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+            asks = asks and not goal.soft
             ball = robot.reach(goal.frame) if asks else None
             if ball is not None:
                 slack = (goal.tolerance or self.tolerance).position
                 self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
-        self.walls = not all(self._whole[g] for g, *_ in self._reach)  # which only ``out_of_reach`` knows
-        self._make_work(self.budget.iterations + 1 if trace else 0)
+                self.arrays["reach"][g] = self._reach[-1][1:]
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals, with the targets they have now."""
+        return tuple(moved_goal(goal, row) for goal, row in zip(self.given, self.target, strict=True))
+
+    def __repr__(self) -> str:
+        goals = ", ".join(repr(goal) for goal in self.goals[:4])
+        more = f", … {len(self.given) - 4} more" if len(self.given) > 4 else ""
+        return (
+            f"Problem({self.robot.name!r}, [{goals}{more}], {self.tolerance!r}, {self.budget!r}, "
+            f"seed={self.seed}, trace={self.trace})"
+        )
 
     def length(self, goal: Goal) -> float:
         """Metres that count as much as one radian for a goal."""
@@ -131,105 +224,159 @@ class Problem:
 
     @property
     def features(self) -> frozenset[str]:
-        """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``."""
-        arrays, found = self._compiled.arrays, set()
+        """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``, ``soft``."""
+        arrays, found = self.compiled.goal_arrays, set()
         if (self.robot.tree.tied[:, 1] >= 0).any() and len(arrays["tied"]):
             found.add("couplings")
-        if len({goal.priority for goal in self.goals}) > 1:
+        if any(goal.soft for goal in self.given):
+            found.add("soft")
+        elif len({goal.priority for goal in self.given}) > 1:
             found.add("priorities")
         if (arrays["ease"] != 1.0).any():
             found.add("stiffness")
         return frozenset(found)
 
-    def _make_work(self, trace_rows: int) -> None:
-        robot, count, m, nu = self.robot, len(self.goals), self.rows, len(self.dofs)
-        levels = len({goal.priority for goal in self.goals})
-        levels, dense = (levels, m) if levels > 1 else (0, 0)  # what only priorities need
-        nq, k, p = robot.nq, max(self.rows, len(self.dofs), 1), min(self.rows, len(self.dofs))
-        shapes: dict[str, Any] = {
-            "state": (work.STATE_SIZE,), "value": (work.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-            "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
-            "reach": (count, 4), "world": (robot.tree.size, 12), "scratch": (2, 12), "frames": (count, 12),
-            "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
-            "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
-            "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
-            "trace": (trace_rows, len(work.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
-            "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
-            "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
-            "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
-            "outward": (nu,),
-        }  # fmt: skip
-        self.arrays: dict[str, Any] = {
-            name: np.zeros(shape, dtype=np.int64 if name in ("state", "free", "side") else float)
-            for name, shape in shapes.items()
-        }
-        self.arrays["nodes"] = self.nodes
-        self.arrays["rest"][:] = robot.home
-        self.arrays["reach"][:, 3] = np.inf
-        for g, *ball in self._reach:
-            self.arrays["reach"][g] = ball if self._whole[g] else (0.0, 0.0, 0.0, np.inf)
-        self.work = work.WORK.pack(self.arrays)
-
     @cached_property
-    def _mover(self) -> Mover:
+    def mover(self) -> Mover:
+        """What takes matrices and positions; loads compiled code when it is first asked for."""
         return Mover(self.target)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has work space of its own, and so is compiled anew.
         options = {name: getattr(self, name) for name in ("tolerance", "budget", "seed", "trace")}
-        return partial(Problem, self.robot, self.goals, **options), (), self.target.copy()
+        return partial(Problem, self.robot, self.given, **options), (), self.target.copy()
 
     def __setstate__(self, target: Array) -> None:
         self.target[:] = target
 
-    def retarget(self, target: Pose | Goal | ArrayLike, index: int = 0) -> None:
-        """Moves the target of one goal.
+    def retarget(
+        self, target: Pose | Goal | ArrayLike | Mapping[str | int, Pose | Goal | ArrayLike], index: int = 0
+    ) -> None:
+        """Moves the target of one goal, or of several at once.
 
         Args:
             target: A ``Pose``, a homogeneous matrix (4, 4), a position (3,), or a goal of the same kind,
-                frame and weights.  A matrix is taken to be one: this is the hot loop.
+                frame and weights.  A matrix is taken to be one: this is the hot loop.  A mapping moves
+                several, all or none: its keys are a frame that only one goal has, or a goal's index.
             index: Which goal.
 
         Raises:
-            InvalidGoalError: Not finite, or another kind of goal.
+            InvalidGoalError: Not finite, another kind of goal, or a key that names no goal or several.
+            ProblemInUseError: Another thread's call is under way.
         """
-        mover = self._mover
-        if self._whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
-            place, flip = mover.places.get(target.shape, (None, 0))
-            if place is not None and (flip == 0 or self.goals[index].has_position):
-                place[...] = target
-                if mover.take(mover.move, index ^ flip):
-                    return
-        if not self._whole[index]:
-            self._retarget_partial(target, index)
+        turn = self.turn
+        try:
+            turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
+        try:
+            if index:
+                self._require_index(index)
+            mover = self.mover
+            if self._whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
+                place, flip = mover.places.get(target.shape, (None, 0))
+                if place is not None and (flip == 0 or self.given[index].has_position):
+                    place[...] = target
+                    if mover.take(mover.move, index ^ flip):
+                        return
+            if isinstance(target, Mapping):
+                self._retarget_several(target)
+            elif self._whole[index]:
+                self._retarget_whole(target, index)
+            else:
+                self._retarget_partial(target, index)
+        finally:
+            turn.append(None)
+
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Refuses other calls meanwhile; the hot loop has these lines itself.
+
+        Raises:
+            ProblemInUseError: Another thread's call is under way.
+        """
+        try:
+            self.turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
+        try:
+            yield
+        finally:
+            self.turn.append(None)
+
+    def _retarget_several(self, targets: Mapping[str | int, Any]) -> None:
+        """All of ``targets`` or, if one of them is refused, none."""
+        moves = [(self._index_of(key), target) for key, target in targets.items()]
+        if len({index for index, _ in moves}) < len(moves):
+            raise InvalidGoalError(f"two of the keys {list(targets)!r} mean the same goal")
+        arrays = self.compiled.goal_arrays
+        before = self.given, {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
+        try:
+            for index, target in moves:
+                (self._retarget_whole if self._whole[index] else self._retarget_partial)(target, index)
+        except InvalidGoalError:
+            self.given = before[0]
+            for name, array in before[1].items():
+                arrays[name][...] = array
+            raise
+
+    def _index_of(self, key: object) -> int:
+        """The goal that a key of ``retarget`` means."""
+        if not isinstance(key, str):
+            return self._require_index(key)
+        tool = self.robot.tool
+        frames = [
+            goal.frame
+            if goal.rows.of == OF_MASS
+            else goal.frame or tool
+            if goal.rows.of == OF_FRAME
+            else None
+            for goal in self.given
+        ]
+        found = [g for g, frame in enumerate(frames) if frame == key]
+        if len(found) != 1:
+            raise InvalidGoalError(
+                f"{len(found) or 'no'} goals of this problem have the frame {key!r}",
+                hint=f"its goals' frames: {', '.join(map(repr, frames))}; or give the goal's index",
+            )
+        return found[0]
+
+    def _require_index(self, index: object) -> int:
+        if isinstance(index, bool) or not isinstance(index, int | np.integer):
+            raise InvalidGoalError(f"a goal is named by its frame or its index, not by {index!r}")
+        if not 0 <= index < len(self.given):
+            raise InvalidGoalError(f"there is no goal {index}: this problem has 0 … {len(self.given) - 1}")
+        return int(index)
+
+    def _retarget_whole(self, target: Any, index: int) -> None:
+        """As ``retarget`` for a whole position, orientation or pose."""
+        if isinstance(target, Goal):
+            self._require_same(target, index)
+            self._put(target, index)
             return
+        row = self.target[index]
         if isinstance(target, Pose):
-            row = self.target[index]
             row[:3] = target.position
             row[3:] = target.rotation.ravel()
             return
-        if isinstance(target, Goal):
-            self._require_same(target, index)
-            self.target[index] = pose_row(target.target)
-            return
         try:
-            position = np.asarray(target, dtype=float)
+            given = np.asarray(target, dtype=float)
         except (TypeError, ValueError):
-            position = np.empty(0)
-        if position.shape == (4, 4) and np.isfinite(position).all():
-            self.retarget(position, index)
-            return
-        if position.shape != (3,) or not np.isfinite(position).all():
+            given = np.empty(0)
+        if given.shape not in ((4, 4), (3,)) or not np.isfinite(given).all():
             raise InvalidGoalError(
                 f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"
             )
-        if not self.goals[index].has_position:
-            raise InvalidGoalError(f"a {self.goals[index].name} has no position to move")
-        self.target[index, :3] = position
+        if given.shape == (4, 4):
+            row[:3], row[3:] = given[:3, 3], given[:3, :3].ravel()
+            return
+        if not self.given[index].has_position:
+            raise InvalidGoalError(f"a {self.given[index].name} has no position to move")
+        row[:3] = given
 
     def _retarget_partial(self, target: Any, index: int) -> None:
         """As ``retarget`` for a goal that is no whole position, orientation or pose: it is replaced."""
-        mine = self.goals[index]
+        mine = self.given[index]
         if isinstance(target, Goal):
             self._require_same(target, index)
             moved = target
@@ -246,14 +393,27 @@ class Problem:
             if len(place) == 16:
                 place, turn = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
             moved = mine.moved_to(Pose.from_rotation(turn, place))
-        if isinstance(moved, PostureGoal):
-            set_posture(self.robot, self._compiled.arrays, index, moved)
-        self.target[index] = target_row(moved)
-        self.goals[index] = moved
+        self._put(moved, index)
+
+    def _put(self, goal: Goal, index: int) -> None:
+        """Takes a goal of the same kind in place of one."""
+        if isinstance(goal, PostureGoal):
+            set_posture(self.robot, self.compiled.goal_arrays, index, goal)
+        self.target[index] = target_row(goal)
+        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
+
+    def exchange(self, goals: Sequence[Goal]) -> None:
+        """Takes goals with the same ``goal_kind`` in place of all: other targets, other sizes of weights."""
+        for index, (mine, goal) in enumerate(zip(self.given, goals, strict=True)):
+            if goal.weights != mine.weights:
+                metres, radians = goal.weights
+                weight = metres / self.length(goal), radians
+                self.weights[index] = self.compiled.goal_arrays["weight"][index] = weight
+            self._put(goal, index)
 
     def _require_same(self, target: Goal, index: int) -> None:
         """Raises ``InvalidGoalError`` unless ``target`` differs from the goal in its target only."""
-        mine, tool = self.goals[index], self.robot.tool
+        mine, tool = self.given[index], self.robot.tool
         if target.signature != mine.signature or (target.frame or tool) != (mine.frame or tool):
             raise InvalidGoalError(
                 f"this problem was built for a {mine.name} of {mine.frame or tool!r}, "
@@ -275,12 +435,11 @@ class Problem:
         return beyond
 
     def out_of_reach(self) -> bool:
-        """Whether some goal for a place is proven unreachable: farther than all links laid end to end."""
+        """Whether a whole position is proven unreachable: farther than all links laid end to end.
+
+        The compiled loops find that out by themselves, and of parts of a position as well.
+        """
         for g, x, y, z, radius in self._reach:
-            if not self._whole[g]:
-                if wall_distance(self.goals[g], np.array([x, y, z])) > radius:
-                    return True
-                continue
             # As Python's own numbers, which are quicker one by one than NumPy's.
             a, b, c = self.target[g, :3].tolist()
             if math.hypot(a - x, b - y, c - z) > radius:
@@ -288,13 +447,24 @@ class Problem:
         return False
 
 
-def _require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
+def goal_kind(goal: Goal) -> Hashable:
+    """What a problem is compiled for; goals that agree in it differ only in target and size of weights."""
+    kind, _, *others = goal.signature  # the second part is the weights
+    metres, radians = goal.weights
+    return goal.frame, kind, metres > 0.0, radians > 0.0, *others
+
+
+# Made once: the front door asks in every solve.
+_TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
+
+
+def require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
     """Raises in words for the likely slips: a name in place of a robot, a number in place of a tolerance."""
     if not isinstance(robot, Robot):
         raise ModelError(f"a problem needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
-    if not isinstance(tolerance, Tolerance | None):
+    if not isinstance(tolerance, _TOLERANCE):
         raise InvalidGoalError(f"not a tolerance: {tolerance!r}", hint="Tolerance(position=1e-4, angle=1e-3)")
-    if not isinstance(budget, Budget | None):
+    if not isinstance(budget, _BUDGET):
         raise InvalidGoalError(f"not a budget: {budget!r}", hint="Budget(iterations=2000, seconds=0.1)")
-    if not isinstance(seed, int | np.integer):
+    if not isinstance(seed, _WHOLE):
         raise InvalidGoalError(f"a seed is a whole number, not {seed!r}")

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -38,9 +39,12 @@ from robot_ik.model_tree import (
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+_ARRAYS = ("lower", "upper", "velocity", "acceleration", "stiffness", "home", "frozen_qpos")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """What a robot is.  Made by ``load_robot``; never changes.
+    """What a robot is.  Made by ``load_robot``; never changes: its arrays are read-only.
 
     Attributes:
         name: Catalogue name, or the file's stem.
@@ -74,6 +78,31 @@ class Robot:
     couplings: tuple[Coupling, ...]
     _frames: dict[str, Frame] = field(repr=False)
     _bodies: tuple[Attachment, ...] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            array = np.array(getattr(self, name), dtype=float)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key != "memory"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()  # copies of arrays can be written to
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.joints[:8]) + (f", … {len(self.joints) - 8} more" if self.nv > 8 else "")
+        return (
+            f"Robot({self.name!r}, {len(self.joints)} joints: {shown}; tool {self.tool!r}, "
+            f"{len(self._frames)} frames; {self.path.name})"
+        )
+
+    @cached_property
+    def memory(self) -> dict[str, Any]:
+        """What others worked out for this robot and keep with it; copies begin without."""
+        return {}
 
     @property
     def nq(self) -> int:
@@ -239,6 +268,8 @@ class Robot:
         """Names of joints beyond their limits by more than ``slack`` (rad or m)."""
         q = self.check_q(q)
         gone = np.abs(self.clip(q) - q)
+        if not gone.max(initial=0.0) > slack:
+            return []
         tree, names = self.tree, []
         for k, joint in enumerate(self.joints):
             width = Q_WIDTH[int(tree.kind[k])]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.compiled_goals import moved_goal
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Status(enum.IntEnum):
-    """How a solve ended; only CONVERGED means that every goal is within tolerance."""
+    """How a solve ended; only CONVERGED means that every goal that is needed is within tolerance."""
 
     CONVERGED = work.CONVERGED
     STALLED = work.STALLED
@@ -38,11 +39,17 @@ class Status(enum.IntEnum):
         return _MEANING[self]
 
 
+def short_numbers(q: Array) -> str:
+    """Joint angles (nq,) for people, on one line: of many the first."""
+    more = f" … {len(q) - 8} more" if len(q) > 8 else ""
+    return np.array2string(q[:8], precision=4, max_line_width=200)[:-1] + more + "]"
+
+
 # By number, which is quicker than asking the enumeration.
 STATUS_OF = {int(status): status for status in Status}
 
 _MEANING = {
-    Status.CONVERGED: "every goal is within tolerance",
+    Status.CONVERGED: "every goal that is needed is within tolerance",
     Status.STALLED: "no step improves it any more; the nearest point found is kept",
     Status.ITERATION_LIMIT: "the iteration budget ran out; the nearest point found is kept",
     Status.TIME_LIMIT: "the time budget ran out; the nearest point found is kept",
@@ -54,7 +61,7 @@ _MEANING = {
 
 @dataclass(frozen=True)
 class Miss:
-    """Honest distance to the goals, unweighted: the largest of all goals.
+    """Honest distance to the goals, unweighted: the largest of all that are not soft.
 
     Attributes:
         position: Metres; 0 when no goal asks for a position.
@@ -88,6 +95,8 @@ class Solution:
         iterations, restarts: Steps of all tries; random restarts used.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
+        given, targets: The goals as they were given to the problem, and the rows (g, 12) that they were moved
+            to since; ``goals`` puts the two together.
     """
 
     q: Array
@@ -97,24 +106,30 @@ class Solution:
     seconds: float
     solver: str
     robot: Robot
-    goals: tuple[Goal, ...]
+    given: tuple[Goal, ...]
     targets: Array
     trace_rows: Array | None = None
 
     @property
     def converged(self) -> bool:
-        """Whether every goal is within tolerance."""
+        """Whether every goal that is needed is within tolerance."""
         return self.status is Status.CONVERGED
+
+    @cached_property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals that were solved for, with the targets they had then."""
+        return tuple(moved_goal(goal, row) for goal, row in zip(self.given, self.targets, strict=True))
 
     @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
-        return tuple(self._measure(goal, row) for goal, row in zip(self.goals, self.targets, strict=True))
+        return tuple(self._measure(goal, row) for goal, row in zip(self.given, self.targets, strict=True))
 
     @property
     def miss(self) -> Miss:
-        """The largest miss over all goals, measured by MuJoCo's own forward pass on first access."""
-        return Miss(max(m.position for m in self.misses), max(m.angle for m in self.misses))
+        """The largest miss over all goals that are needed, by MuJoCo's own forward pass on first access."""
+        needed = [miss for goal, miss in zip(self.goals, self.misses, strict=True) if not goal.soft]
+        return Miss(max([0.0, *(m.position for m in needed)]), max([0.0, *(m.angle for m in needed)]))
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:
@@ -144,6 +159,6 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"Solution({self.status.name}, q={np.array2string(self.q, precision=4)}, solver={self.solver!r}, "
+            f"Solution({self.status.name}, q={short_numbers(self.q)}, solver={self.solver!r}, "
             f"iterations={self.iterations}, restarts={self.restarts}, seconds={self.seconds:.2g})"
         )

@@ -76,7 +76,7 @@ def test_the_jacobian_carries_the_followers(tmp_path, law):
 
     def at(q):
         problem.arrays["q"][:] = q
-        residual_and_jacobian(robot.tree.handle, problem.handle, problem.work)
+        residual_and_jacobian(problem.compiled.tree, problem.compiled.goals, problem.compiled.work)
         return problem.arrays["residual"].copy(), problem.arrays["jacobian"].copy()
 
     for _ in range(5):

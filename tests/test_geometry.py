@@ -114,3 +114,24 @@ def test_nonsense_is_no_pose(position, wxyz, says):
         Pose(position, wxyz)
     with pytest.raises(ValueError, match="homogeneous"):
         Pose.from_matrix(np.eye(3))
+
+
+def test_poses_are_equal_by_their_numbers_and_can_be_keys():
+    pose = Pose((1, 2, 3), (0.5, 0.5, 0.5, 0.5))
+    same = Pose([1.0, 2.0, 3.0], np.array([1.0, 1, 1, 1]))
+    assert pose == same and hash(pose) == hash(same) and len({pose, same}) == 1
+    assert Pose((0.0, 0, 0)) == Pose((-0.0, 0, 0)) and hash(Pose((0.0, 0, 0))) == hash(Pose((-0.0, 0, 0)))
+    for other in (Pose((1, 2, 3.0000001), pose.wxyz), Pose(pose.position), Pose(pose.position, -pose.wxyz)):
+        assert pose != other
+    assert pose != "pose" and pose != pose.matrix.tolist()
+    with pytest.raises(ValueError, match="read-only"):
+        pose.position[0] = 1.0
+
+
+@pytest.mark.parametrize("bad", [(np.nan, 0, 0), (np.inf, 0, 0)])
+def test_what_is_not_finite_is_no_pose(bad):
+    with pytest.raises(ValueError, match="finite"):
+        Pose(bad)
+    with pytest.raises(ValueError, match="finite"):
+        Pose(wxyz=(*bad, 1.0))
+    assert Pose((1e200, -1e200, 1e308)).position[0] == 1e200

@@ -1,5 +1,9 @@
 """Goals: what they ask for, and what is not a goal."""
 
+import copy
+import pickle
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -119,3 +123,42 @@ def test_a_goal_owns_its_numbers():
 def test_a_place_given_where_the_frame_belongs_is_explained(made):
     with pytest.raises(InvalidGoalError, match="the frame comes first"):
         made((0.1, 0.2, 0.3))
+
+
+PLACE, LIST = (1, 2, 3), [1.0, 2, 3]
+EQUALS = [
+    (partial(PositionGoal, "hand", PLACE), partial(PositionGoal, "hand", np.array(LIST))),
+    (partial(PoseGoal, "hand", PLACE, (2, 0, 0, 0)), partial(PoseGoal, "hand", LIST)),
+    (partial(OrientationGoal, None, (0, 1, 0, 0)), partial(OrientationGoal, None, [0, 3, 0, 0])),
+    (partial(AimGoal, "head", PLACE, axis=(0, 0, 1)), partial(AimGoal, "head", LIST, axis=[0, 0, 1])),
+    (partial(LineGoal, "hand", PLACE, "x"), partial(LineGoal, "hand", LIST, (2, 0, 0))),
+    (
+        partial(PostureGoal, q=[0.1, 0.2], joints={"a": 1, "b": 2}),
+        partial(PostureGoal, q=(0.1, 0.2), joints={"b": 2, "a": 1}),
+    ),
+    (partial(CenterOfMassGoal, None, PLACE), partial(CenterOfMassGoal, None, LIST, axes="xyz")),
+]
+
+
+@pytest.mark.parametrize(("make", "again"), EQUALS)
+def test_goals_are_equal_by_value_and_can_be_keys(make, again):
+    assert make() == again() and hash(make()) == hash(again()) and len({make(), again()}) == 1
+    assert make() == copy.deepcopy(make()) == pickle.loads(pickle.dumps(make()))
+    for options in ({"priority": 1}, {"tolerance": Tolerance(1e-5)}, {"length": 0.5}):
+        assert make(**options) == again(**options) != make()
+    assert make() != "goal" and make() != LineGoal("hand", (9, 9, 9))
+
+
+def test_goals_of_other_kinds_or_numbers_are_not_equal():
+    assert LineGoal("hand", (1, 2, 3)) != PlaneGoal("hand", (1, 2, 3))
+    assert PositionGoal("hand", (1, 2, 3)) != PositionGoal(None, (1, 2, 3))
+    assert PositionGoal("hand", (1, 2, 3)) != PositionGoal("hand", (1, 2, 3.1))
+    assert PoseGoal("hand", (1, 2, 3)) != PoseGoal("hand", (1, 2, 3), free_axis="z")
+
+
+@pytest.mark.parametrize(("make", "again"), EQUALS)
+def test_a_goal_says_in_a_line_what_is_not_usual(make, again):
+    text = repr(make(priority=1, length=0.25))
+    assert text.startswith(type(make()).__name__ + "(") and "priority=1, length=0.25" in text
+    assert len(text) < 150 and "\n" not in text and "tolerance" not in text
+    assert len(repr(PostureGoal(q=np.zeros(41)))) < 100

@@ -2,13 +2,16 @@
 
 import copy
 import pickle
+import subprocess
+import sys
+import textwrap
 
 import numpy as np
 import pytest
 
 from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.goals import CenterOfMassGoal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
@@ -88,3 +91,149 @@ def test_a_copy_has_work_space_of_its_own(puma):
         other.retarget(puma.forward(puma.home + 0.2))
         assert np.array_equal(make_solver("lm").solve(other).q, expected)
         assert np.array_equal(make_solver("lm").solve(problem).q, moved)
+
+
+def several(puma):
+    """A problem of three goals, two of them on one frame."""
+    here = puma.forward(puma.home)
+    flange = puma.forward(puma.home, "flange")
+    goals = [
+        PoseGoal(None, here.position, here.wxyz),
+        PositionGoal("flange", flange.position),
+        OrientationGoal("flange", flange.wxyz),
+    ]
+    return Problem(puma, goals)
+
+
+def test_several_targets_are_moved_at_once_by_frame_or_index(puma):
+    there, lower = puma.forward(puma.home + 0.1), np.array([0.1, 0.2, 0.3])
+    at_once, one_by_one = several(puma), several(puma)
+    at_once.retarget({"gripper": there, 1: lower, 2: there.matrix})
+    for index, target in enumerate((there, lower, there.matrix)):
+        one_by_one.retarget(target, index)
+    assert np.array_equal(at_once.target, one_by_one.target)
+    assert at_once.goals == one_by_one.goals
+    at_once.retarget({})
+    assert np.array_equal(at_once.target, one_by_one.target)
+
+
+@pytest.mark.parametrize(
+    ("targets", "says"),
+    [
+        ({"flange": (0, 0, 1)}, "2 goals .* frame 'flange'"),
+        ({"elbow": (0, 0, 1)}, "no goals .* frame 'elbow'"),
+        ({0: Pose(), 3: (0, 0, 1)}, "no goal 3"),
+        ({-1: Pose()}, "no goal -1"),
+        ({None: Pose()}, "frame or its index"),
+        ({0: Pose(), "gripper": Pose()}, "mean the same goal"),
+        ({0: Pose(), 1: (np.nan, 0, 1)}, "finite"),
+        ({0: Pose(), 2: (0, 0, 1)}, "no position"),
+        ({0: Pose(), 1: PositionGoal("gripper", (0, 0, 1))}, "built for"),
+    ],
+)
+def test_of_several_targets_all_are_taken_or_none(puma, targets, says):
+    problem = several(puma)
+    before, goals = problem.target.copy(), problem.goals
+    with pytest.raises(InvalidGoalError, match=says):
+        problem.retarget(targets)
+    assert np.array_equal(problem.target, before) and problem.goals == goals
+
+
+def test_goals_for_parts_are_moved_with_others_or_stay(puma):
+    goals = [
+        PoseGoal(None, (0.4, 0.1, 0.9)),
+        PostureGoal(q=puma.home),
+        CenterOfMassGoal(None, (0, 0, 1), axes="xy"),
+    ]
+    problem = Problem(puma, goals)
+    problem.retarget({1: puma.home + 0.2, 2: (0.1, 0.0, 0.0)})
+    assert problem.goals == (
+        goals[0], PostureGoal(q=puma.home + 0.2), CenterOfMassGoal(None, (0.1, 0, 0), axes="xy"),
+    )  # fmt: skip
+    before = {name: array.copy() for name, array in problem.compiled.goal_arrays.items()}
+    with pytest.raises(InvalidGoalError):
+        problem.retarget({1: puma.home, 0: "nothing"})
+    assert all(np.array_equal(before[k], array) for k, array in problem.compiled.goal_arrays.items())
+    with pytest.raises(InvalidGoalError, match="no goals"):
+        problem.retarget({"left_hand": (0, 0, 1)})  # a centre of mass without a body is no frame's
+
+
+def test_goals_show_the_targets_that_they_have_now(puma):
+    first, then = puma.forward(puma.home + 0.1), puma.forward(puma.home - 0.2)
+    goal = PoseGoal("gripper", first.position, first.wxyz, position_weight=2.0)
+    problem, solver = Problem(puma, goal), make_solver("auto")
+    assert problem.goals == (goal,) == solver.solve(problem).goals
+    for move in (then, then.matrix, PoseGoal.at("gripper", then)):
+        problem.retarget(first)
+        before = solver.solve(problem)
+        if isinstance(move, PoseGoal):
+            move = PoseGoal("gripper", then.position, then.wxyz, position_weight=2.0)
+        problem.retarget(move)
+        for shown in (problem.goals, solver.solve(problem).goals, copy.deepcopy(problem).goals):
+            assert isinstance(shown[0], PoseGoal) and shown[0].weights == goal.weights
+            assert shown[0].target.distance(then) == pytest.approx((0, 0), abs=1e-7)
+        assert before.goals[0].target.distance(first) == pytest.approx((0, 0), abs=1e-7)  # as it was then
+    assert problem.given[0] is move  # a goal is taken as it is
+
+
+def test_making_a_problem_compiles_nothing_and_its_first_solve_loads_what_later_ones_need():
+    """In a fresh process: compiled code that is there before and after."""
+    code = """
+        import sys
+        import numpy as np
+        import robot_ik as rik
+        from robot_ik.problem import Problem
+        from robot_ik.solvers import make_solver
+
+        def loaded():
+            found = {}
+            for name, module in list(sys.modules.items()):
+                if name.startswith("robot_ik."):
+                    for key, value in vars(module).items():
+                        if type(value).__name__ == "CPUDispatcher" and value.overloads:
+                            found[id(value)] = key, len(value.overloads)
+            return sorted(found.values())
+
+        robot = rik.load_robot("puma560")
+        here, far = robot.forward(robot.home + 0.1), rik.Pose((3.0, 1.0, 1.0))
+        make_solver("auto")._members
+        before = loaded()
+        problem = Problem(robot, rik.PoseGoal.at(None, here))
+        assert loaded() == before, "the constructor"
+        way = sys.argv[1]
+        if way == "warm_up":
+            rik.warm_up(robot)
+            before = loaded()
+        elif way == "follow":
+            from robot_ik.motion import RecorderSink, ScriptSource
+            source = ScriptSource([(0.0, rik.PoseGoal.at(None, here)), (0.05, rik.PoseGoal.at(None, far))])
+            seen = []
+
+            def tick(one):
+                seen.append((one.solution.status.name, loaded()))
+
+            class Source:
+                def poll(self, now):
+                    seen or seen.append(("START", loaded()))
+                    return source.poll(now)
+
+            rik.follow(Source(), robot, "auto", [RecorderSink(robot.joints)], clock=rik.VirtualClock(),
+                       start=robot.home, duration=0.1, on_tick=tick)
+            assert {name for name, _ in seen} == {"START", "CONVERGED", "UNREACHABLE"}
+            assert all(found == seen[0][1] for _, found in seen), "follow"
+            sys.exit()
+        else:
+            assert make_solver("auto").solve(problem).converged
+            problem.retarget(here.matrix)
+            before = loaded()
+        assert rik.solve(robot, rik.PoseGoal.at(None, here)).solver == "analytic"
+        assert rik.solve(robot, rik.PoseGoal.at(None, far)).status.name == "UNREACHABLE"
+        problem.retarget(far.matrix)
+        assert make_solver("auto").solve(problem).status.name == "UNREACHABLE"
+        assert loaded() == before, [x for x in loaded() if x not in before]
+    """
+    for way in ("bare", "warm_up", "follow"):
+        done = subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(code), way], capture_output=True, text=True
+        )
+        assert done.returncode == 0, way + done.stderr

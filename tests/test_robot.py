@@ -184,3 +184,28 @@ def test_a_model_without_moving_joints_is_no_robot(tmp_path):
     path.write_text("<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>")
     with pytest.raises(ModelError, match="nothing to aim"):
         load_robot(path)
+
+
+def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
+    robot = load_robot(arm_file)
+    narrow = robot.with_limits(-0.5, 0.5)
+    for one in (robot, narrow, copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
+        for name in ("home", "lower", "upper", "velocity", "acceleration", "stiffness", "frozen_qpos"):
+            array = getattr(one, name)
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 0.5
+    q = robot.home.copy()
+    q += 0.1  # a copy is one's own
+    node, local = robot.attachment("tcp")
+    local[:] = 7.0
+    assert robot.attachment("tcp")[0] == node and not (robot.attachment("tcp")[1] == 7.0).any()
+    centre = robot.masses()
+    centre[:] = 0.0
+    assert robot.masses()[:, 0].sum() > 0.0
+
+
+def test_a_robot_says_in_a_line_what_it_is(arm_file):
+    text = repr(load_robot(arm_file))
+    assert text == "Robot('arm', 3 joints: shoulder, rail, wrist; tool 'tcp', 4 frames; arm.xml)"
+    figure = repr(load_robot("humanoid"))
+    assert "35 joints" in figure and "27 more" in figure and len(figure) < 300 and "\n" not in figure

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.batch import solve_batch, usable_cores
+from robot_ik.batch import usable_cores
 from robot_ik.bench.problems import make_set
 from robot_ik.bench.results import Batch, Floor, Growth
 from robot_ik.chain import robot_from_model
@@ -23,6 +23,7 @@ from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
 from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot
+from robot_ik.solve import solve_batch
 from robot_ik.solvers.base import Solver
 
 Array = NDArray[np.float64]

@@ -81,6 +81,16 @@ class UnsupportedGoalError(GoalError):
         )
 
 
+class ProblemInUseError(RobotIkError):
+    """A call on a ``Problem`` began while another thread's had not ended; nothing was changed."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "this Problem is being solved by another thread: its arrays are in use",
+            hint="give each thread a Problem of its own (copy.copy(problem)), or let them take turns",
+        )
+
+
 class UnknownSolverError(RobotIkError, LookupError):
     """No solver of that name in the ``SOLVERS`` table."""
 

@@ -6,7 +6,9 @@ Targets are in the world, metres and unit quaternions (w, x, y, z).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -33,6 +35,8 @@ Array = NDArray[np.float64]
 
 # Squares of larger numbers leave the range of floats.
 LARGEST = 1e100
+# Made once: goals are made in loops.
+_WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,10 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
     if array.shape != (size,):
         found = array.size if array.size != size else f"an array of shape {array.shape}"
         raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
-    if not np.isfinite(array).all():
-        raise InvalidGoalError(f"{what} must be finite, not {array.tolist()}")
-    if size and np.abs(array).max() > LARGEST:
-        raise InvalidGoalError(f"{what} must be below {LARGEST:g}, not {array.tolist()}")
+    for number in array.tolist():  # quicker than NumPy's for so few
+        if not -LARGEST <= number <= LARGEST:
+            bound = "finite" if not math.isfinite(number) else f"below {LARGEST:g}"
+            raise InvalidGoalError(f"{what} must be {bound}, not {array.tolist()}")
     array.flags.writeable = False
     return array
 
@@ -83,12 +87,15 @@ def rotation_matrix(values: Array, what: str) -> Array:
 def unit_quaternion(values: ArrayLike, what: str) -> Array:
     """A read-only unit quaternion (4,), w first; raises ``InvalidGoalError`` for anything else."""
     array = vector(values, 4, what)
-    norm = float(np.linalg.norm(array))
+    w, x, y, z = array.tolist()
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
     if norm < 1e-9:
         raise InvalidGoalError(
             f"{what} is a zero quaternion, which is no orientation",
             hint="quaternions are w, x, y, z; 1 0 0 0 turns nothing",
         )
+    if norm == 1.0:
+        return array
     unit = array / norm
     unit.flags.writeable = False
     return unit
@@ -100,7 +107,7 @@ def positive_number(value: float, what: str) -> float:
         number = float(value)
     except (TypeError, ValueError):
         number = -1.0
-    if not (np.isfinite(number) and number >= 0.0):
+    if not 0.0 <= number < math.inf:
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
     return number
 
@@ -134,6 +141,23 @@ def axes_mask(axes: object) -> tuple[float, float, float]:
     return tuple(float(letter in axes) for letter in "xyz")  # type: ignore[return-value]
 
 
+def _plain(value: object) -> object:
+    """A field's value as something that can be compared and hashed."""
+    if isinstance(value, Mapping):
+        return tuple(sorted(value.items()))
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        return value
+    return tuple(np.asarray(value, dtype=float).ravel().tolist())
+
+
+def _short(value: object) -> str:
+    """A field's value in few signs."""
+    if not isinstance(value, tuple):
+        return repr(value)
+    some = ", ".join(f"{v:.6g}" if isinstance(v, float) else repr(v) for v in value[:8])
+    return f"({some}{f', … {len(value) - 8} more' if len(value) > 8 else ''})"
+
+
 @dataclass(frozen=True)
 class Rows:
     """Which rows a goal makes: all that the kernels know of its kind (``kernels/partial_rows.py``).
@@ -156,7 +180,7 @@ class Rows:
         return self.place in (NO_PLACE, WHOLE) and self.turn in (NO_TURN, ALL_AXES) and self.of == OF_FRAME
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Goal:
     """Something wanted of the robot, mostly of one of its frames.
 
@@ -164,7 +188,9 @@ class Goal:
         frame: Name of the frame; None means the robot's tool.
         priority: Goals of 0 are served first; those of 1 get what freedom is left, and so on.
         tolerance: What counts as reached for this goal; None = as the problem says.
-        length: Metres that count as much as one radian; None = about a third of the robot's reach.
+        soft: Wanted, not needed: it gets what freedom all other goals leave, never counts for ``converged``,
+            and is not searched for.  Soft goals have priorities among themselves.
+        length: Metres that count as much as one radian; None = 0.15 of the robot's reach.
             A00's scale c: one metre counts as much as d degrees for c = 360 / (2π d).
     """
 
@@ -172,6 +198,7 @@ class Goal:
     priority: int = field(default=0, kw_only=True)
     tolerance: Tolerance | None = field(default=None, kw_only=True)
     length: float | None = field(default=None, kw_only=True)
+    soft: bool = field(default=False, kw_only=True)
 
     name: ClassVar[str] = "goal"
     # Whether the goal has a part in metres, and one in radians.
@@ -185,12 +212,33 @@ class Goal:
                 hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
             )
         priority: object = self.priority
-        if not (isinstance(priority, int | np.integer) and priority >= 0):
+        if not (isinstance(priority, _WHOLE) and priority >= 0):
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
+        if not isinstance(self.soft, _YES_OR_NO):
+            raise InvalidGoalError(f"soft is True or False, not {self.soft!r}")
         if self.length is not None and not (positive_number(self.length, "length") > 0.0):
             raise InvalidGoalError(f"length must be positive, not {self.length!r}")
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Goal):
+            return NotImplemented
+        return type(self) is type(other) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._values()))
+
+    def __repr__(self) -> str:
+        shown = [f"{self.frame!r}"] if any(f.name == "frame" and f.init for f in fields(self)) else []
+        for item, value in zip(fields(self), self._values(), strict=True):
+            if item.name != "frame" and value != item.default and value not in ((), (1.0, 0.0, 0.0, 0.0)):
+                shown.append(f"{item.name}={_short(value)}")
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+    def _values(self) -> tuple[object, ...]:
+        """What it is made of, arrays as tuples of numbers."""
+        return tuple(_plain(getattr(self, item.name)) for item in fields(self))
 
     def _set(self, **values: object) -> None:
         """Puts checked values into the frozen fields."""
@@ -217,7 +265,7 @@ class Goal:
     @property
     def signature(self) -> tuple[object, ...]:
         """What a problem is compiled for; goals of one frame that agree in it differ only in their target."""
-        return type(self), self.weights, self.priority, self.tolerance, self.length, self.rows
+        return type(self), self.weights, self.priority, self.soft, self.tolerance, self.length, self.rows
 
     def moved_to(self, target: Pose) -> Goal:
         """The same goal with another target."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 from numpy.typing import ArrayLike
 
 from robot_ik.geometry import Pose
 from robot_ik.goals.base import (
+    Array,
     Goal,
     Rows,
     axes_mask,
@@ -19,16 +20,20 @@ from robot_ik.goals.base import (
 )
 from robot_ik.kernels.partial_rows import AIMED, ALL_AXES, NO_PLACE, ONE_AXIS, SOME_AXES, WHOLE
 
+# Made once: the front door looks at them in every solve.
+_WHOLE_TURN = {place: Rows(place=place, turn=ALL_AXES) for place in (NO_PLACE, WHOLE)}
+_WHOLE_PLACE = Rows(place=WHOLE)
+
 
 def _turn_rows(place: int, free_axis: str | ArrayLike | None) -> Rows:
     """Rows of an orientation that may leave the turn about one axis of the frame free."""
     if free_axis is None:
-        return Rows(place=place, turn=ALL_AXES)
+        return _WHOLE_TURN[place]
     x, y, z = axis_vector(free_axis, "free_axis").tolist()
     return Rows(place=place, turn=ONE_AXIS, axis=(x, y, z))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PositionGoal(Goal):
     """The frame's origin at ``position`` (3,), world, metres; its orientation is free.
 
@@ -56,7 +61,7 @@ class PositionGoal(Goal):
     @property
     def rows(self) -> Rows:
         mask = axes_mask(self.axes)
-        return Rows(place=WHOLE if all(mask) else SOME_AXES, mask=mask)
+        return _WHOLE_PLACE if all(mask) else Rows(place=SOME_AXES, mask=mask)
 
     @property
     def target(self) -> Pose:
@@ -70,7 +75,7 @@ class PositionGoal(Goal):
         return replace(self, position=target.position)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OrientationGoal(Goal):
     """The frame turned as the unit quaternion ``wxyz`` (4,), world; its position is free.
 
@@ -110,7 +115,7 @@ class OrientationGoal(Goal):
         return replace(self, wxyz=target.wxyz)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PoseGoal(Goal):
     """The frame at ``position`` (3,) turned as ``wxyz`` (4,), world.
 
@@ -152,7 +157,7 @@ class PoseGoal(Goal):
 
     @property
     def target(self) -> Pose:
-        return Pose(self.position, self.wxyz)
+        return Pose.of_checked(cast(Array, self.position), cast(Array, self.wxyz))
 
     @property
     def weights(self) -> tuple[float, float]:
@@ -162,7 +167,7 @@ class PoseGoal(Goal):
         return replace(self, position=target.position, wxyz=target.wxyz)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AimGoal(Goal):
     """An axis of the frame, through its origin, points at ``point`` (3,), world: a gaze, a camera, a torch.
 

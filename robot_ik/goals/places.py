@@ -12,7 +12,7 @@ from robot_ik.goals.base import Goal, Rows, axis_vector, positive_number, vector
 from robot_ik.kernels.partial_rows import ONE_SIDE, SOME_AXES
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Place(Goal):
     """The frame's origin, measured along and across a direction through ``point`` (3,), world."""
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CenterOfMassGoal(Goal):
     """The centre of mass at ``position`` (3,), world, metres; MuJoCo's ``subtree_com``.
 
@@ -61,7 +61,7 @@ class CenterOfMassGoal(Goal):
         return replace(self, position=target.position)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PostureGoal(Goal):
     """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
 

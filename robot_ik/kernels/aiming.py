@@ -9,6 +9,7 @@ import math
 
 from robot_ik.kernels.bones import (
     FIRST,
+    LINK_COLUMNS,
     NEXT,
     NOW,
     PATH,
@@ -17,18 +18,34 @@ from robot_ik.kernels.bones import (
     THROUGH,
     UP,
     WISH,
+    carry,
+    keep_pose,
     locate,
     turned_goal,
 )
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, turn_quat
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-from robot_ik.kernels.turns import AIMS, BALL_PULL, PULL, add_aim, best_angle, turn_axis, turn_terms
+from robot_ik.kernels.turns import AIMS, BALL_PULL, KEPT, PULL, add_aim, best_angle, turn_axis, turn_terms
 
+# Columns of ``links`` after those of ``bones``, one for each goal: 1 where it hangs on the node.
+HANGS = LINK_COLUMNS
 # A point nearer to the axis than this, metres, is not moved by a turn about it.
 _NO_LEVER = 1e-6
 # Turns of a ball with several points to serve, and where they end, rad.
 _BALL_TURNS, _STILL = 12, 1e-10
+
+
+@outlined
+def mark_hanging(goal, links):
+    """Fills links[:, HANGS:]."""
+    for g in range(goal.kind.shape[0]):
+        for c in range(links.shape[0]):
+            links[c, HANGS + g] = 0
+        k = goal.node[g]
+        while k >= 0:
+            links[k, HANGS + g] = 1
+            k = links[k, UP]
 
 
 @outlined
@@ -100,7 +117,7 @@ def gather(tree, goal, work, links, points, one, sums, k):
 
 
 @outlined
-def heed_goals(tree, goal, work, links, points, one, sums, k, pull):
+def heed_goals(tree, goal, work, links, points, sums, k, pull):
     """Adds to ``sums`` the goals that hang on joint ``k``, as they would be if later joints stayed.
 
     A bone's wish says nothing of an error across the bone, which a ball can take out and a hinge cannot:
@@ -108,30 +125,29 @@ def heed_goals(tree, goal, work, links, points, one, sums, k, pull):
     """
     n = tree.parent.shape[0]
     for g in range(goal.kind.shape[0]):
-        if points[n + g, SHARE] <= 0.0:
+        if points[n + g, SHARE] <= 0.0 or links[k, HANGS + g] == 0:
             continue
-        depth, c = 0, links[n + g, UP]
-        while c >= 0 and c != k:
-            links[depth, STACK] = c
-            depth += 1
-            c = links[c, UP]
-        if c != k:
-            continue
-        while depth > 0:
-            depth -= 1
-            locate(tree, goal, work, points, one, links[depth, STACK])
-        locate(tree, goal, work, points, one, n + g)
         count = sums[AIMS]
         add_aim(
             sums, pull * points[n + g, SHARE],
             goal.target[g, 0] - points[k, NOW], goal.target[g, 1] - points[k, NOW + 1],
             goal.target[g, 2] - points[k, NOW + 2],
-            points[n + g, NOW] - points[k, NOW], points[n + g, NOW + 1] - points[k, NOW + 1],
-            points[n + g, NOW + 2] - points[k, NOW + 2],
+            work.frames[g, 0] - points[k, NOW], work.frames[g, 1] - points[k, NOW + 1],
+            work.frames[g, 2] - points[k, NOW + 2],
         )  # fmt: skip
         if turned_goal(goal, g):
             add_columns(goal, work, sums, pull, g)
         sums[AIMS] = count
+
+
+@outlined
+def relocate(tree, goal, work, links, points, one, sums, k):
+    """Where joint ``k`` is after a turn; the frames of all goals that hang on it come along."""
+    keep_pose(work.world, k, sums, KEPT)
+    locate(tree, goal, work, points, one, k)
+    for g in range(goal.kind.shape[0]):
+        if links[k, HANGS + g] == 1:
+            carry(work.world, k, sums, KEPT, work.frames, g)
 
 
 @outlined
@@ -153,7 +169,7 @@ def aim_ball(tree, goal, work, links, points, one, sums, k, a):
     for _ in range(_BALL_TURNS):
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[BALL_PULL] > 0.0:
-            heed_goals(tree, goal, work, links, points, one, sums, k, sums[BALL_PULL])
+            heed_goals(tree, goal, work, links, points, sums, k, sums[BALL_PULL])
         x, y, z = turn_axis(sums)
         norm = math.sqrt(x * x + y * y + z * z)
         if norm == 0.0:
@@ -162,7 +178,7 @@ def aim_ball(tree, goal, work, links, points, one, sums, k, a):
         ta, tb = turn_terms(sums, x, y, z)
         angle = best_angle(ta, tb, -math.pi, math.pi)
         turn_ball(tree, work, k, a, x, y, z, angle)
-        locate(tree, goal, work, points, one, k)
+        relocate(tree, goal, work, links, points, one, sums, k)
         total += abs(angle)
         if abs(angle) < _STILL or (sums[AIMS] < 2.0 and sums[BALL_PULL] == 0.0):
             break
@@ -216,11 +232,11 @@ def fit_ball(tree, goal, work, links, points, one, sums, k):
     if cone < math.pi and abs(q[a]) < limit:
         # The shortest way from where it was leaves the cone; the shortest from the middle leaves it last.
         q[a], q[a + 1], q[a + 2], q[a + 3] = 1.0, 0.0, 0.0, 0.0
-        locate(tree, goal, work, points, one, k)
+        relocate(tree, goal, work, links, points, one, sums, k)
         aim_ball(tree, goal, work, links, points, one, sums, k, a)
         one[0] = k
         clip(tree, one, q)
-        locate(tree, goal, work, points, one, k)
+        relocate(tree, goal, work, links, points, one, sums, k)
     twist_ball(tree, goal, work, links, points, one, sums, k, a, cone)
     if cone < math.pi:
         one[0] = k
@@ -237,7 +253,7 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
     if kind == HINGE:
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[PULL] > 0.0:
-            heed_goals(tree, goal, work, links, points, one, sums, k, sums[PULL])
+            heed_goals(tree, goal, work, links, points, sums, k, sums[PULL])
         ta, tb = turn_terms(sums, world[k, 5], world[k, 8], world[k, 11])
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
@@ -250,9 +266,9 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
         if kind == FREE:
             for i in range(3):
                 q[a + i] += points[k, WISH + i] - points[k, NOW + i]
-            locate(tree, goal, work, points, one, k)
+            relocate(tree, goal, work, links, points, one, sums, k)
         gone = fit_ball(tree, goal, work, links, points, one, sums, k)
-    locate(tree, goal, work, points, one, k)
+    relocate(tree, goal, work, links, points, one, sums, k)
     return abs(gone)
 
 

@@ -108,6 +108,37 @@ def across(x, y, z):
 
 
 @outlined
+def keep_pose(world, k, old, first):
+    """old[first:first + 12] = the pose of node ``k``, before it moves."""
+    for i in range(12):
+        old[first + i] = world[k, i]
+
+
+@outlined
+def carry(world, k, old, first, frames, g):
+    """Moves frames[g], which hangs on node ``k``, as the node has moved from the pose kept in ``old``.
+
+    What lies between stays as it is: a joint's turn costs the same however many joints come after it.
+    """
+    x = frames[g, 0] - old[first]
+    y = frames[g, 1] - old[first + 1]
+    z = frames[g, 2] - old[first + 2]
+    for c in range(4):  # the origin, then the three axes
+        if c > 0:
+            x, y, z = frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c]
+        # In the node's old axes, then along its new ones.
+        a = old[first + 3] * x + old[first + 6] * y + old[first + 9] * z
+        b = old[first + 4] * x + old[first + 7] * y + old[first + 10] * z
+        d = old[first + 5] * x + old[first + 8] * y + old[first + 11] * z
+        for i in range(3):
+            moved = world[k, 3 + 3 * i] * a + world[k, 4 + 3 * i] * b + world[k, 5 + 3 * i] * d
+            if c == 0:
+                frames[g, i] = world[k, i] + moved
+            else:
+                frames[g, 2 + c + 3 * i] = moved
+
+
+@outlined
 def locate(tree, goal, work, points, one, c):
     """Pose of point ``c``'s node or frame, and where the point is now; its parent's pose must stand."""
     n, world = tree.parent.shape[0], work.world

@@ -6,6 +6,8 @@ A step serves level 0 by damped least squares, then level 1 with what freedom is
 without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint constraints, IEEE
 Transactions on Robotics 31(3), 2015).  Null spaces are right to first order only, so after each step the
 earlier levels are restored, and the step is kept only when none of them lost and its own level won.
+
+Levels of soft goals come last, and ask for the nearest that the others leave open: never met, never searched.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -45,13 +47,58 @@ def level_costs(goal, work, costs):
 
 @pure
 def level_met(goal, work, level, share=1.0):
-    """Whether all goals of the level are within that share of their tolerance."""
+    """Whether all goals of the level are within that share of their tolerance; soft ones never are."""
     for g in range(goal.row.shape[0]):
         if goal.level[g] != level:
             continue
+        if goal.soft[g] == 1:
+            return False
         if work.miss[g, 0] > share * goal.tolerance[g, 0] or work.miss[g, 1] > share * goal.tolerance[g, 1]:
             return False
     return True
+
+
+@outlined
+def needed_levels(goal):
+    """How many levels have goals that are needed: those of the soft ones come after them."""
+    count = types.int64(0)
+    for g in range(goal.row.shape[0]):
+        if goal.soft[g] == 0:
+            count = max(count, goal.level[g] + 1)
+    return count
+
+
+@pure
+def levels_met(goal, work, needed, share=1.0):
+    """Whether the first ``needed`` levels are within that share of their tolerance."""
+    met = True
+    for level in range(needed):
+        met = met and level_met(goal, work, level, share)
+    return met
+
+
+@pure
+def take_away(own, row, basis, first, rank):
+    """Takes out of own[row] what lies along basis[first:rank]; returns its square before and after."""
+    n = own.shape[1]
+    before, after = 0.0, 0.0
+    for u in range(n):
+        before += own[row, u] * own[row, u]
+    after = before
+    for _ in range(2):  # twice is enough (Kahan, in Parlett, The Symmetric Eigenvalue Problem)
+        last = after
+        for b in range(first, rank):
+            along = 0.0
+            for u in range(n):
+                along += own[row, u] * basis[b, u]
+            for u in range(n):
+                own[row, u] -= along * basis[b, u]
+        after = 0.0
+        for u in range(n):
+            after += own[row, u] * own[row, u]
+        if after > 0.25 * last:  # nothing was lost in the difference
+            break
+    return before, after
 
 
 @outlined
@@ -72,13 +119,7 @@ def serve_level(goal, work, level, damping, rank):
             for u in range(n):
                 left -= jacobian[r, u] * step[u]
                 own[count, u] = jacobian[r, u] if side[u] == 0 else 0.0
-            for _ in range(2):  # twice is enough (Kahan, in Parlett, The Symmetric Eigenvalue Problem)
-                for b in range(rank):
-                    along = 0.0
-                    for u in range(n):
-                        along += own[count, u] * basis[b, u]
-                    for u in range(n):
-                        own[count, u] -= along * basis[b, u]
+            take_away(own, count, basis, 0, rank)
             rhs[count] = left
             count += 1
     for i in range(count):
@@ -99,24 +140,12 @@ def serve_level(goal, work, level, damping, rank):
 def widen(work, count, rank):
     """Makes the first ``count`` rows of work.own part of the orthonormal work.basis; returns its size."""
     own, basis = work.own, work.basis
-    n = own.shape[1]
+    n, first = own.shape[1], rank
     for i in range(count):
-        before = 0.0
-        for u in range(n):
-            before += own[i, u] * own[i, u]
-        if rank >= basis.shape[0] or rank >= n or not before > 1e-24:
-            continue
-        for _ in range(2):
-            for b in range(rank):
-                along = 0.0
-                for u in range(n):
-                    along += own[i, u] * basis[b, u]
-                for u in range(n):
-                    own[i, u] -= along * basis[b, u]
-        after = 0.0
-        for u in range(n):
-            after += own[i, u] * own[i, u]
-        if after <= _DEPENDENT * _DEPENDENT * before:
+        if rank >= basis.shape[0] or rank >= n:
+            break
+        before, after = take_away(own, i, basis, first, rank)
+        if not before > 1e-24 or after <= _DEPENDENT * _DEPENDENT * before:
             continue
         inverse = 1.0 / math.sqrt(after)
         for u in range(n):
@@ -126,10 +155,116 @@ def widen(work, count, rank):
 
 
 @outlined
+def factorise(matrix, first, n):
+    """L D Lᵀ in place of the lower triangle: L below the diagonal, 1/D on it.
+
+    first[i]: where row i begins; what is left of it is zero, and stays it.
+    """
+    for i in range(n):
+        for j in range(first[i], i):
+            s = matrix[i, j]
+            for k in range(max(first[i], first[j]), j):
+                s -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = s
+        d = matrix[i, i]
+        for j in range(first[i], i):
+            s = matrix[i, j] * matrix[j, j]
+            d -= s * matrix[i, j]
+            matrix[i, j] = s
+        matrix[i, i] = 1.0 / d if d > 0.0 else 0.0
+
+
+@outlined
+def soft_system(goal, work, level, damping):
+    """work.damped = JᵀJ + λ of the level's free joints, factorised, work.gradient = Jᵀ(r − J d).
+
+    λ is in proportion to the largest entry.
+    """
+    jacobian, step, side, first = work.jacobian, work.step, work.side, work.free
+    matrix, gradient = work.damped, work.gradient
+    n, m, largest = step.shape[0], work.residual.shape[0], 0.0
+    for u in range(n):
+        gradient[u], first[u] = 0.0, u
+        for v in range(u + 1):
+            matrix[u, v] = 0.0
+    for g in range(goal.row.shape[0]):
+        if goal.level[g] != level:
+            continue
+        for r in range(goal.row[g], goal_end(goal, g, m)):
+            left, start = work.residual[r], n
+            for u in range(n - 1, -1, -1):
+                left -= jacobian[r, u] * step[u]
+                if jacobian[r, u] != 0.0:
+                    start = u
+            for u in range(start, n):
+                x = jacobian[r, u] if side[u] == 0 else 0.0
+                if x != 0.0:
+                    gradient[u] += x * left
+                    first[u] = min(first[u], start)
+                    for v in range(start, u + 1):
+                        matrix[u, v] += x * jacobian[r, v] if side[v] == 0 else 0.0
+    for u in range(n):
+        largest = max(largest, matrix[u, u])
+    for u in range(n):
+        matrix[u, u] = matrix[u, u] + damping * largest + 1e-15 if side[u] == 0 else 1.0
+    factorise(matrix, first, n)
+
+
+@outlined
+def serve_soft(goal, work, level, damping, rank):
+    """Adds to work.step what serves ``level`` beside the rows of work.basis.
+
+    z minimises ½ |r − J (d + z)|² + ½ λ |z|² with B z = 0, B the basis: with H = JᵀJ + λ and g = Jᵀ(r − J d),
+    z = H⁻¹ (g − Bᵀμ) and (B H⁻¹ Bᵀ) μ = B H⁻¹ g.  Such levels may have as many rows as there are joints: it
+    is what the levels before them leave that is solved for.
+    """
+    basis, own, gram, rhs = work.basis, work.own, work.gram, work.rhs
+    matrix, slope, way, first = work.damped, work.gradient, work.way, work.free
+    n = work.step.shape[0]
+    soft_system(goal, work, level, damping)
+    for i in range(n):  # way = L⁻¹ g, own = B L⁻ᵀ
+        s = slope[i]
+        for k in range(first[i], i):
+            s -= matrix[i, k] * way[k]
+        way[i] = s
+    for b in range(rank):
+        for i in range(n):
+            s = basis[b, i]
+            for k in range(first[i], i):
+                s -= matrix[i, k] * own[b, k]
+            own[b, i] = s
+    for b in range(rank):
+        for c in range(b + 1):
+            s = 0.0
+            for i in range(n):
+                s += own[b, i] * matrix[i, i] * own[c, i]
+            gram[b, c] = s
+        s = 0.0
+        for i in range(n):
+            s += own[b, i] * matrix[i, i] * way[i]
+        rhs[b] = s
+    if not eliminate(gram, rhs, rank):
+        return
+    for b in range(rank):
+        for i in range(n):
+            way[i] -= rhs[b] * own[b, i]
+    for i in range(n):
+        way[i] *= matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(first[i], i):
+            way[k] -= matrix[i, k] * way[i]
+    for i in range(n):
+        work.step[i] += way[i]
+
+
+@outlined
 def stacked_step(tree, goal, work, top, damping):
-    """work.step for levels 0 … ``top``, inside the limits; ``damping`` is that of the top level."""
+    """work.step for levels 0 … ``top``, inside the limits; ``damping`` is that of the top level.
+
+    Returns the joints that are pressed against a bound, and the largest change of a joint that was asked for.
+    """
     step, low, high, side = work.step, work.low, work.high, work.side
-    n = step.shape[0]
+    n, needed = step.shape[0], needed_levels(goal)
     goal_jacobian(tree, goal, work, work.frames)
     room(tree, goal, work)
     for u in range(n):
@@ -141,6 +276,9 @@ def stacked_step(tree, goal, work, top, damping):
         rank = types.int64(0)
         for level in range(top + 1):
             weight = damping
+            if level == top and level >= needed:
+                serve_soft(goal, work, level, damping, rank)
+                continue
             if level < top:
                 met = level_met(goal, work, level)
                 weight = _HELD_DAMPING if met else 0.1 * work.level_cost[level] + _HELD_DAMPING
@@ -160,7 +298,7 @@ def stacked_step(tree, goal, work, top, damping):
     share = _LONGEST / largest if largest > _LONGEST else 1.0
     for u in range(n):
         step[u] = min(max(share * step[u], low[u]), high[u])
-    return pressed
+    return pressed, largest
 
 
 @outlined

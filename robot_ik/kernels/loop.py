@@ -19,11 +19,20 @@ from robot_ik.kernels.couplings import follow
 from robot_ik.kernels.draws import draw
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward
+from robot_ik.kernels.out_of_reach import (
+    ask_for_all,
+    drop_beyond,
+    mark_beyond,
+    may_restart,
+    some_within_reach,
+)
 from robot_ik.kernels.residuals import evaluate
-from robot_ik.kernels.room import apply_step, finite, out_of_reach
+from robot_ik.kernels.room import apply_step, finite
 from robot_ik.kernels.trace import record
 from robot_ik.kernels.work import (
     ACCEPTED,
+    ALL_GOALS,
+    ASKED,
     AWAITED,
     BACK,
     BEST_COST,
@@ -35,6 +44,7 @@ from robot_ik.kernels.work import (
     DRAWN,
     DRAWS,
     FIRST_STEPS,
+    FOUND,
     FRESH,
     ITERATION_LIMIT,
     ITERATIONS,
@@ -51,6 +61,8 @@ from robot_ik.kernels.work import (
     RESTARTS,
     RIVAL,
     RUNNING,
+    SEARCH,
+    SEARCHING,
     SHARE,
     SLICE_END,
     STALLED,
@@ -119,8 +131,8 @@ def begin(tree, goal, work):
     if not finite(work.start):
         state[STATUS] = NUMERICAL
         return
-    if state[BEYOND] == 1 or out_of_reach(goal.target, work.reach):  # no other start will help
-        state[BEYOND], state[MAX_RESTARTS], state[FIRST_STEPS] = 1, 0, NO_LIMIT
+    if mark_beyond(goal, work):  # no other start will help these goals
+        state[BEYOND], state[FIRST_STEPS] = 1, NO_LIMIT
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
     follow(tree, work.q)
@@ -146,10 +158,10 @@ def rival_wins(work):
 
 
 @outlined
-def next_try(tree, work):
+def next_try(tree, goal, work):
     """Ends a descent: random starts come next, then a polish of the best; False when there is no more."""
     state, value = work.state, work.value
-    more = state[RESTARTS] < state[MAX_RESTARTS]
+    more = may_restart(state)
     if state[POLISHING] == 0 and more and state[ITERATIONS] + kept_for_polish(state) < state[MAX_ITERATIONS]:
         if state[RESTARTS] == 0:
             copy(work.best, work.nearby)
@@ -158,6 +170,9 @@ def next_try(tree, work):
         value[LOWEST] = math.inf
         draw_next(tree, work)
         return True
+    if state[SEARCH] == SEARCHING:  # in vain
+        end_search(goal, work)
+        return False
     if state[POLISHING] == 0:
         value[RIVAL] = math.inf
         if state[RESTARTS] > 0:  # what was found near the start first: it keeps the arm where it is
@@ -166,7 +181,12 @@ def next_try(tree, work):
             copy(work.nearby, work.best)
         copy(work.best, work.q)
         value[BEST_COST] = math.inf
+    elif state[SEARCH] == FOUND:
+        end_search(goal, work)
+        return False
     elif not rival_wins(work):
+        if begin_search(goal, work):
+            return True
         if more:  # it was steps that ran out, not tries
             state[STATUS] = ITERATION_LIMIT
         else:  # limits hold the best point, or nothing does but its own slope
@@ -176,6 +196,45 @@ def next_try(tree, work):
     value[SHARE] = min(2.0 * value[SHARE], 1.0)
     state[AWAITED] = TRY
     return True
+
+
+@pure
+def begin_search(goal, work):
+    """Where some goals are proven out of reach: is there a place that meets the others?  False if not asked.
+
+    The answer near the start is kept: what is found must clearly beat it.
+    """
+    state, value = work.state, work.value
+    if state[BEYOND] == 0 or state[SEARCH] != ALL_GOALS or state[MAX_RESTARTS] == 0:
+        return False
+    if not some_within_reach(goal, work):
+        return False
+    drop_beyond(goal, work)
+    copy(work.best, work.rival)
+    copy(work.best, work.q)
+    value[RIVAL] = value[BEST_COST]
+    state[SEARCH], state[POLISHING], state[AWAITED] = ASKED, 0, TRY
+    return True
+
+
+@pure
+def polish_found(goal, work):
+    """The search has found what meets the goals within reach: from there all goals count again."""
+    state, value = work.state, work.value
+    ask_for_all(goal)
+    value[BEST_COST], value[SHARE] = math.inf, min(value[SHARE], 1.0)
+    state[SEARCH], state[POLISHING], state[AWAITED] = FOUND, 1, TRY
+
+
+@pure
+def end_search(goal, work):
+    """The better of what was kept and what was found; the former unless the latter clearly beats it."""
+    state, value = work.state, work.value
+    ask_for_all(goal)
+    if state[SEARCH] != FOUND or not value[BEST_COST] < value[RIVAL] * (1.0 - _CLEARLY_BETTER):
+        copy(work.rival, work.best)
+        value[BEST_COST] = value[RIVAL]
+    state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
 
 
 @pure
@@ -200,7 +259,7 @@ def shorten(work, better):
 
 
 @outlined
-def judge(tree, work, within):
+def judge(tree, goal, work, within):
     """What a measurement of work.q means: converged, best so far, progress, or which random start to take."""
     state, value = work.state, work.value
     awaited, cost = state[AWAITED], value[COST]
@@ -211,14 +270,22 @@ def judge(tree, work, within):
         state[ITERATIONS] += 1
         state[TRY_STEPS] += 1
         if work.trace.shape[0] > 0:
-            record(state, value, work.miss, work.trace)
+            record(goal.tolerance, work)
         if not cost < math.inf:  # NaN too
             state[STATUS] = NUMERICAL
             return
+    if within and state[SEARCH] == SEARCHING:
+        polish_found(goal, work)
+        return
+    if within and state[SEARCH] == ASKED:  # the answer near the start meets them already
+        end_search(goal, work)
+        return
     if within:
         state[STATUS] = CONVERGED
         keep_best(work)
         return
+    if state[SEARCH] == ASKED:
+        state[SEARCH] = SEARCHING
     if awaited == DRAW:
         if cost < value[LOWEST]:
             value[LOWEST] = cost
@@ -234,7 +301,7 @@ def judge(tree, work, within):
     first = awaited != STEP and same_try and state[POLISHING] == 0
     bar = value[BEST_COST] if awaited == STEP and same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
     better = first or cost < bar
-    if better:
+    if better and state[SEARCH] != SEARCHING:
         keep_best(work)
     if awaited != STEP:
         begin_try(work)
@@ -259,25 +326,27 @@ def proceed(tree, goal, work):
     state = work.state
     while state[STATUS] == RUNNING:
         if state[AWAITED] != NOTHING:
-            judge(tree, work, measure(tree, goal, work))
+            judge(tree, goal, work, measure(tree, goal, work))
             continue
         if state[ITERATIONS] >= state[SLICE_END]:
             return False
         if state[ITERATIONS] >= state[MAX_ITERATIONS]:
-            if state[POLISHING] > 0:
+            if state[SEARCH] != ALL_GOALS:
+                end_search(goal, work)
+            elif state[POLISHING] > 0:
                 rival_wins(work)
             state[STATUS] = ITERATION_LIMIT
             return False
         patience = state[PATIENCE]
         if state[POLISHING] > 0:
             limit, patience = _POLISH_STEPS, max(patience, _POLISH_PATIENCE)
-        elif state[RESTARTS] == 0:
+        elif state[RESTARTS] == 0 and state[SEARCH] == ALL_GOALS:
             limit = state[FIRST_STEPS]
         else:
             limit = state[TRY_LIMIT]
         if state[TRY_STEPS] < limit and state[STALLS] < patience:
             return True
-        if not next_try(tree, work):
+        if not next_try(tree, goal, work):
             return False
     return False
 

@@ -33,13 +33,15 @@ GOALS = Layout(
     kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL
     how="int_table",  # (g, HOW_SIZE) which rows a PARTIAL goal makes, see ``partial_rows``
     row="ints",  # (g,) first row of its residual
-    level="ints",  # (g,) its place in the order of priorities, 0 first
+    level="ints",  # (g,) its place in the order of priorities, 0 first; soft goals come after all others
+    soft="ints",  # (g,) 1: wanted, not needed
     node="ints",  # (g,) node that carries its frame, -1 = world
     local="table",  # (g, 12) frame seen from the node
     target="table",  # (g, 12) wanted pose, world
     mask="table",  # (g, 3) which coordinates count, in the axes of the target
-    weight="table",  # (g, 2) on metres (already over the length scale) and on radians
-    tolerance="table",  # (g, 2) metres, radians
+    weight="table",  # (g, 2) on metres (already over the length scale) and on radians, as it counts now
+    tolerance="table",  # (g, 2) metres, radians; inf where nothing is needed
+    asked="table",  # (g, 4) weight and tolerance as asked for: those above are others during a search
     dofs="ints",  # (nu,) degrees of freedom that move any goal
     # Movers: the degrees of freedom that have a column, then the tied ones.
     column="ints",  # (nu + c,) column of a mover: its own, or its leader's

@@ -1,4 +1,4 @@
-"""Taking a step inside the joint limits, how far it may go, and what is beyond all of it."""
+"""Taking a step inside the joint limits, and how far it may go."""
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
@@ -62,16 +62,6 @@ def room(tree, goal, work):
             # A ball's cone is kept by projection after the step; here a step stays below half a turn.
             low[u] = -3.0
             high[u] = 3.0
-
-
-@pure
-def out_of_reach(target, reach):
-    """Whether some goal is proven unreachable: its place is outside the ball that its frame stays in."""
-    beyond = False
-    for g in range(reach.shape[0]):
-        x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
-        beyond = beyond or x * x + y * y + z * z > reach[g, 3] * reach[g, 3]
-    return beyond
 
 
 @pure

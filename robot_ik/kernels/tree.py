@@ -48,7 +48,7 @@ TREE = Layout(
 open_tree = TREE.open
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tree:
     """Arrays of a kinematic tree, read-only, and ``handle``, the same for compiled code.
 
@@ -97,6 +97,9 @@ class Tree:
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has arrays of its own, and so needs a table of its own.
         return Tree, tuple(getattr(self, item.name) for item in fields(self) if item.init)
+
+    def __repr__(self) -> str:
+        return f"Tree({self.size} nodes, nq={self.nq}, nv={self.nv}, {len(self.tied)} tied)"
 
     @property
     def size(self) -> int:

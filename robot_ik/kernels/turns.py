@@ -11,7 +11,8 @@ from robot_ik.kernels.jit import outlined, pure
 
 # ``sums``: M row by row, and how many vectors there are; then how much a hinge heeds the goals themselves
 # beside the next points (0 = not at all), and how much a ball does.
-AIMS, PULL, BALL_PULL, SUM_SIZE = 9, 10, 11, 12
+# In KEPT, the pose of a joint before it turns.
+AIMS, PULL, BALL_PULL, KEPT, SUM_SIZE = 9, 10, 11, 12, 24
 
 
 @pure

@@ -11,8 +11,8 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 (
     STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
     MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
-    STAGE, UPDATES, STATE_SIZE,
-) = range(22)  # fmt: skip
+    STAGE, UPDATES, SEARCH, STATE_SIZE,
+) = range(23)  # fmt: skip
 # What Python asks for after a solve: the first five.
 OUTCOME = slice(STATUS, BEYOND + 1)
 
@@ -25,9 +25,15 @@ OUTCOME = slice(STATUS, BEYOND + 1)
 # What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
 NOTHING, STEP, DRAW, TRY, BACK = range(5)
 
+# Where some goals are proven out of reach, ``work.state[SEARCH]``: not begun, asked whether the answer meets
+# the others, searching for what meets them, and on the way down from there with all goals again.
+ALL_GOALS, ASKED, SEARCHING, FOUND = range(4)
+
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
 
+# Rows of a trace that are kept here, before Python takes them away.
+TRACE_ROOM = 1024
 # Columns of a trace row.
 TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
 
@@ -43,6 +49,7 @@ WORK = Layout(
     accepted="floats",  # (nq,) free for a solver that may reject a step
     candidate="floats",  # (nq,) the best of several random starts
     reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
+    beyond="ints",  # (g,) 1 for a goal that is proven out of reach
     nodes="ints",  # joints that move any goal, parents first
     world="table",  # (n, 12) node poses
     scratch="table",  # (2, 12)
@@ -79,7 +86,7 @@ WORK = Layout(
     before="floats",  # (nu,) gradient before the step
     moved="floats",  # (nu,) how far the joints have really gone
     outward="floats",  # (nu,) axis along which a ball would leave its cone
-    trace="table",  # (rows, len(TRACE_COLUMNS)); no rows = no trace
+    trace="table",  # (TRACE_ROOM, len(TRACE_COLUMNS)); no rows = no trace
 )
 open_work = WORK.open
 

@@ -33,7 +33,7 @@ class Tick:
     measured: Array | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Execution:
     """What happened while a trajectory was played.
 
@@ -56,6 +56,14 @@ class Execution:
     overruns: int
     slipped: float
     samples: int
+
+    def __repr__(self) -> str:
+        error = self.tracking_error
+        off = "" if error is None else f", at most {error.max():.3g} off"
+        return (
+            f"Execution({len(self.times)} ticks of {len(self.joints)} joints in {self.duration:.3g} s, "
+            f"{self.overruns} overruns{off})"
+        )
 
     @property
     def duration(self) -> float:
@@ -111,7 +119,7 @@ class FollowTick:
     measured: Array | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FollowReport:
     """What happened while a goal was followed.  Its size does not grow with time.
 
@@ -142,6 +150,13 @@ class FollowReport:
     last: Solution | None
     largest_step: Array
     tracking_error: Array | None
+
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{count} {name}" for name, count in self.statuses.items())
+        return (
+            f"FollowReport({self.ticks} ticks in {self.duration:.3g} s: {ends or 'no goal'}; "
+            f"{self.held} held, {self.capped} capped, {self.overruns} overruns)"
+        )
 
     @property
     def rate(self) -> float:

@@ -48,6 +48,9 @@ class _Solvers(Mapping[str, type[Solver]]):
     def __len__(self) -> int:
         return len(_ROWS)
 
+    def __repr__(self) -> str:
+        return f"SOLVERS({', '.join(_ROWS)})"
+
     def __contains__(self, name: object) -> bool:
         # Mapping's own would let UnknownSolverError through, which is no KeyError.
         return name in _ROWS

@@ -6,6 +6,7 @@ docs' table and the columns of benchmarks; ``option`` declares them.
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -16,12 +17,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, UnsupportedGoalError
+from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
 from robot_ik.goals import GOALS, Goal
-from robot_ik.kernels import work
-from robot_ik.problem import Problem
+from robot_ik.kernels import jit, work
+from robot_ik.kernels.bundle import address_of
+from robot_ik.problem import Budget, CompiledProblem, Problem
 from robot_ik.solution import STATUS_OF, Solution
-from robot_ik.solvers.ready import Ready
 
 Array = NDArray[np.float64]
 
@@ -46,20 +47,30 @@ def option(
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """Where a batch puts its answers: q (n, nq), status (n,), miss (n, 2) in metres and radians."""
+    """Where a batch puts its answers, row by row.
+
+    Attributes:
+        q: (n, nq) the best found.
+        status: (n,) numbers of ``Status``.
+        miss: (n, 2) metres and radians.
+        iterations, restarts: (n,) steps and random restarts of each.
+    """
 
     q: Array
     status: NDArray[np.int64]
     miss: Array
+    iterations: NDArray[np.int64]
+    restarts: NDArray[np.int64]
 
     @classmethod
     def empty(cls, count: int, nq: int) -> Answers:
         """Room for ``count`` answers."""
-        return cls(np.zeros((count, nq)), np.zeros(count, dtype=np.int64), np.zeros((count, 2)))
+        status, iterations, restarts = np.zeros((3, count), dtype=np.int64)
+        return cls(np.zeros((count, nq)), status, np.zeros((count, 2)), iterations, restarts)
 
     def part(self, rows: slice) -> Answers:
         """A view of some rows: what is written there is written here."""
-        return Answers(self.q[rows], self.status[rows], self.miss[rows])
+        return Answers(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -71,7 +82,8 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``.
+        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+            ``soft`` goals.
     """
 
     name: ClassVar[str] = ""
@@ -103,13 +115,17 @@ class Solver(ABC):
         """Whether it can try this problem at all."""
         return not self.beyond(problem)
 
+    def family(self, problem: Problem) -> str:
+        """What it has recognised the arm as, for this goal; empty when it recognises none."""
+        return ""
+
     def worthwhile(self, problem: Problem) -> bool:
         """Whether it is a better first choice than a numeric method where it applies; asked by ``auto``."""
         return True
 
     def beyond(self, problem: Problem) -> str:
         """What of the problem it cannot serve, in words; empty when nothing is."""
-        for goal in problem.goals:
+        for goal in problem.given:
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
                 return f"a {goal.name}" + (" that asks for single axes only" if part else "")
@@ -124,27 +140,65 @@ class Solver(ABC):
 
             raise UnsupportedGoalError(self.name, beyond, able_solvers(problem))
 
-    @abstractmethod
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        """Solves from ``start`` (nq,), default home.  No solution is a result, never an exception."""
+        """Solves from ``start`` (nq,), default home.  No solution is a result, never an exception.
+
+        Raises:
+            UnsupportedGoalError: It cannot serve the problem's goals.
+            ModelError: ``start`` has the wrong length, or is not finite.
+            ProblemInUseError: Another thread's call on the problem is under way.
+        """
+        turn = problem.turn
+        try:
+            turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
+        try:
+            return self.attempt(problem, start, problem.budget)
+        finally:
+            turn.append(None)
 
     def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
-        Methods with a compiled batch override this loop.
+        The problem's budget is that of each row.
+
+        Raises:
+            As ``solve``.
         """
+        with problem.in_use():
+            self.attempt_many(problem, targets, starts, answers, problem.budget)
+
+    @abstractmethod
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
+        """``solve`` within what others left of the budget; the caller has the problem's turn."""
+
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
         for row in range(len(targets)):
             problem.target[0] = targets[row]
-            solution = self.solve(problem, starts[row])
+            solution = self.attempt(problem, starts[row], budget)
             answers.q[row] = solution.q
             answers.status[row] = solution.status
             answers.miss[row] = solution.miss.position, solution.miss.angle
+            answers.iterations[row], answers.restarts[row] = solution.iterations, solution.restarts
+
+    @abstractmethod
+    def load(self, problem: Problem) -> None:
+        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same.
+
+        Raises:
+            UnsupportedGoalError: As ``solve``.
+        """
 
 
 # What a problem may ask for beside its goals, in words.
 _FEATURES = {
     "couplings": "joints that follow others",
     "priorities": "goals of different priorities",
+    "soft": "soft goals",
     "stiffness": "joints of different stiffness",
 }
 
@@ -179,56 +233,48 @@ class IterativeSolver(Solver):
     def _options(self) -> Array:
         return np.array(self.parameters(), dtype=float)
 
-    def arguments(self, problem: Problem) -> tuple[Any, ...]:
-        """What the kernel takes for a problem."""
-        return problem.robot.tree.handle, problem.handle, problem.work, self._options
+    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
+        """What the kernel takes for a problem, in its order."""
+        return compiled.tree, compiled.goals, compiled.work, self._options
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+    def load(self, problem: Problem) -> None:
+        self._run_for(problem)
+
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
-        ready: Ready | None = problem.prepared.get("steps")
-        if (
-            ready is None
-            or ready.solver is not self
-            or ready.budget is not problem.budget
-            or ready.seed != problem.seed
-        ):
-            ready = self._get_ready(problem)
-        if type(start) is np.ndarray and start.shape == ready.shape:
-            ready.start[...] = start  # the kernel asks whether it is finite
+        run: Run | None = problem.made.get(id(self))
+        if run is None:
+            run = self._run_for(problem)
+        if run.budget is not budget or run.seed != problem.seed:
+            run.renew(budget, problem.seed)
+        if type(start) is np.ndarray and start.shape == run.shape:
+            run.start[...] = start  # the kernel asks whether it is finite
         else:
-            ready.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
+            run.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
         began = time.perf_counter()
-        ready.state[...], ready.value[...] = ready.fresh
-        if ready.walls and problem.out_of_reach():
-            ready.state[work.BEYOND] = 1
-        if ready.budget.seconds is None:
-            ready.run(*ready.arguments)
+        run.state[...], run.value[...] = run.fresh
+        trace = None
+        if run.whole:
+            run.entry(*run.arguments)
         else:
-            self._in_slices(ready.run, ready.arguments, ready.state, began + ready.budget.seconds)
-        status, iterations, restarts, rows, beyond = ready.outcome.tolist()
+            trace = _in_slices(run, problem.arrays["trace"], began)
+        status, iterations, restarts, _, beyond = run.outcome.tolist()
         if status == work.NUMERICAL:
-            problem.robot.check_q(ready.start, "start")
+            problem.robot.check_q(run.start, "start")
         elif beyond and status != work.CONVERGED:
             status = work.UNREACHABLE
         return Solution(
-            ready.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
-            self.name, problem.robot, tuple(problem.goals), ready.target.copy(),
-            problem.arrays["trace"][:rows].copy() if rows else None,
+            run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
+            self.name, problem.robot, problem.given, run.target.copy(), trace,
         )  # fmt: skip
 
-    def _get_ready(self, problem: Problem) -> Ready:
-        self.require_support(problem)
-        self._set_state(problem)
-        ready = Ready(self, problem)
-        problem.prepared["steps"] = ready
-        return ready
+    def _run_for(self, problem: Problem) -> Run:
+        return problem.compiled.made_for(self, lambda: Run(self, problem))
 
-    def _set_state(self, problem: Problem) -> None:
-        """The state a solve begins with."""
-        arrays, budget = problem.arrays, problem.budget
+    def fresh_state(self, budget: Budget, seed: int) -> tuple[NDArray[np.int64], Array]:
+        """``work.state`` and ``work.value`` as a solve begins with them."""
         restarts = self.restarts if budget.restarts is None else budget.restarts
-        state, value = arrays["state"], arrays["value"]
-        state[:] = 0
+        state, value = np.zeros(work.STATE_SIZE, dtype=np.int64), np.zeros(work.VALUE_SIZE)
         state[work.MAX_ITERATIONS] = budget.iterations
         state[work.MAX_RESTARTS] = restarts
         state[work.FIRST_STEPS] = self.first_steps if restarts else work.NO_LIMIT
@@ -236,27 +282,92 @@ class IterativeSolver(Solver):
         state[work.PATIENCE] = self.patience
         state[work.DRAWS] = self.draws
         state[work.SLICE_END] = work.NO_LIMIT
-        value[:] = 0.0
         value[work.PROGRESS] = self.progress
         value[work.SHARE] = 1.0 if self.unseen else 0.0
         # Any seed, zero included, becomes a nonzero state of the generator.
-        state[work.SEED] = (problem.seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
+        state[work.SEED] = (seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
+        return state, value
 
-    @staticmethod
-    def _in_slices(kernel: Callable[..., None], run: tuple[Any, ...], state: Any, deadline: float) -> None:
-        slice_steps = _FIRST_SLICE if time.perf_counter() < deadline else 0
-        while True:
-            state[work.SLICE_END] = state[work.ITERATIONS] + slice_steps
-            began = time.perf_counter()
-            kernel(*run)
-            now = time.perf_counter()
-            if state[work.STATUS] != work.RUNNING:
-                return
-            if now >= deadline:
-                state[work.STATUS] = work.TIME_LIMIT
-                return
-            pace = slice_steps / max(now - began, 1e-6)
-            slice_steps = max(1, int(pace * min(_SLICE_SECONDS, deadline - now)))
+
+class Run:
+    """A solver's compiled loop for one problem: made once, so that the hot loop only copies numbers.
+
+    Attributes:
+        solver, budget, seed: What ``fresh`` was made for.
+        entry: The compiled loop without numba's look at its arguments.
+        tables: What it works on; holds what ``arguments`` has addresses of.
+        arguments: What it takes: the addresses of tables, and arrays.
+        fresh: State and values that a solve begins with.
+        traced, whole: Whether a trace is kept; whether nothing is to be done between the steps.
+    """
+
+    __slots__ = (
+        "arguments", "best", "budget", "entry", "fresh", "outcome", "seed", "shape", "solver", "start",
+        "state", "tables", "target", "traced", "value", "whole",
+    )  # fmt: skip
+
+    def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
+        solver.require_support(problem)
+        kernel, arrays = solver.kernel_for(problem), problem.arrays
+        jit.announce(kernel, f"solver {solver.name!r}")
+        self.solver, self.tables = solver, solver.tables(problem.compiled)
+        self.arguments = tuple(address_of(table) for table in self.tables)
+        self.entry = jit.entry(kernel, *self.arguments)
+        self.state, self.value, self.start = arrays["state"], arrays["value"], arrays["start"]
+        self.outcome = self.state[work.OUTCOME]
+        self.best, self.target, self.shape = arrays["best"], problem.target, self.start.shape
+        self.budget, self.seed = problem.budget, problem.seed
+        self.fresh = solver.fresh_state(self.budget, self.seed)
+        self.traced = problem.trace
+        self.whole = not self.traced and self.budget.seconds is None
+
+    def renew(self, budget: Budget, seed: int) -> None:
+        """Makes ready for another budget and seed."""
+        if budget != self.budget or seed != self.seed:
+            self.fresh = self.solver.fresh_state(budget, seed)
+        self.budget, self.seed = budget, seed
+        self.whole = not self.traced and budget.seconds is None
+
+
+def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
+    """Runs a kernel piece by piece: between, it looks at the clock and takes the rows of the trace away.
+
+    A solve in pieces is the same to the last bit.
+    """
+    rows: list[Array] = []
+    state, longest = run.state, len(trace) or work.NO_LIMIT
+    seconds = run.budget.seconds
+    deadline = math.inf if seconds is None else began + seconds
+    steps = longest if seconds is None else _FIRST_SLICE if time.perf_counter() < deadline else 0
+    while True:
+        state[work.SLICE_END] = state[work.ITERATIONS] + steps
+        before = time.perf_counter()
+        run.entry(*run.arguments)
+        now = time.perf_counter()
+        if len(trace):
+            rows.append(trace[: state[work.TRACE_ROWS]].copy())
+            state[work.TRACE_ROWS] = 0
+        if state[work.STATUS] == work.RUNNING and now >= deadline:
+            state[work.STATUS] = work.TIME_LIMIT
+        if state[work.STATUS] != work.RUNNING:
+            return np.concatenate(rows) if rows else None
+        if seconds is not None:
+            pace = steps / max(now - before, 1e-6)
+            steps = min(longest, max(1, int(pace * min(_SLICE_SECONDS, deadline - now))))
+
+
+def take_start(problem: Problem, start: ArrayLike | None) -> None:
+    """Puts the start (nq,) of a solve, default home, where the kernels look for it.
+
+    Raises:
+        ModelError: Wrong length, or a number that is not finite.
+    """
+    begin = problem.arrays["start"]
+    if type(start) is np.ndarray and start.shape == begin.shape:
+        begin[...] = start
+        if math.isfinite(sum(begin.tolist())):  # quicker than NumPy's for so few
+            return
+    begin[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.kernels.bones import carry, keep_pose
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import dof_axis
-from robot_ik.kernels.loop import advance, begin, measure, proceed
+from robot_ik.kernels.kinematics import clip, dof_axis, forward, turn_quat
+from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
-from robot_ik.kernels.room import apply_step, room
-from robot_ik.kernels.tree import BALL, open_tree
+from robot_ik.kernels.room import room
+from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.work import open_work
 from robot_ik.solvers.base import IterativeSolver, option
 
@@ -161,17 +164,51 @@ def turn_freely(tree, goal, work, u):
 
 
 @outlined
-def sweep(tree, goal, work, from_root, freely):
-    """Every degree of freedom once; leaves q moved and work.step zero."""
+def take_turn(tree, goal, work, u, one, old):
+    """Moves the node of column ``u`` by its part of work.step, and the frames that hang on it with it.
+
+    ``one`` (1,) holds the node, ``old`` (12,) is work space.
+    """
+    k, q, dq, step = one[0], work.q, work.dq, work.step
+    a, v = tree.qadr[k], tree.vadr[k]
+    keep_pose(work.world, k, old, 0)
+    if tree.kind[k] < BALL:
+        q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
+    else:
+        first = u - (goal.dofs[u] - v)
+        for i in range(6 if tree.kind[k] == FREE else 3):
+            dq[v + i] = step[first + i]
+        if tree.kind[k] == FREE:
+            for i in range(3):
+                q[a + i] += dq[v + i]
+            a, v = a + 3, v + 3
+        turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+        clip(tree, one, q)
+    forward(tree, one, q, work.world, work.scratch)
+    for g in range(goal.kind.shape[0]):
+        if goal.moves[g, u] == 1:
+            carry(work.world, k, old, 0, work.frames, g)
+
+
+@outlined
+def sweep(tree, goal, work, from_root, freely, one, old):
+    """Every degree of freedom once; leaves q moved and work.step zero.
+
+    A turn moves all that hangs on the joint as one body, so only the goals' frames come along: poses of
+    joints nearer to the root do not change, and those of the others are found when it is their turn.
+    """
     dofs, step, low, high, world, frames = goal.dofs, work.step, work.low, work.high, work.world, work.frames
     n = dofs.shape[0]
+    room(tree, goal, work)
     for u in range(n):
         step[u] = 0.0
     for turn_number in range(n):
         u = turn_number if from_root else n - 1 - turn_number
         v = dofs[u]
         k = tree.dof_node[v]
-        room(tree, goal, work)
+        one[0] = k
+        if from_root:
+            forward(tree, one, work.q, world, work.scratch)
         x, y, z, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
         if turn and freely:
             if tree.kind[k] >= BALL and (v - tree.vadr[k]) % 3 != 0:
@@ -182,10 +219,9 @@ def sweep(tree, goal, work, from_root, freely):
             step[u] = best_turn(a, b, low[u], high[u])
         else:
             step[u] = best_shift(x, y, z, goal, frames, u, low[u], high[u])
-        apply_step(tree, goal, work.nodes, step, work.dq, work.q)
+        take_turn(tree, goal, work, u, one, old)
         for i in range(u, min(u + 3, n)):
             step[i] = 0.0
-        measure(tree, goal, work)
 
 
 @kernel
@@ -193,7 +229,8 @@ def ccd(tree, goals, work, options):
     """Runs until ``proceed`` says stop; options: whether from the root, whether about free axes."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     from_root, freely = options[0] > 0.0, options[1] > 0.0
+    one, old = np.empty(1, dtype=np.int64), np.empty(12)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        sweep(tree, goal, work, from_root, freely)
+        sweep(tree, goal, work, from_root, freely, one, old)
         advance(tree, goal, work)

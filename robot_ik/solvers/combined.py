@@ -6,7 +6,9 @@ where there is one, then Levenberg-Marquardt.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import ClassVar
 
@@ -14,13 +16,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
-from robot_ik.kernels.work import BEST_COST
+from robot_ik.kernels import jit
+from robot_ik.kernels.bundle import address_of
+from robot_ik.kernels.near import starts_near, starts_near_many
+from robot_ik.kernels.work import BEST_COST, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
-from robot_ik.solvers.base import Answers, Solver, option
+from robot_ik.solvers.base import Answers, Solver, option, take_start
+from robot_ik.solvers.first_choice import FIRST_CHOICE
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class Combined(Solver):
 
     parts: ClassVar[bool] = True
     # Those of its methods that can.
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "stiffness"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
@@ -54,97 +61,179 @@ class Combined(Solver):
         """Whether a member gets its turn."""
         return member.applies(problem)
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        turns = self._turns(problem)
-        solution = turns[0].solve(problem, start)
-        if solution.status is Status.CONVERGED or len(turns) == 1:
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept
+        return self._in_turn(turns.members, problem, start, budget)
+
+    def _in_turn(
+        self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
+    ) -> Solution:
+        solution = members[0].attempt(problem, start, budget)
+        if solution.status is Status.CONVERGED or len(members) == 1:
             return solution
-        return self._go_on(problem, start, solution)
+        if solution.status is Status.UNREACHABLE and members[0].name == members[-1].name:
+            return solution  # proven, and the nearest is found: the last would do the same
+        return self._go_on(members[1:], problem, start, budget, solution)
 
-    def _turns(self, problem: Problem) -> tuple[Solver, ...]:
-        """The methods that can try a problem, asked once."""
-        asked = problem.prepared.get("turns")
-        if asked is None or asked[0] is not self:
-            turns = tuple(member for member in self._members if self._takes(member, problem))
-            if not turns:
-                goal = problem.goals[0]
-                beyond = [member.beyond(problem) for member in self._members]
-                what = next(filter(None, beyond), f"a {goal.name}")
-                raise UnsupportedGoalError(self.name, what, able_solvers(problem))
-            asked = problem.prepared["turns"] = self, turns
-        found: tuple[Solver, ...] = asked[1]
-        return found
+    def load(self, problem: Problem) -> None:
+        self._turns(problem)
 
-    def _go_on(self, problem: Problem, start: ArrayLike | None, best: Solution) -> Solution:
-        """The other methods, after the first has failed with ``best``."""
-        whole, used, spent = problem.budget, best.iterations, best.seconds
-        proven = best.status is Status.UNREACHABLE
+    def _turns(self, problem: Problem) -> _Turns:
+        """The methods that can try a problem: asked, and loaded, once.
+
+        All are loaded before the first is tried: the first goal that it misses would else stall a loop.
+        """
+        kept: _Turns | None = problem.compiled.made.get(id(self))
+        if kept is None:
+            kept = problem.compiled.made_for(self, lambda: self._make_turns(problem))
+            for member in (*kept.members, *kept.nearby):
+                member.load(problem)
+        return kept
+
+    def _make_turns(self, problem: Problem) -> _Turns:
+        return _Turns(self, self._choose(problem))
+
+    def _choose(self, problem: Problem) -> tuple[Solver, ...]:
+        turns = tuple(member for member in self._members if self._takes(member, problem))
+        if not turns:
+            goal = problem.given[0]
+            beyond = [member.beyond(problem) for member in self._members]
+            what = next(filter(None, beyond), f"a {goal.name}")
+            raise UnsupportedGoalError(self.name, what, able_solvers(problem))
+        return turns
+
+    def _go_on(
+        self,
+        others: tuple[Solver, ...],
+        problem: Problem,
+        start: ArrayLike | None,
+        budget: Budget,
+        best: Solution,
+    ) -> Solution:
+        """The other methods, after the first has failed with ``best``; what all of them took is reported."""
+        began = time.perf_counter() - best.seconds
+        iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
+        last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][BEST_COST])
-        try:
-            for member in self._turns(problem)[1:]:
-                problem.budget = _rest(problem, whole, used, spent, proven)
-                solution = member.solve(problem, start)
-                used, spent = used + solution.iterations, spent + solution.seconds
-                proven = proven or solution.status is Status.UNREACHABLE
-                cost = float(problem.arrays["value"][BEST_COST])
-                if solution.converged or cost < best_cost:
-                    best, best_cost = solution, cost
-                if solution.converged:
-                    break
-        finally:
-            problem.budget = whole
-        if proven and not best.converged:
-            best.status = Status.UNREACHABLE
-        best.iterations = used
+        for member in others:
+            futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
+            rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
+            solution = member.attempt(problem, start, rest)
+            rows.append(_later(solution.trace_rows, iterations, restarts))
+            iterations, restarts = iterations + solution.iterations, restarts + solution.restarts
+            last, proven = solution.status, proven or solution.status is Status.UNREACHABLE
+            cost = float(problem.arrays["value"][BEST_COST])
+            if solution.converged or cost < best_cost:
+                best, best_cost = solution, cost
+            if solution.converged:
+                break
+        if not best.converged:
+            best.status = Status.UNREACHABLE if proven else last if last in _OVER else best.status
+        kept = [part for part in rows if part is not None]
+        best.trace_rows = np.concatenate(kept) if kept else None
+        best.iterations, best.restarts = iterations, restarts
+        best.seconds = time.perf_counter() - began
         return best
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
-        """Each method takes all poses that the ones before it missed."""
-        left, whole = np.arange(len(targets)), problem.budget
-        best = np.full(len(targets), np.inf)
-        proven = np.zeros(len(targets), dtype=bool)
-        for member in self._members:
-            if not len(left) or not self._takes(member, problem):
-                continue
-            for rows, known in ((left[~proven[left]], False), (left[proven[left]], True)):
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        """Each method takes all poses that the ones before it missed, with what they left of the budget."""
+        if budget.seconds is not None:  # which is for each pose: only Python can read a clock
+            super().attempt_many(problem, targets, starts, answers, budget)
+            return
+        self._many_in_turn(self._turns(problem).members, problem, targets, starts, answers, budget)
+
+    def _many_in_turn(
+        self,
+        members: tuple[Solver, ...],
+        problem: Problem,
+        targets: Array,
+        starts: Array,
+        answers: Answers,
+        budget: Budget,
+    ) -> None:
+        members[0].attempt_many(problem, targets, starts, answers, budget)
+        left = np.flatnonzero(answers.status != Status.CONVERGED)
+        if members[0].name == members[-1].name:
+            left = left[answers.status[left] != Status.UNREACHABLE]
+        if not len(left) or len(members) == 1:
+            return
+        best = _cost(problem, answers.miss)
+        last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
+        for member in members[1:]:
+            for rows, rest in _shares(budget, left, answers, proven):
                 part = Answers.empty(len(rows), answers.q.shape[1])
-                problem.budget = _rest(problem, whole, 0, 0.0, known)
-                try:
-                    member.solve_many(problem, targets[rows], starts[rows], part)
-                finally:
-                    problem.budget = whole
+                member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
-                cost[part.status == Status.CONVERGED] = 0.0
+                cost[part.status == Status.CONVERGED] = -1.0
                 better = cost < best[rows]
                 best[rows[better]] = cost[better]
-                for mine, its in (
-                    (answers.q, part.q),
-                    (answers.miss, part.miss),
-                    (answers.status, part.status),
-                ):
-                    mine[rows[better]] = its[better]
+                for name in ("q", "miss", "status"):
+                    getattr(answers, name)[rows[better]] = getattr(part, name)[better]
+                answers.iterations[rows] += part.iterations
+                answers.restarts[rows] += part.restarts
                 proven[rows] |= part.status == Status.UNREACHABLE
+                last[rows] = part.status
             left = left[answers.status[left] != Status.CONVERGED]
-        answers.status[proven & (answers.status != Status.CONVERGED)] = Status.UNREACHABLE
+        for status in _OVER:
+            answers.status[left[last[left] == status]] = status
+        answers.status[left[proven[left]]] = Status.UNREACHABLE
 
 
-def _rest(problem: Problem, whole: Budget, used: int, seconds: float, proven: bool) -> Budget:
-    """What is left of a budget.  Once it is proven that no joint angles do, restarts are of no use.
+# A method that ends so has not had its say: neither have all of them together.
+_OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
-    Kept from one solve to the next, so that a method that is ready for it stays ready.
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """The methods that try a problem, in their order, and who asked.
+
+    Attributes:
+        nearby: Those that try it where its start is near its goal; empty: the same.
+        near: Whether that is so, asked of the work space; ``address`` and ``table`` are what it reads.
     """
-    asked = whole, used, proven
-    kept = problem.prepared.get("rest")
-    if whole.seconds is None and kept is not None and kept[0] == asked:
-        known: Budget = kept[1]
-        return known
-    rest = Budget(
-        iterations=max(0, whole.iterations - used),
-        seconds=None if whole.seconds is None else max(0.0, whole.seconds - seconds),
-        restarts=0 if proven else whole.restarts,
+
+    solver: Combined
+    members: tuple[Solver, ...]
+    nearby: tuple[Solver, ...] = ()
+    near: Callable[[int, float], bool] | None = None
+    address: int = 0
+    table: NDArray[np.int64] | None = None
+
+
+def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven: bool) -> Budget:
+    """What is left of a budget.  Once it is proven that no joint angles do, restarts are of no use."""
+    spare = None if budget.restarts is None else max(0, budget.restarts - restarts)
+    return Budget(
+        iterations=max(0, budget.iterations - iterations),
+        seconds=None if budget.seconds is None else max(0.0, budget.seconds - seconds),
+        restarts=0 if proven else spare,
     )
-    problem.prepared["rest"] = asked, rest
-    return rest
+
+
+def _shares(
+    budget: Budget, left: Rows, answers: Answers, proven: NDArray[np.bool_]
+) -> Iterator[tuple[Rows, Budget]]:
+    """Those of the rows ``left`` (n,) that have the same rest of the budget, and that rest."""
+    if not len(left):
+        return
+    spent = np.column_stack([answers.iterations[left], answers.restarts[left], proven[left]])
+    if (spent == spent[0]).all():
+        yield left, _rest(budget, int(spent[0, 0]), int(spent[0, 1]), 0.0, bool(spent[0, 2]))
+        return
+    kinds, group = np.unique(spent, axis=0, return_inverse=True)
+    for k, (iterations, restarts, known) in enumerate(kinds.tolist()):
+        yield left[group.ravel() == k], _rest(budget, iterations, restarts, 0.0, bool(known))
+
+
+def _later(rows: Array | None, iterations: int, restarts: int) -> Array | None:
+    """Trace rows of a method that began after others had taken so many steps and restarts."""
+    if rows is None:
+        return None
+    rows[:, :2] += iterations, restarts
+    return rows
 
 
 def _cost(problem: Problem, miss: Array) -> Array:
@@ -153,12 +242,80 @@ def _cost(problem: Problem, miss: Array) -> Array:
     return np.asarray((miss[:, 0] * weight[0]) ** 2 + (miss[:, 1] * weight[1]) ** 2)
 
 
+# A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
+_NEAR = 0.01
+_WHICH_NEAR: Callable[..., None] = starts_near_many
+# Restarts of ``lm`` where it comes before the closed form, which knows what cannot be reached.
+_FEW_RESTARTS = 8
+
+
 @dataclass(frozen=True)
 class Auto(Combined):
-    """The closed form where this robot and goal have one, else Levenberg-Marquardt."""
+    """The closed form where this robot and goal have one, else Levenberg-Marquardt; the quicker one first."""
 
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "closed form where there is one, else Levenberg-Marquardt"
 
     def _takes(self, member: Solver, problem: Problem) -> bool:
         return member.worthwhile(problem) and member.applies(problem)
+
+    @cached_property
+    def _quick(self) -> Solver:
+        """``lm`` before the closed form."""
+        return make_solver("lm", restarts=_FEW_RESTARTS)
+
+    @cached_property
+    def _local(self) -> Solver:
+        """``lm`` from a start near the goal."""
+        return make_solver("lm", restarts=0)
+
+    def _make_turns(self, problem: Problem) -> _Turns:
+        members = self._choose(problem)
+        if [member.name for member in members] != ["analytic", "lm"]:
+            return _Turns(self, members)
+        cold, warm = (
+            FIRST_CHOICE.get((members[0].family(problem), start), "analytic") for start in ("cold", "warm")
+        )
+        if cold == "lm":
+            return _Turns(self, (self._quick, *members))
+        if warm != "lm":
+            return _Turns(self, members)
+        compiled = problem.compiled
+        table = RUN.pack(
+            {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": np.zeros(0)}
+        )
+        address = address_of(table)
+        near = jit.entry(starts_near, address, _NEAR)
+        return _Turns(self, members, (self._local, *members), near, address, table)
+
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
+        kept: _Turns | None = problem.made.get(id(self))
+        turns = self._turns(problem) if kept is None else kept
+        members = turns.members
+        if turns.near is not None and budget.iterations > 0:
+            begin = problem.arrays["start"]
+            if type(start) is np.ndarray and start.shape == begin.shape:
+                begin[...] = start  # whether it is finite, the method asks: nothing is near that is not
+            else:
+                take_start(problem, start)
+            if turns.near(turns.address, _NEAR):
+                members = turns.nearby
+        return self._in_turn(members, problem, start, budget)
+
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        turns = self._turns(problem)
+        if turns.near is None or budget.seconds is not None or not budget.iterations:
+            super().attempt_many(problem, targets, starts, answers, budget)
+            return
+        near = np.zeros(len(targets), dtype=np.int64)
+        _WHICH_NEAR(turns.address, _NEAR, targets, starts, near)
+        for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
+            if here.all():
+                self._many_in_turn(members, problem, targets, starts, answers, budget)
+            elif here.any():
+                part = Answers.empty(int(here.sum()), answers.q.shape[1])
+                self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
+                for item in fields(Answers):
+                    getattr(answers, item.name)[here] = getattr(part, item.name)

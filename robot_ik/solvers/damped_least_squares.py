@@ -30,6 +30,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import box_step, normal_equations, svd
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.row_space import row_products, row_step
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.work import DAMPING, PRESSED, open_work
 from robot_ik.solvers.base import JacobianSolver, option
@@ -58,13 +59,23 @@ class DampedLeastSquares(JacobianSolver):
 
 
 @outlined
-def box_damped(work, damping):
-    """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly."""
-    normal, step, extra = work.normal, work.step, mistrust(work)
-    normal_equations(work.jacobian, work.wanted, normal, work.gradient)
-    for i in range(step.shape[0]):
-        normal[i, i] += damping * damping + extra
-    pressed = box_step(normal, work.gradient, work.low, work.high, step, work.free, work.side, work.factor)
+def box_damped(goal, work, damping):
+    """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly; among few rows."""
+    normal, step, strength = work.normal, work.step, damping * damping + mistrust(work)
+    m, n = work.jacobian.shape
+    if m < n:
+        row_products(work.jacobian, work.wanted, goal.hits, goal.hit_count, normal, work.gradient)
+        pressed = row_step(
+            work.jacobian, work.wanted, normal, work.gradient, strength, work.low, work.high,
+            goal.hits, goal.hit_count, step, work.free, work.side, work.factor, work.rhs,
+        )  # fmt: skip
+    else:
+        normal_equations(work.jacobian, work.wanted, normal, work.gradient)
+        for i in range(n):
+            normal[i, i] += strength
+        pressed = box_step(
+            normal, work.gradient, work.low, work.high, step, work.free, work.side, work.factor
+        )
     if pressed < 0:  # λ² is lost in the rounding of a singular JᵀJ: stand still rather than anywhere
         for i in range(step.shape[0]):
             step[i] = 0.0
@@ -94,7 +105,7 @@ def dls_step(tree, goal, work, options):
     mode = int(options[5])
     prepare(tree, goal, work, clamp, alternative)
     if mode == CONSTANT:
-        box_damped(work, damping)
+        box_damped(goal, work, damping)
     else:
         svd_damped(work, damping, mode == ADAPTIVE, options[6])
     cap(work, gain, max_step)

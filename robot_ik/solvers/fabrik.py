@@ -26,11 +26,10 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.kernels.aiming import settle
+from robot_ik.kernels.aiming import HANGS, mark_hanging, settle
 from robot_ik.kernels.bones import (
     FIRST,
     LENGTH,
-    LINK_COLUMNS,
     NEXT,
     NOW,
     POINT_COLUMNS,
@@ -49,7 +48,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
-from robot_ik.kernels.work import TRY_STEPS, open_work
+from robot_ik.kernels.work import ALL_GOALS, SEARCH, TRY_STEPS, open_work
 from robot_ik.solvers.base import option
 from robot_ik.solvers.bones import BoneSolver
 
@@ -233,6 +232,8 @@ def lacks_wrist(tree, goal, links, points):
 def fabrik_step(tree, goal, work, links, points, one, sums, options):
     """Back from the goals, forward from the root; leaves q moved."""
     n = tree.parent.shape[0]
+    if work.state[SEARCH] != ALL_GOALS:  # which goals count may have changed
+        link_points(tree, goal, work.nodes, links, points)
     for g in range(goal.kind.shape[0]):
         for i in range(3):
             points[n + g, WISH + i] = goal.target[g, i]
@@ -250,10 +251,11 @@ def fabrik(tree, goals, work, options):
     """Runs until ``proceed`` says stop; options: sweeps, kick, pull."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, LINK_COLUMNS), dtype=np.int64)
+    links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
+    mark_hanging(goal, links)
     work.step[:] = 0.0
     sums[PULL] = options[2]
     begin(tree, goal, work)

@@ -13,9 +13,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
@@ -27,6 +28,7 @@ from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.room import room
 from robot_ik.kernels.row_space import row_products, row_step
+from robot_ik.kernels.second_order import has_second_order, second_order
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.work import (
     ACCEPTED,
@@ -34,22 +36,31 @@ from robot_ik.kernels.work import (
     CONVERGED,
     COST,
     DAMPING,
+    ITERATIONS,
+    NO_LIMIT,
     POLISHING,
     PRESSED,
     RESTARTS,
     RUN,
+    STALLS,
     STATUS,
     TRY_STEPS,
     UNREACHABLE,
     open_run,
     open_work,
 )
-from robot_ik.problem import Problem
+from robot_ik.problem import Budget, CompiledProblem, Problem
 from robot_ik.solvers.base import Answers, IterativeSolver, option
 
 Array = NDArray[np.float64]
 
 _NO_CLAMP = 1e6
+# In the last descent the exact Hessian makes the steps.  They need little damping, and show when there is no
+# more to gain: a share of the cost, of which rounding leaves some 1e-15.
+_EXACT_DECREASE = 0.1
+_NOTHING_LEFT = 1e-13
+# What is served level after level.
+_LEVELS = frozenset({"priorities", "soft"})
 
 
 @dataclass(frozen=True)
@@ -78,7 +89,7 @@ class LevenbergMarquardt(IterativeSolver):
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities"})
+    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     @property
@@ -90,33 +101,36 @@ class LevenbergMarquardt(IterativeSolver):
         return lm_guided if self.guided else lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
-        return lm_levels if "priorities" in problem.features else self.kernel()
+        return lm_levels if problem.features & _LEVELS else self.kernel()
 
     def beyond(self, problem: Problem) -> str:
-        if self.guided and "priorities" in problem.features:
-            return "goals of different priorities together with clamp, gain or alternative"
+        if self.guided and problem.features & _LEVELS:
+            return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().beyond(problem)
 
     def parameters(self) -> tuple[float, ...]:
         plain = (self.floor, self.damping, self.increase, self.decrease, self.least, self.stride)
         return (*plain, self.clamp, float(self.alternative), self.gain)
 
-    def arguments(self, problem: Problem) -> tuple[int]:
-        """The address of the table of a run, which ``problem.prepared`` keeps alive."""
-        tables = {"tree": problem.robot.tree.handle, "goals": problem.handle, "work": problem.work}
-        run = RUN.pack(tables | {"options": self._options})
-        problem.prepared["lm"] = run, self
-        return (run.ctypes.data,)
+    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
+        tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work}
+        return (RUN.pack(tables | {"options": self._options}),)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
-        self.require_support(problem)
-        if problem.budget.seconds is not None or problem.walls or self.guided:
-            super().solve_many(problem, targets, starts, answers)  # a clock can be read in Python only
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
+        run = self._run_for(problem)
+        if budget.seconds is not None or self.guided:
+            super().attempt_many(problem, targets, starts, answers, budget)  # only Python can read a clock
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")
-        self._set_state(problem)
-        fresh = problem.arrays["state"].copy()
-        lm_many(*self.arguments(problem), fresh, targets, starts, answers.q, answers.status, answers.miss)
+        fresh, value = self.fresh_state(budget, problem.seed)
+        run.value[...] = value
+        (address,) = run.arguments
+        lm_many(
+            address, fresh, targets, starts,
+            answers.q, answers.status, answers.miss, answers.iterations, answers.restarts,
+        )  # fmt: skip
 
 
 @pure
@@ -170,12 +184,18 @@ def lm_step(tree, goal, work, points, wanted, options):
     jacobian, gradient, low, high, step = work.jacobian, work.gradient, work.low, work.high, work.step
     floor, first, increase, decrease, least = options[0], options[1], options[2], options[3], options[4]
     m, n = jacobian.shape
+    exact = state[POLISHING] > 0 and has_second_order(tree, goal)
     if value[COST] < value[ACCEPTED]:
+        if exact:
+            decrease, least = _EXACT_DECREASE, 0.0
         value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
         value[ACCEPTED] = value[COST]
         copy(work.q, work.accepted)
         goal_jacobian(tree, goal, work, points)
-        if m < n:
+        if exact:
+            second_order(tree, goal, work, work.metric)
+            normal_equations(jacobian, wanted, normal, gradient)
+        elif m < n:
             copy(wanted, work.wanted)  # a step that is taken back leaves another residual behind
             row_products(jacobian, wanted, goal.hits, goal.hit_count, normal, gradient)
         else:
@@ -186,7 +206,9 @@ def lm_step(tree, goal, work, points, wanted, options):
         copy(work.accepted, work.q)
     damping = value[DAMPING] * value[COST] + floor
     spare_room(tree, goal, work, options[5])
-    if m < n:
+    if exact:
+        pressed = exact_step(work, damping)
+    elif m < n:
         pressed = row_step(
             jacobian, work.wanted, normal, gradient, damping, low, high,
             goal.hits, goal.hit_count, step, work.free, work.side, work.factor, work.rhs,
@@ -205,6 +227,29 @@ def lm_step(tree, goal, work, points, wanted, options):
         state[PRESSED] = pressed
         if roams(tree, work):
             go_round(tree, goal, work)
+
+
+@pure
+def exact_step(work, damping):
+    """The step to the exact Hessian where that is positive definite, else that of Gauss-Newton.
+
+    Where it promises next to nothing the descent is over: its patience is spent at once.
+    """
+    normal, damped, low, high, step = work.normal, work.damped, work.low, work.high, work.step
+    pressed = types.int64(-1)
+    for second in (1.0, 0.0):
+        if pressed < 0:
+            for i in range(step.shape[0]):
+                for j in range(i + 1):
+                    damped[i, j] = normal[i, j] + second * work.metric[i, j]
+                damped[i, i] += damping
+            pressed = box_step(damped, work.gradient, low, high, step, work.free, work.side, work.factor)
+    promised = 0.0
+    for i in range(step.shape[0]):
+        promised += work.gradient[i] * step[i]
+    if pressed >= 0 and promised < _NOTHING_LEFT * work.value[COST]:
+        work.state[STALLS] = NO_LIMIT
+    return pressed
 
 
 @outlined
@@ -243,10 +288,10 @@ def lm(run):
 
 
 @kernel
-def lm_many(run, fresh, targets, starts, q, status, miss):
-    """One solve for each row of targets (n, 12), starts (n, nq): fills q (n, nq), status (n,), miss (n, 2).
+def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
+    """One solve for each row of targets (n, 12), starts (n, nq), from the state ``fresh``.
 
-    ``fresh`` is the state a solve begins with.
+    Fills q (n, nq), status (n,), miss (n, 2), iterations (n,), restarts (n,).
     """
     run = open_run(run)
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
@@ -268,3 +313,4 @@ def lm_many(run, fresh, targets, starts, q, status, miss):
             q[row, i] = best[i]
         status[row] = UNREACHABLE if state[BEYOND] == 1 and state[STATUS] != CONVERGED else state[STATUS]
         miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row], restarts[row] = state[ITERATIONS], state[RESTARTS]

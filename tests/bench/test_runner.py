@@ -13,7 +13,7 @@ from robot_ik.bench.problems import make_set
 from robot_ik.bench.results import Settings
 from robot_ik.bench.runner import Bench, prepare
 from robot_ik.goals import PoseGoal
-from robot_ik.problem import Problem
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver
@@ -30,7 +30,10 @@ class Scripted(Solver):
     answers: tuple[tuple[float, ...], ...] = ()
     name: ClassVar[str] = "scripted"
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
+    def load(self, problem: Problem) -> None:
+        """Nothing is compiled."""
+
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         calls.append(np.array(start))
         q = np.array(self.answers[(len(calls) - 1) % len(self.answers)])
         goals, targets = tuple(problem.goals), problem.target.copy()

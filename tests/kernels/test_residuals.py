@@ -25,7 +25,7 @@ def evaluate(problem, q):
     """(cost, residual, miss, jacobian) of a problem at q, in arrays of their own."""
     a = problem.arrays
     a["q"][:] = q
-    cost = residual_and_jacobian(problem.robot.tree.handle, problem.handle, problem.work)
+    cost = residual_and_jacobian(problem.compiled.tree, problem.compiled.goals, problem.compiled.work)
     return cost, a["residual"].copy(), a["miss"].copy(), a["jacobian"].copy()
 
 

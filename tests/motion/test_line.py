@@ -151,9 +151,12 @@ class OtherBranch(Solver):
 
     calls: list = field(default_factory=list)
 
-    def solve(self, problem, start=None):
+    def load(self, problem):
+        pass
+
+    def attempt(self, problem, start, budget):
         self.calls.append(start)
-        solution = make_solver("lm").solve(problem, start)
+        solution = make_solver("lm").attempt(problem, start, budget)
         q = np.array(solution.q)
         if len(self.calls) > 15:
             q[3] += np.pi if q[3] < 0 else -np.pi

@@ -46,7 +46,7 @@ def called_unreachable(robot, goal, tolerance, poses):
     problem = Problem(robot, goal, tolerance=tolerance)
     prepared = make_solver("analytic").prepare(problem)
     status = np.full(len(poses), int(Status.STALLED))
-    prepared.prove(prepared.tables[1], prepared.tables[3], np.array([row(p) for p in poses]), status)
+    prepared.prove(prepared.addresses[1], prepared.addresses[3], np.array([row(p) for p in poses]), status)
     return status == Status.UNREACHABLE
 
 

@@ -37,6 +37,7 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
     robot = rik.make_chain(n)
     names = [f"link{i}" for i in range(1, n + 1)] + ["tip"]
     rng = np.random.default_rng(n)
+    compared = 0
     for _ in range(10):
         start = robot.sample(rng)
         target = rng.normal(size=3) * n / 4
@@ -53,8 +54,11 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
                 break
             miss = np.linalg.norm(points[-1] - target)
             assert solution.trace[-1].position == pytest.approx(miss, abs=1e-9)
-            if solution.miss.position == pytest.approx(miss, abs=1e-12):
+            # The answer is the best pass: mostly the last, whose points can then be compared.
+            if miss <= min(step.position for step in solution.trace) + 1e-12:
                 np.testing.assert_allclose(places(robot, solution.q, names), points, atol=1e-8)
+                compared += 1
+    assert compared >= 10
 
 
 @pytest.mark.parametrize("n", range(2, 11))

@@ -22,6 +22,7 @@ from robot_ik.goals import (
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
+from robot_ik.solve import solve
 from robot_ik.solvers import SOLVERS, make_solver
 
 # The judge lies beside this file; it is nobody's package.
@@ -158,6 +159,71 @@ def test_law_6_tracking_comes_to_rest(tied, name, kind):
                 largest = max(largest, float(np.abs(solution.q - q).max()))
             q = solution.q
         assert largest <= 1e-3
+
+
+@pytest.mark.parametrize("name", ["puma560", "panda"])
+@pytest.mark.parametrize(
+    "other",
+    [{"priority": 1}, {"weight": 1e-9}, {"weight": 1e-9, "frame": "wrist"}],
+    ids=["later", "light", "light elsewhere"],
+)
+@pytest.mark.parametrize("method", ["auto", "bfgs"])
+def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name, other, method):
+    """Of 60 random poses those are met that are met alone, however the goal 9 m away stands beside them."""
+    robot, rng = load_robot(name), np.random.default_rng(0)
+    if method == "bfgs" and "priority" in other:
+        other = {"weight": 1e-6}  # the methods without priorities
+    frame = {"wrist": robot.frames[-1]}.get(other.get("frame"))
+    extra = {key: value for key, value in other.items() if key != "frame"}
+    far, missed = PositionGoal(frame, (9.0, 0.0, 0.0), **extra), []
+    for k in range(60 if method == "auto" else 20):
+        pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
+        alone, both = solve(robot, pose, solver=method), solve(robot, [pose, far], solver=method)
+        assert both.status is Status.UNREACHABLE
+        miss = both.misses[0]
+        if alone.converged and not (miss.position <= 1e-4 and miss.angle <= 1e-3):
+            missed.append(k)
+    assert missed == []
+
+
+def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
+    robot, rng = load_robot("puma560"), np.random.default_rng(1)
+    for _ in range(20):
+        pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
+        wall = HalfSpaceGoal(None, (0, 0, 9.0), "z", weight=1e-7)
+        both = solve(robot, [pose, wall])
+        assert both.status is Status.UNREACHABLE
+        assert both.misses[0].position <= 1e-4 and both.misses[0].angle <= 1e-3
+
+
+def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothing_behind():
+    """Weights that were put aside for the search count again: in the answer, and in the next solve."""
+    robot, rng = load_robot("puma560"), np.random.default_rng(2)
+    pose, far = (
+        PoseGoal.at(None, robot.forward(robot.sample(rng))),
+        PositionGoal(None, (9.0, 0, 0), weight=1e-9),
+    )
+    solver = make_solver("lm")
+    for budget in (Budget(iterations=k) for k in (1, 7, 20, 35, 60, 20_000)):
+        problem = Problem(robot, [pose, far], budget=budget)
+        weights = problem.weights.copy()
+        first = solver.solve(problem, robot.home)
+        assert np.array_equal(problem.weights, weights)
+        assert first.q.tobytes() == solver.solve(problem, robot.home).q.tobytes()
+        assert cost(problem, first.q) <= cost(problem, robot.home)
+        assert first.iterations <= budget.iterations
+
+
+def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
+    robot, rng = load_robot("puma560"), np.random.default_rng(3)
+    pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
+    problem, solver = Problem(robot, [pose, PositionGoal(None, (3.0, 0, 0.5))]), make_solver("lm")
+    q, steps = robot.home, []
+    for _ in range(60):
+        solution = solver.solve(problem, q)
+        steps.append(float(np.abs(solution.q - q).max()))
+        q = solution.q
+    assert max(steps[30:]) <= 1e-3
 
 
 def test_length_says_how_many_metres_are_worth_a_radian():

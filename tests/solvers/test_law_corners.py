@@ -9,6 +9,7 @@ import pytest
 
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 
 # The cases lie beside this file; they are nobody's package.
@@ -74,3 +75,20 @@ def test_the_trace_tells_the_same_story(name, robots, reachable):
     if solution.converged and trace:
         assert trace[-1].position == pytest.approx(solution.miss.position, abs=1e-12)
         assert trace[-1].angle == pytest.approx(solution.miss.angle, abs=1e-7)
+
+
+def test_a_trace_grows_as_it_is_used(name="ccd"):
+    """However large the budget; and a solve that hands its rows over in between is the same to the bit."""
+    robot = load_robot("puma560")
+    goal, never = PositionGoal(None, (-0.45, -0.10, 0.80)), Tolerance(1e-300, 1e-300)
+    endless = Problem(robot, goal, budget=Budget(10**12), trace=True)
+    assert sum(array.nbytes for array in endless.arrays.values()) < 1_000_000
+    assert len(make_solver(name).solve(endless).trace) > 0
+    budget = Budget(iterations=2500)
+    traced, plain = (
+        make_solver(name).solve(Problem(robot, goal, tolerance=never, budget=budget, trace=trace))
+        for trace in (True, False)
+    )
+    assert traced.iterations > 1024  # more than are kept in the work space
+    assert [step.iteration for step in traced.trace] == list(range(1, traced.iterations + 1))
+    assert traced.q.tobytes() == plain.q.tobytes() and traced.restarts == plain.restarts

@@ -246,7 +246,8 @@ def test_law_10_solve_rate(name, robot_name, kind, robots, reachable):
     assert solved / len(goals) >= floor, f"{solved} of {len(goals)}"
 
 
-def test_law_10_low_floors_have_a_reason():
+def test_law_10_floors_can_be_missed_and_low_ones_have_a_reason():
     for name in NAMES:
         for row in FLOORS[name].values():
             assert row.get("reason") or row.get("position", 1.0) >= 0.9
+            assert all(row.get(kind, 1.0) > 0.0 for kind in ("position", "pose"))

@@ -134,8 +134,9 @@ def test_each_goal_is_moved_by_its_own_index(robots, reachable):
     problem.retarget(matrix, 1)
     np.testing.assert_array_equal(problem.target[1, :3], matrix[:3, 3])
     np.testing.assert_allclose(problem.target[0, :3], goals[0].target.position)
-    with pytest.raises(IndexError):
-        problem.retarget(matrix, 2)
+    for wrong in (2, -1, True, "gripper"):
+        with pytest.raises(InvalidGoalError, match=r"no goal|named by"):
+            problem.retarget(matrix, wrong)
 
 
 def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):

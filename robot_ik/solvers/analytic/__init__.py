@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import AimGoal, Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
+from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.tree import Q_WIDTH, Tree
 from robot_ik.kernels.work import (
     BEST_COST,
@@ -30,7 +31,7 @@ from robot_ik.kernels.work import (
     TIME_LIMIT,
     UNREACHABLE,
 )
-from robot_ik.problem import Problem
+from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic.edges import limit_edges, middle_turns
 from robot_ik.solvers.analytic.entry import closed_form, closed_form_many
@@ -40,8 +41,7 @@ from robot_ik.solvers.analytic.limb_entry import closed_limb, closed_limb_many
 from robot_ik.solvers.analytic.limb_parts import recognise_part
 from robot_ik.solvers.analytic.partial_entry import closed_part, closed_part_many
 from robot_ik.solvers.analytic.proof_entry import PROOFS
-from robot_ik.solvers.base import Answers, Solver
-from robot_ik.solvers.ready import take_start
+from robot_ik.solvers.base import Answers, Solver, take_start
 
 Array = NDArray[np.float64]
 
@@ -56,25 +56,36 @@ _KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A closed form made ready for one problem; keeps the arrays that the last table points to.
+    """A closed form made ready for one problem.
 
     Attributes:
+        solver: For whom.
         form: Which one.
         arrays: By their names in ``FORM``.
-        tables: What the kernels take first: tree, goals, work space, form.
+        tables: What the kernels work on: tree, goals, work space, form; holds what ``addresses`` are of.
+        addresses: What the kernels take first.
         family: The form's number.
         run: What solves one problem, without numba's look at its arguments.
-        kernel, batch, prove: The same, what solves many, and what proves that none will do (if anything).
+        batch: What solves many.
+        prove: What proves that no joint angles will do, if anything can.
     """
 
+    solver: Analytic
     form: Form
     arrays: dict[str, Any]
-    tables: tuple[Any, Any, Any, Any]
+    tables: tuple[Any, ...]
+    addresses: tuple[int, int, int, int]
     family: int
     run: Callable[..., None]
-    kernel: Callable[..., None]
     batch: Callable[..., None]
     prove: Callable[..., None] | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Nothing:
+    """What is kept for a problem that has no closed form."""
+
+    solver: Analytic
 
 
 @dataclass(frozen=True)
@@ -93,6 +104,10 @@ class Analytic(Solver):
         """Whether this robot and goal have a closed form."""
         return self.prepare(problem) is not None
 
+    def family(self, problem: Problem) -> str:
+        prepared = self.prepare(problem)
+        return "" if prepared is None else prepared.form.family.name.lower()
+
     def worthwhile(self, problem: Problem) -> bool:
         # Positions and aims of a limb: exact, but Levenberg-Marquardt is twice as quick and moves less.
         form = _form_of(problem)
@@ -100,10 +115,11 @@ class Analytic(Solver):
 
     def prepare(self, problem: Problem) -> Prepared | None:
         """The closed form for a problem, made once; None when there is none."""
-        if "analytic" not in problem.prepared:
-            problem.prepared["analytic"] = _prepare(problem)
-        found: Prepared | None = problem.prepared["analytic"]
-        return found
+        found = problem.compiled.made_for(self, lambda: _prepare(self, problem))
+        return found if isinstance(found, Prepared) else None
+
+    def load(self, problem: Problem) -> None:
+        self._require(problem)
 
     def _require(self, problem: Problem) -> Prepared:
         prepared = self.prepare(problem)
@@ -119,19 +135,19 @@ class Analytic(Solver):
             )
         return prepared
 
-    def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
-        prepared = self._require(problem)
+    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
+        prepared = problem.made.get(id(self))
+        if type(prepared) is not Prepared:
+            prepared = self._require(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
-        budget = problem.budget
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
-        prepared.run(*prepared.tables, prepared.family, mode)
+        prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
         if mode == SOLVE and state[STATUS] != CONVERGED and prepared.prove is not None:
             # As a batch of one: its status stands first in the state.
-            jit.announce(prepared.prove, "proofs of unreachable goals")
-            prepared.prove(prepared.tables[1], prepared.tables[3], problem.target, state)
+            prepared.prove(prepared.addresses[1], prepared.addresses[3], problem.target, state)
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
         number, iterations = state[: ITERATIONS + 1].tolist()
@@ -140,26 +156,39 @@ class Analytic(Solver):
             status = Status.UNREACHABLE
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
-            problem.robot, tuple(problem.goals), problem.target.copy(),
+            problem.robot, problem.given, problem.target.copy(),
             _trace(arrays) if problem.trace and iterations else None,
         )  # fmt: skip
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
+    def attempt_many(
+        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+    ) -> None:
         prepared = self._require(problem)
+        if budget.iterations < 1 or budget.seconds is not None:
+            super().attempt_many(problem, targets, starts, answers, budget)
+            return
         jit.announce(prepared.batch, f"batches of solver {self.name!r}")
         prepared.batch(
-            *prepared.tables, prepared.family, targets, starts, answers.q, answers.status, answers.miss
-        )
+            *prepared.addresses, prepared.family, targets, starts,
+            answers.q, answers.status, answers.miss, answers.iterations,
+        )  # fmt: skip
         if prepared.prove is not None and (answers.status != CONVERGED).any():
-            jit.announce(prepared.prove, "proofs of unreachable goals")
-            prepared.prove(prepared.tables[1], prepared.tables[3], targets, answers.status)
+            prepared.prove(prepared.addresses[1], prepared.addresses[3], targets, answers.status)
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
-        """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``."""
-        prepared, arrays = self._require(problem), problem.arrays
-        arrays["start"][:] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
-        prepared.kernel(*prepared.tables, prepared.family, EVERY)
+        """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``.
+
+        Raises:
+            UnsupportedGoalError, ModelError, ProblemInUseError: As ``solve``.
+        """
+        with problem.in_use():
+            return self._branches(problem, start)
+
+    def _branches(self, problem: Problem, start: ArrayLike | None) -> list[tuple[str, Array]]:
+        prepared = self._require(problem)
+        take_start(problem, start)
+        prepared.run(*prepared.addresses, prepared.family, EVERY)
         names = BRANCH_NAMES[prepared.form.family]
         found: list[tuple[str, Array]] = []
         for row, angles in enumerate(prepared.arrays["branches"]):
@@ -181,24 +210,31 @@ def _trace(arrays: dict[str, Any]) -> Array:
     return np.array([[1.0, 0.0, arrays["value"][BEST_COST], position, angle, 0.0, step]])
 
 
-def _prepare(problem: Problem) -> Prepared | None:
+def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
     form = None if problem.features else _form_of(problem)
     if form is None:
-        return None
+        return _Nothing(solver)
     arrays = _arrays(form, problem.robot.tree, problem.target)
     kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
     jit.announce(kernel, "closed forms")
-    tables = (problem.robot.tree.handle, problem.handle, problem.work, FORM.pack(arrays))
-    run = jit.entry(kernel, *tables, int(form.family), SOLVE)
+    compiled = problem.compiled
+    tables = (compiled.tree, compiled.goals, compiled.work, FORM.pack(arrays))
+    tree, goals, space, numbers = (address_of(table) for table in tables)
+    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), SOLVE)
     prove = PROOFS.get(form.family)
-    return Prepared(form, arrays, tables, int(form.family), run, kernel, batch, prove)
+    if prove is not None:
+        jit.announce(prove, "proofs of unreachable goals")
+        prove = jit.entry(prove, goals, numbers, problem.target, compiled.arrays["state"])
+    return Prepared(
+        solver, form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, prove
+    )
 
 
 def _form_of(problem: Problem) -> Form | None:
     """The closed form of the problem's one goal, or None."""
-    goal, tree = problem.goals[0], problem.robot.tree
+    goal, tree = problem.given[0], problem.robot.tree
     aimed = isinstance(goal, AimGoal)
-    if len(problem.goals) != 1 or not (aimed or isinstance(goal, (PoseGoal, PositionGoal))):
+    if len(problem.given) != 1 or not (aimed or isinstance(goal, (PoseGoal, PositionGoal))):
         return None
     if not (aimed or goal.rows.whole):
         return None

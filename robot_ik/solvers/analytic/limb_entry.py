@@ -8,7 +8,7 @@ import math
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import STATUS, open_work
+from robot_ik.kernels.work import ITERATIONS, STATUS, open_work
 from robot_ik.solvers.analytic.form import EVERY, SOLVE, look, open_form, settle
 from robot_ik.solvers.analytic.limb import limb
 
@@ -38,8 +38,8 @@ def closed_limb(tree, goals, work, form, _family, mode):
 
 
 @kernel
-def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss):
-    """One solve for each row of targets (n, 12), starts (n, nq): fills q (n, nq), status, miss (n, 2)."""
+def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
+    """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
     target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
     for row in range(targets.shape[0]):
@@ -52,3 +52,4 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
             q[row, i] = best[i]
         status[row] = state[STATUS]
         miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row] = state[ITERATIONS]

@@ -10,7 +10,7 @@ from numba import types
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import STATUS, open_work
+from robot_ik.kernels.work import ITERATIONS, STATUS, open_work
 from robot_ik.solvers.analytic.form import EVERY, SOLVE, look, open_form, settle
 from robot_ik.solvers.analytic.geometry import Family
 from robot_ik.solvers.analytic.partial import branches_of_part, part_of_limb
@@ -35,8 +35,8 @@ def closed_part(tree, goals, work, form, family, mode):
 
 
 @kernel
-def closed_part_many(tree, goals, work, form, family, targets, starts, q, status, miss):
-    """One solve for each row of targets (n, 12), starts (n, nq): fills q (n, nq), status, miss (n, 2)."""
+def closed_part_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
+    """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
     none = types.int64(0)
     target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
@@ -51,3 +51,4 @@ def closed_part_many(tree, goals, work, form, family, targets, starts, q, status
             q[row, i] = best[i]
         status[row] = state[STATUS]
         miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row] = state[ITERATIONS]

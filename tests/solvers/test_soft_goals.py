@@ -1,0 +1,204 @@
+"""Soft goals: wanted, not needed. They fill the freedom that is left, and decide nothing."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import InvalidGoalError, UnsupportedGoalError
+from robot_ik.goals import AimGoal, CenterOfMassGoal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solve import solve
+from robot_ik.solvers import SOLVERS, make_solver
+
+FRAMES = 600
+FORMS = {
+    "fourth priority": ((0, 0, 1, 2), {"priority": 3}),
+    "beside the hand": ((0, 1, 2, 2), {"priority": 2}),
+    "weighted beside all": ((0, 0, 0, 0), {"weight": 0.05}),
+}
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_robot("srs_arm")
+
+
+@pytest.fixture(scope="module")
+def figure():
+    return load_robot("humanoid")
+
+
+def whole_body(figure, ball, priorities, posture):
+    """Feet stay, balance over them, the hand at the ball, eyes on it, and the joints as at ease."""
+    home = figure.home
+    left, right = (PoseGoal.at(foot, figure.forward(home, foot)) for foot in ("left_foot", "right_foot"))
+    feet, balance, hand, gaze = priorities
+    return [
+        dataclasses.replace(left, priority=feet),
+        dataclasses.replace(right, priority=feet),
+        CenterOfMassGoal(None, figure.center_of_mass(home), axes="xy", priority=balance),
+        PositionGoal("right_hand", ball, priority=hand),
+        AimGoal("gaze", ball, axis="x", priority=gaze),
+        PostureGoal(q=home, joints={"root": 0.0}, **posture),
+    ]
+
+
+def ball_path(figure):
+    hand = figure.forward(figure.home, "right_hand").position
+    turn = np.linspace(0, 2 * np.pi, FRAMES)
+    return hand + np.stack(
+        [0.2 + 0.15 * np.sin(turn), 0.05 + 0.1 * np.cos(2 * turn), -0.1 + 0.15 * np.cos(turn)], axis=1
+    )
+
+
+def unease(figure, q):
+    """Half the squares of the joints' ways from home, the root left out: the posture's cost."""
+    return 0.5 * float(np.sum(figure.difference(q, figure.home)[6:] ** 2))
+
+
+def long_minimisation(figure, path):
+    """Joint angles of least unease with all else met to some micrometres: a weighted sum, tightly solved."""
+    goals = whole_body(figure, path[0], (0, 0, 0, 0), {"weight": 1e-3})
+    budget = Budget(iterations=400, restarts=0)
+    problem = Problem(figure, goals, tolerance=Tolerance(1e-12, 1e-12), budget=budget)
+    solver, q = make_solver("lm"), figure.home
+    for ball in path:
+        problem.retarget(ball, 3)
+        problem.retarget(ball, 4)
+        q = solver.solve(problem, q).q
+        yield q
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, form):
+    """Hand, feet, balance and gaze within tolerance in each frame, the posture nearly as near as can be."""
+    priorities, posture = FORMS[form]
+    path = ball_path(figure)
+    problem = Problem(figure, whole_body(figure, path[0], priorities, posture | {"soft": True}))
+    solver, q, near = make_solver("auto"), figure.home, []
+    for ball, best in zip(path, long_minimisation(figure, path), strict=True):
+        problem.retarget(ball, 3)
+        problem.retarget(ball, 4)
+        found = solver.solve(problem, q)
+        q = found.q
+        assert found.status is Status.CONVERGED
+        assert found.miss.position <= 1e-4 and found.miss.angle <= 1e-3
+        assert not figure.outside(q)
+        near.append(unease(figure, q) <= 1.05 * unease(figure, best) + 1e-6)
+    assert np.mean(near) >= 0.95
+
+
+def test_a_needed_posture_in_the_same_place_is_never_met(figure):
+    """What softness is for: the same goal, needed, spoils the verdict though hands and balance are met."""
+    ball = ball_path(figure)[0]
+    needed = solve(figure, whole_body(figure, ball, (0, 0, 1, 2), {"priority": 3}))
+    soft = solve(figure, whole_body(figure, ball, (0, 0, 1, 2), {"priority": 3, "soft": True}))
+    assert not needed.converged
+    assert soft.require() is soft
+    assert unease(figure, soft.q) <= 1.05 * unease(figure, needed.q)
+
+
+def test_a_soft_goal_decides_nothing_and_its_miss_is_shown(arm):
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
+        away = PostureGoal(q=arm.home + 0.4, soft=True)
+        found = solve(arm, [away, pose])
+        assert found.converged and found.restarts <= solve(arm, pose, solver="lm").restarts + 5
+        assert found.miss == found.misses[1] and found.misses[0].angle > 0.0
+
+
+def test_a_soft_goal_gets_what_freedom_is_left(arm):
+    """As near as the strict priority, which has been there longer, brings it."""
+    rng = np.random.default_rng(1)
+    for _ in range(12):
+        pose, away = PoseGoal.at(None, arm.forward(arm.sample(rng))), arm.home + 0.2
+        start = solve(arm, pose, solver="lm").q
+        soft = solve(arm, [pose, PostureGoal(q=away, soft=True)], start=start)
+        strict = solve(arm, [pose, PostureGoal(q=away, priority=1)], start=start)
+        assert np.sum((soft.q - away) ** 2) <= 1.02 * np.sum((strict.q - away) ** 2) + 1e-9
+
+
+def test_soft_goals_alone_are_served_and_converge(arm):
+    wanted = arm.clip(arm.home + 0.3)
+    found = solve(arm, PostureGoal(q=wanted, soft=True))
+    assert found.converged and np.abs(found.q - wanted).max() < 1e-3
+    assert (found.miss.position, found.miss.angle) == (0.0, 0.0)
+    far = solve(arm, PositionGoal(None, (9.0, 0, 0), soft=True))
+    assert far.converged and far.restarts == 0
+    assert np.linalg.norm(arm.forward(far.q).position - (9.0, 0, 0)) < np.linalg.norm(
+        arm.forward(arm.home).position - (9.0, 0, 0)
+    )
+
+
+def test_several_soft_goals_have_priorities_among_themselves(arm):
+    place = arm.forward(arm.home + 0.2).position
+    elbow = PositionGoal("elbow", arm.forward(arm.home + 0.25, "elbow").position, soft=True)
+    rest = PostureGoal(q=arm.home, soft=True, priority=1)
+    found = solve(arm, [rest, elbow, PositionGoal(None, place)])
+    without = solve(arm, [elbow, PositionGoal(None, place)])
+    assert found.converged and found.misses[2].position < 1e-4
+    assert found.misses[1].position <= without.misses[0].position + 2e-3
+
+
+def test_a_needed_goal_out_of_reach_is_still_said_beside_a_soft_one(arm):
+    far = [PositionGoal(None, (9.0, 0, 0)), PostureGoal(q=arm.home, soft=True)]
+    assert solve(arm, far).status is Status.UNREACHABLE
+
+
+def test_tracking_a_soft_posture_comes_to_rest(figure):
+    ball = ball_path(figure)[0]
+    for priorities, posture in FORMS.values():
+        problem = Problem(figure, whole_body(figure, ball, priorities, posture | {"soft": True}))
+        solver, q, steps = make_solver("lm"), figure.home, []
+        for _ in range(20):
+            found = solver.solve(problem, q)
+            steps.append(float(np.abs(found.q - q).max()))
+            q = found.q
+        assert max(steps[-5:]) <= 1e-3 and found.iterations == 0
+
+
+def test_the_trace_counts_needed_goals_only(arm):
+    pose = PoseGoal.at(None, arm.forward(arm.home + 0.3))
+    found = solve(arm, [pose, PostureGoal(q=arm.home + 1.0, soft=True)], trace=True)
+    assert len(found.trace) == found.iterations > 0
+    assert found.trace[-1].position <= 1e-4 and found.trace[-1].angle <= 1e-3
+    assert found.trace[-1].cost > 0.01  # the weighted sum is of all
+
+
+def test_the_laws_hold_with_soft_goals_too(arm):
+    pose = PoseGoal.at(None, arm.forward(arm.home + 0.25))
+    goals = [pose, PostureGoal(q=arm.home, soft=True)]
+    once, twice = (solve(arm, goals, seed=3) for _ in range(2))
+    assert once.q.tobytes() == twice.q.tobytes()
+    assert solve(arm, goals, start=once.q).iterations <= 1
+    at_rest = solve(arm, [PoseGoal.at(None, arm.forward(arm.home)), PostureGoal(q=arm.home, soft=True)])
+    assert at_rest.iterations == 0 and np.array_equal(at_rest.q, arm.home)
+    short = solve(arm, goals, start=arm.home - 0.5, budget=Budget(iterations=1))
+    assert short.iterations <= 1
+    assert pickle.loads(pickle.dumps(goals[1])).soft
+
+
+def test_methods_without_levels_refuse_soft_goals_by_name(arm):
+    goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, soft=True)]
+    for name in sorted(set(SOLVERS) - {"auto", "lm", "combined"}):
+        with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
+            solve(arm, goals, solver=name)
+        assert "lm" in caught.value.able
+
+
+def test_soft_is_true_or_false():
+    with pytest.raises(InvalidGoalError, match="soft is True or False"):
+        PositionGoal(None, (0, 0, 0), soft="yes")
+
+
+def test_retargeting_keeps_softness(arm):
+    problem = Problem(arm, [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, soft=True)])
+    problem.retarget(arm.home + 0.1, 1)
+    assert problem.goals[1].soft
+    with pytest.raises(InvalidGoalError, match="other weights"):
+        problem.retarget(PostureGoal(q=arm.home), 1)
