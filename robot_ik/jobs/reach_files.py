@@ -132,7 +132,7 @@ def _outcome(report: ReachReport) -> str:
         )
     if report.problem is not None:
         return "NOT reached"
-    return f"{'reached' if report.reached else 'NOT reached'} by the servos' own account\n{report.verdict}"
+    return f"{'reached' if report.reached else 'NOT reached'}\n{report.verdict}"
 
 
 def _table(report: ReachReport) -> str:
