@@ -43,7 +43,7 @@ class Bound:
         return Bound(math.hypot(self.position, other.position), math.hypot(self.angle, other.angle))
 
     def widened(self, sigma: Bound) -> Bound:
-        """This bound and three standard deviations of a measurement; never above 5 mm and 1 degree by these."""
+        """With three standard deviations of a measurement, which take it to 5 mm and 1 degree at most."""
         return Bound(
             max(self.position, min(LARGEST_MISS, self.position + SIGMAS * sigma.position)),
             max(self.angle, min(LARGEST_ANGLE, self.angle + SIGMAS * sigma.angle)),
@@ -210,11 +210,7 @@ def decide(
         if stopped_short:
             return Verdict(False, stopped_short)
         off = f"the tool is {1e3 * read_back.position:.2f} mm from the goal {account}"
-        why = (
-            "the marker moved on, or the arm is too slow for it"
-            if followed
-            else "the solution was not kept to"
-        )
+        why = "the marker moved on, or the arm is too slow" if followed else "the solution was not kept to"
         return Verdict(False, f"{off}: {why}")
     if by_camera is not None:
         if by_camera.passed:

@@ -71,7 +71,8 @@ def two_arms(links: list[tuple[str, float]]) -> str:
     def arm(name: str, y: float) -> str:
         text, before = "", ""
         for k, (axis, length) in enumerate(links):
-            text += f"""<body pos="{before or f"0 {y} .5"}"><joint name="{name}{k}" axis="{axis}" range="-120 120"/>
+            place = before or f"0 {y} .5"
+            text += f"""<body pos="{place}"><joint name="{name}{k}" axis="{axis}" range="-120 120"/>
              <geom type="capsule" fromto="0 0 0 0 0 {length}" size=".03"/>"""
             before = f"0 0 {length}"
         return f'{text}<site name="{name}_hand" pos="0 0 {links[-1][1] + 0.05}"/>' + "</body>" * len(links)
@@ -130,7 +131,7 @@ def healthy() -> ReachReport:
 
 @pytest.fixture(scope="session")
 def arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Model files by name: ``ur`` (six axes), ``planar`` (three), ``desk`` (four and two fingers), ``two_arms…``."""
+    """Model files by name: ``ur`` (six axes), ``planar`` (three), ``desk`` (four and fingers), ``two_arms…``."""
     folder = tmp_path_factory.mktemp("arms")
     files = {}
     texts = {"two_arms": two_arms(SEVEN), "two_arms_of_three_joints": two_arms(THREE)}
