@@ -106,7 +106,7 @@ clean:
 	rm -rf $(VENV) .venv-opencv4 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE)
-	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,dev]'
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,dev]'
 	@printf '%s\n' '$(CURDIR)' > $@
 
 # The same versions but for OpenCV; without the extras that no camera test opens.

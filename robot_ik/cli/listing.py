@@ -141,8 +141,10 @@ def about_frame(robot: Robot, name: str) -> str:
 
 def joint_kinds(robot: Robot) -> list[str]:
     """``free``, ``ball``, ``slide`` or ``hinge`` for each active joint."""
-    names = ("free", "ball", "slide", "hinge")  # in the order of MuJoCo's mjtJoint
-    return [names[int(robot.model.joint(name).type[0])] for name in robot.joints]
+    from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+
+    names = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
+    return [names[int(kind)] for kind in robot.tree.kind]
 
 
 def _print_robot(robot: Robot) -> None:

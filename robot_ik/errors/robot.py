@@ -38,8 +38,8 @@ class _UnknownName(ModelError, LookupError):
         super().__init__(unknown_name_text(self.kind, name, self.known), hint=hint)
 
 
-class UnknownRobotError(_UnknownName):
-    """No robot of that name in the catalogue, and no file of that path."""
+class UnknownRobotError(_UnknownName, ValueError):
+    """No robot of that name in the catalogue, or what was given is no name at all."""
 
     kind = "robot"
 

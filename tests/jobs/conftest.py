@@ -131,7 +131,7 @@ def healthy() -> ReachReport:
 
 @pytest.fixture(scope="session")
 def arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Model files by name: ``ur`` (six axes), ``planar`` (three), ``desk`` (four and fingers), ``two_arms…``."""
+    """Model files by name: ``ur`` has six axes, ``planar`` three, ``desk`` four and two fingers."""
     folder = tmp_path_factory.mktemp("arms")
     files = {}
     texts = {"two_arms": two_arms(SEVEN), "two_arms_of_three_joints": two_arms(THREE)}

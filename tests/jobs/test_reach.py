@@ -15,6 +15,7 @@ from robot_ik.errors import (
     UnknownFrameError,
     UnknownJointError,
     UnknownSolverError,
+    UnsupportedJointError,
 )
 from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
@@ -203,6 +204,18 @@ def test_a_made_up_stage_keeps_the_arms_markers_off_the_target(
     report = reach(bus="none", robot=str(arms[name]))
     assert report.reached, report.problem or report.verdict
     assert report.read_back.position < 1e-3 and report.by_camera is not None
+
+
+@pytest.mark.parametrize("bus", ["none", "sim"])
+def test_a_floating_base_stands_still_while_the_hand_reaches(bus: str, reach: Any) -> None:
+    report = reach(bus=bus, robot="humanoid")
+    assert report.reached, report.problem or report.verdict
+    assert "root" not in report.robot.joints and len(report.robot.joints) >= 3
+
+
+def test_nothing_but_ball_joints_is_told(reach: Any) -> None:
+    with pytest.raises(UnsupportedJointError, match="no hinge or slide moves 'nose' of lion"):
+        reach(bus="none", robot="lion")
 
 
 def test_without_servos_a_covered_gripper_leaves_nothing_unproven(arms: dict[str, Path], reach: Any) -> None:
