@@ -152,8 +152,8 @@ def make_request(options: ArOptions) -> ArRequest:
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
         raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
-    if len(options.size) not in (0, 2) or any(v < 16 for v in options.size):
-        raise wrong("--size", f"{options.size}", "width and height in pixels, each at least 16")
+    if len(options.size) not in (0, 2) or not all(16 <= v <= 8192 for v in options.size):
+        raise wrong("--size", f"{options.size}", "width and height in pixels, each 16 to 8192")
     if not 0.0 <= options.alpha <= 1.0:
         raise wrong("--alpha", f"{options.alpha:g}", "0 to 1")
     for name in ("scale", "delay", "seconds"):

@@ -11,6 +11,8 @@ import json
 import logging
 import os
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -20,6 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from robot_ik.cli.streams import is_unicode
 from robot_ik.errors import (
     MarkerNotFoundError,
     MotorFaultError,
@@ -41,6 +44,10 @@ NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
 PIPE_WIDTH = 160
+#: Columns below which tables are not folded further.
+NARROWEST = 40
+#: Seconds of silence after which a command says what it is at.
+SILENCE = 3.0
 #: An error must fit one screen together with the prompt.
 ERROR_LINES = 20
 _REPORT = (
@@ -49,10 +56,17 @@ _REPORT = (
 )
 
 
-def _width(stream: Any) -> int | None:
-    if stream.isatty() or os.environ.get("COLUMNS", "").isdigit():
-        return None  # rich asks the terminal or the variable
-    return PIPE_WIDTH
+def width_of(stream: Any) -> int:
+    """Columns to write to a stream: the variable's, else the terminal's, else ``PIPE_WIDTH``.
+
+    0 means unknown, as everywhere; narrower than ``NARROWEST`` nothing can be read.
+    """
+    asked = os.environ.get("COLUMNS", "")
+    columns = int(asked) if asked.isdecimal() else 0
+    if not columns and stream.isatty():
+        with contextlib.suppress(OSError, ValueError):
+            columns = os.get_terminal_size(stream.fileno()).columns or 80
+    return max(columns or PIPE_WIDTH, NARROWEST)
 
 
 class _Console(Console):
@@ -64,12 +78,12 @@ class _Console(Console):
 
 def out() -> Console:
     """Console for results, on stdout."""
-    return _Console(width=_width(sys.stdout), highlight=False, soft_wrap=False)
+    return _Console(width=width_of(sys.stdout), highlight=False, soft_wrap=False)
 
 
 def talk() -> Console:
     """Console for everything that is not a result, on stderr."""
-    return _Console(stderr=True, width=_width(sys.stderr), highlight=False)
+    return _Console(stderr=True, width=width_of(sys.stderr), highlight=False)
 
 
 def say(text: str, style: str = "") -> None:
@@ -100,6 +114,42 @@ def progress() -> Progress:
     )
 
 
+@contextlib.contextmanager
+def busy(what: str, seconds: float | None = None) -> Iterator[None]:
+    """Shows that something goes on inside: a bar on a terminal, elsewhere a line after ``SILENCE``.
+
+    Args:
+        what: What goes on.
+        seconds: How long it will take, where that is known.
+    """
+    console = talk()
+    if not console.is_terminal:
+        takes = "" if seconds is None else f", about {seconds:.0f} s"
+        timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+        return
+    with progress() as bar:
+        task = bar.add_task(what, total=seconds, note="")
+        done, begin = threading.Event(), time.monotonic()
+
+        def advance() -> None:
+            while seconds is not None and not done.wait(0.1):
+                bar.update(task, completed=min(time.monotonic() - begin, seconds))
+
+        thread = threading.Thread(target=advance, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+
 def json_text(value: Any, indent: str = "") -> str:
     """JSON for people and machines: objects over several lines, lists of plain values on one."""
     inner = indent + "  "
@@ -113,7 +163,7 @@ def json_text(value: Any, indent: str = "") -> str:
 
 
 def _dumps(value: Any) -> str:
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    return json.dumps(value, allow_nan=False, ensure_ascii=not is_unicode(sys.stdout))
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -164,6 +214,8 @@ def describe_error(error: BaseException) -> tuple[str, str]:
         )
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
         return f"a part of the installation cannot be loaded: {error}", "look closer with: robot-ik doctor"
+    if isinstance(error, MemoryError):
+        return f"not enough memory: {str(error) or 'a smaller job may fit'}", ""
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}", ""

@@ -149,7 +149,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
 
     if not 0.0 < options.speed <= 1.0:
         raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
-    if options.follow and not options.seconds > 0.0:
+    if not 0.0 < options.seconds < math.inf:
         raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
     if not 0.0 <= options.lost_after < math.inf:
         raise wrong("--lost-after", f"{options.lost_after:g} s", "0 or more")

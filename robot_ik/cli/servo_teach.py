@@ -243,8 +243,11 @@ def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
     from robot_ik.hardware.control_table import OperatingMode
 
     arm.enable()
-    execute(approach(arm.read().q, motion.q[0], arm.config), [arm], source=arm, clock=arm.clock, settle=0.2)
-    done = execute(motion, [arm], source=arm, clock=arm.clock, settle=0.4)
+    first = approach(arm.read().q, motion.q[0], arm.config)
+    with console.busy("going to where it begins", first.duration):
+        execute(first, [arm], source=arm, clock=arm.clock, settle=0.2)
+    with console.busy("playing", motion.duration):
+        done = execute(motion, [arm], source=arm, clock=arm.clock, settle=0.4)
     assert done.final_error is not None and done.tracking_error is not None  # there was a source
     # By the last gear: a slide's way as its pinion turns.  Fingers that press may be held by something.
     levers = np.array([joint.lever for joint in arm.config.joints])

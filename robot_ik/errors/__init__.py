@@ -40,6 +40,8 @@ from robot_ik.errors.hardware import (
 from robot_ik.errors.robot import (
     GoalError,
     InvalidGoalError,
+    InvalidModelError,
+    InvalidPoseError,
     ModelError,
     NotConvergedError,
     TrajectoryError,
@@ -66,6 +68,8 @@ __all__ = [
     "GoalError",
     "HardwareError",
     "InvalidGoalError",
+    "InvalidModelError",
+    "InvalidPoseError",
     "MarkerNotFoundError",
     "MissingExtraError",
     "ModelError",

@@ -28,6 +28,14 @@ class ModelError(RobotIkError):
         self.reason = reason
 
 
+class InvalidModelError(ModelError, ValueError):
+    """No model can be made of these values."""
+
+
+class InvalidPoseError(RobotIkError, ValueError):
+    """A pose of the wrong shape, of numbers that are not finite, or of no orientation."""
+
+
 class _UnknownName(ModelError, LookupError):
     kind = "name"
 
