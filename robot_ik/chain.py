@@ -55,7 +55,8 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
     Raises:
         InvalidModelError: No links or too many, or a length that is not positive and finite.
     """
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n <= LONGEST:
+    given: object = n
+    if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
         raise InvalidModelError(
             f"a chain has 1 to {LONGEST} links, not {n!r}",
             hint="what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400",

@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -46,6 +46,8 @@ NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
 PIPE_WIDTH = 160
 #: Columns below which tables are not folded further.
 NARROWEST = 40
+# Blank columns between two of a table.
+_GAP = 2
 #: Seconds of silence after which a command says what it is at.
 SILENCE = 3.0
 #: An error must fit one screen together with the prompt.
@@ -91,9 +93,43 @@ def say(text: str, style: str = "") -> None:
     talk().print(Text(text, style=style), soft_wrap=True)
 
 
+class _Table(Table):
+    """A table that breaks no word: where that needs more columns than there are, each row is a list."""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        texts = [[_plain(cell) for cell in (column.header, *column.cells)] for column in self.columns]
+        words = [max(len(word) for text in column for word in text.split() or [""]) for column in texts]
+        lines = [max(len(line) for text in column for line in text.splitlines() or [""]) for column in texts]
+        words[0] = lines[0]  # the first column is never broken
+        room = options.max_width - _GAP * (len(texts) - 1)
+        if sum(lines) > room >= sum(words):
+            wishes = [line - word for word, line in zip(words, lines, strict=True)]
+            for column, word, wish in zip(self.columns, words, wishes, strict=True):
+                column.width = word + wish * (room - sum(words)) // sum(wishes)
+        elif sum(lines) > room and len(texts) > 2:
+            yield from self._rows_as_lists()
+            return
+        yield from super().__rich_console__(console, options)
+
+    def _rows_as_lists(self) -> Iterator[Table]:
+        names = [_plain(column.header) for column in self.columns]
+        for row in zip(*(list(column.cells) for column in self.columns), strict=True):
+            made = table(names[0], "")
+            made.show_header = False
+            made.add_row(Text(_plain(row[0]), style="bold"), "")
+            for name, cell in zip(names[1:], row[1:], strict=True):
+                if _plain(cell):
+                    made.add_row(f"  {name}", cell)
+            yield made
+
+
+def _plain(cell: object) -> str:
+    return cell.plain if isinstance(cell, Text) else str(cell)
+
+
 def table(*columns: str, title: str | None = None) -> Table:
     """An empty table in the one style of all commands; the first column is never broken."""
-    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
+    made = _Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
     made.pad_edge = False
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")

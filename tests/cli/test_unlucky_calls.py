@@ -72,6 +72,21 @@ def test_tables_can_be_read_however_narrow_the_terminal_claims_to_be(
     assert robot_ik_child("robots", "--help", COLUMNS=columns).code == 0
 
 
+def test_a_narrow_table_breaks_no_word(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("joint", "position", "velocity", "current", "supply", "torque")
+    values = ("finger_left", "120.00°", "12.0 °/s", "1200 mA", "12.0 V", "off")
+    for columns, lines in (("80", 2), ("45", 6)):  # side by side; one below the other
+        monkeypatch.setenv("COLUMNS", columns)
+        made = console.table(*names)
+        made.add_row(*values)
+        console.out().print(made)
+        out = capsys.readouterr().out
+        assert len(out.splitlines()) == lines
+        assert all(value in out for value in values), out
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
