@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import os
 import tempfile
@@ -73,6 +74,80 @@ def folder_for_results(path: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
+@contextlib.contextmanager
+def claimed(*paths: Path | None, overwrite: bool = False) -> Iterator[None]:
+    """Keeps the names of result files for one run, from before its work begins until it ends.
+
+    Args:
+        paths: The files, written whole later (``write_atomically``); None: one that is not wanted.
+        overwrite: Whether files that are there may be replaced.
+
+    Raises:
+        OutputError: A file is there already, its name is a folder's, another run is about to write it, or
+            it cannot be written.
+    """
+    with contextlib.ExitStack() as stack:
+        for path in filter(None, paths):
+            if path.is_dir():
+                raise _unwritable(path, IsADirectoryError(errno.EISDIR, "it is a folder"))
+            if os.path.lexists(path) and not overwrite:
+                raise _held(path, "it exists")
+            lock = path.with_name(f".{path.name}.lock")
+            try:
+                handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o644)
+            except OSError as error:
+                raise _unwritable(path, error) from error
+            stack.enter_context(_locked(handle, path))
+            stack.callback(lock.unlink, missing_ok=True)
+        yield
+
+
+@contextlib.contextmanager
+def claimed_folder(path: Path, own: str, *, overwrite: bool = False) -> Iterator[list[Path]]:
+    """Keeps a folder for the results of one run, from before its work begins; takes back what stayed empty.
+
+    Args:
+        path: Made where it does not exist.
+        own: Pattern of the names of such results.  A folder that holds one of them holds results.
+        overwrite: Whether they may be replaced.
+
+    Yields:
+        The results that are there, to be removed when the first new one is written.
+
+    Raises:
+        OutputError: It holds results, another run is writing to it, or it cannot be written to.
+    """
+    with folder_for_results(path), _locked(_opened(path), path):
+        held = sorted(path.glob(own))
+        if held and not overwrite:
+            raise _held(path, f"it holds {held[0].name}" + (", …" if len(held) > 1 else ""))
+        yield held
+
+
+def _opened(folder: Path) -> int | None:
+    return None if os.name == "nt" else os.open(folder, os.O_RDONLY)
+
+
+@contextlib.contextmanager
+def _locked(handle: int | None, path: Path) -> Iterator[None]:
+    """Keeps other runs out of ``path`` by a lock that ends with the process, however that ends."""
+    if handle is None:
+        yield
+        return
+    try:
+        with contextlib.suppress(ImportError):  # Windows has no such lock
+            import fcntl
+
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                hint = "give a name of its own"
+                raise OutputError(f"another run is writing to {path}", hint=hint) from error
+        yield
+    finally:
+        os.close(handle)
+
+
 def make_folder(path: Path) -> Path:
     """Makes a folder (and those above it) in which files can be written.
 
@@ -101,6 +176,13 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, str)):
         return value
     return str(value)
+
+
+def _held(path: Path, why: str) -> OutputError:
+    return OutputError(
+        f"{path} is not written to: {why}, and stays as it is",
+        hint="choose another name, or give --overwrite",
+    )
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:

@@ -36,6 +36,8 @@ class RobotsOptions:
         arg(metavar="[FOLDER]", help_behavior_hint="(default folder: runs/<time>-gallery)"),
     ] = None
     """Draw all robots, or the one given, at home and at work: a PNG each and a sheet of all."""
+    overwrite: bool = False
+    """The folder of --gallery may hold pictures of these names: they are replaced."""
     seed: int = 0
     """Of the drawn poses at work."""
     json: bool = False
@@ -60,7 +62,9 @@ def run_robots(options: RobotsOptions) -> int:
     if options.gallery is not None:
         from robot_ik.cli.gallery import run_gallery
 
-        return run_gallery(options.robot, options.gallery, options.seed, json=options.json)
+        return run_gallery(
+            options.robot, options.gallery, options.seed, json=options.json, overwrite=options.overwrite
+        )
     if options.robot:
         from robot_ik.robot import load_robot
 

@@ -101,6 +101,8 @@ class ReachOptions:
     """Mirror the motion in MuJoCo's window."""
     out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-reach)")] = ""
     """Where reach.png, trajectory.csv and summary.json go."""
+    overwrite: bool = False
+    """That folder may hold files of an earlier run: they are replaced."""
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""
     json: bool = False
@@ -112,12 +114,12 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
-    from robot_ik.files import folder_for_results
+    from robot_ik.cli.results import results_folder
     from robot_ik.jobs.reach import run_reach
-    from robot_ik.jobs.reach_files import reach_summary, run_folder, save_reach
+    from robot_ik.jobs.reach_files import FILES, reach_summary, save_reach
 
     # Before anything moves: a run whose results cannot be kept is not started.
-    with folder_for_results(run_folder(Path(options.out) if options.out else None, "reach")) as folder:
+    with results_folder(options.out, "reach", FILES, overwrite=options.overwrite) as folder:
         with console.progress() as bar:
             task = bar.add_task("opening", total=1.0, note="")
 

@@ -14,13 +14,12 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
 from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
 from robot_ik.cli.servo_move import shown_value, slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError
-from robot_ik.files import read_text, write_atomically
+from robot_ik.files import claimed, read_text, write_atomically
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
@@ -62,16 +61,20 @@ class TeachOptions(BusOptions):
 
 def run_teach(options: TeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.hardware.startup import shared_register
-
     require_suffix(options.file)
     if options.seconds is not None and not 0.0 < options.seconds <= 3600.0:
         raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 3600")
     if not 0.0 < options.rate <= 200.0:
         raise wrong("--rate", f"{options.rate:g} Hz", "above 0, at most 200")
-    new_file(options.file, options.overwrite)
     config = load_arm(options.arm).whole
     require_model(config)
+    with claimed(options.file, overwrite=options.overwrite):
+        return _record(options, config)
+
+
+def _record(options: TeachOptions, config: ArmConfig) -> int:
+    from robot_ik.hardware.startup import shared_register
+
     times: list[float] = []
     poses: list[list[float]] = []
     with arm_on(options, config) as arm:

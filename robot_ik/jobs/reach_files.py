@@ -31,6 +31,8 @@ from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.
 SCHEMA = 1
+#: What a reach may leave behind.
+FILES = ("reach.png", "trajectory.csv", "summary.json")
 _AXES_PER_HOVER = 0.6
 
 
