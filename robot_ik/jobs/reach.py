@@ -22,6 +22,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.ahead import CompiledAhead
 from robot_ik.jobs.cameras import open_eyes
+from robot_ik.jobs.eyes import Eyes
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
 from robot_ik.jobs.reach_report import SOLVE_TOLERANCE, ReachReport
 from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
@@ -50,12 +51,17 @@ __all__ = ["ReachReport", "ReachRequest", "Rehearsal", "run_reach"]
 Progress = Callable[[str, float], None]
 
 
-def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: None) -> ReachReport:
+def run_reach(
+    request: ReachRequest,
+    progress: Progress = lambda stage, share: None,
+    done: Callable[[ReachReport], None] = lambda report: None,
+) -> ReachReport:
     """Looks, solves, moves, looks again.
 
     Args:
         request: What to do.
         progress: Told the stage ("looking", "solving", "moving", …) and the share of it that is done.
+        done: Given the report when the arm has been left; with a window, before its user closes that.
 
     Returns:
         A report; not reaching the goal is a result (``report.reached``, ``report.problem``).
@@ -77,27 +83,39 @@ def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: N
         limbs = prepare_limbs(request)
         frame = limbs.frame
         eyes = open_eyes(request, limbs, frame, stack)
-        window = _window(request, limbs, stack)
-        stack.enter_context(limbs.connected())
+        window = _window(request, limbs, eyes, stack)
         report = ReachReport(request, limbs.robot, frame, limbs, eyes)
-        try:
-            _look(report, progress)
-            ahead.wait()
-            _solve(report, method, progress)
-            limbs.energise()
-            _reach(report, window, progress)
-        except _NOT_ACHIEVED as problem:
-            report.problem = problem
-        report.counters = limbs.counters()
+        with limbs.connected():
+            try:
+                _look(report, progress)
+                ahead.wait()
+                if window is not None and report.target is not None:
+                    window.show_goal(report.target)
+                _solve(report, method, progress)
+                limbs.energise()
+                _reach(report, window, progress)
+            except _NOT_ACHIEVED as problem:
+                report.problem = problem
+            report.counters = limbs.counters()
+        done(report)
+        if window is not None:
+            window.wait()
     return report
 
 
-def _window(request: ReachRequest, limbs: Limbs, stack: contextlib.ExitStack) -> Any:
+def _window(request: ReachRequest, limbs: Limbs, eyes: Eyes | None, stack: contextlib.ExitStack) -> Any:
     if not request.view:
         return None
+    from robot_ik.jobs.reach_window import stage_solids, window_stage
     from robot_ik.testbed.frontends.window import WindowSink
 
-    return stack.enter_context(WindowSink(limbs.robot, start=limbs.q))
+    stage = window_stage(limbs.robot, limbs.frame, None if eyes is None else eyes.stage)
+    view: dict[str, Any] = {"solids": stage_solids(stage)}
+    if stage is not None:
+        marker = stage.pose_world_marker
+        view["see"] = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
+        view["eye"] = stage.pose_world_camera.position
+    return stack.enter_context(WindowSink(limbs.robot, start=limbs.q, **view))
 
 
 def _look(report: ReachReport, progress: Progress) -> None:

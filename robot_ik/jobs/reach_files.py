@@ -32,7 +32,7 @@ from robot_ik.jobs.verdict import Judgement
 #: Version of summary.json; raised when a field changes its meaning.
 SCHEMA = 1
 #: What a reach may leave behind.
-FILES = ("reach.png", "trajectory.csv", "summary.json")
+FILES = ("reach.png", "trajectory.csv", "summary.json", "reach.mp4")
 _AXES_PER_HOVER = 0.6
 
 
