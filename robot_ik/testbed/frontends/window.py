@@ -141,7 +141,7 @@ class WindowSink:
             self._model.vis.headlight.diffuse[:] = _DIFFUSE
 
     def _look(self, see: Array | None, eye: Array | None) -> None:
-        """Turns the camera so that the ball round the robot as it stands and ``see`` (n, 3) fills the view."""
+        """Turns the camera so that the robot as it stands and ``see`` (n, 3) fill the view."""
         model, data = self._model, self.data
         solid = [g for g in range(model.ngeom) if model.geom_type[g] != self._mujoco.mjtGeom.mjGEOM_PLANE]
         points = np.zeros((0, 3)) if see is None else np.reshape(see, (-1, 3))
