@@ -180,4 +180,4 @@ def announce(function: Any, what: str) -> None:
         return
     _announced.add(name)
     if not compiled(function):
-        logger.info("compiling %s: some seconds, once on this machine", what)
+        logger.info("compiling %s: up to a minute, once on this machine", what)
