@@ -29,9 +29,7 @@ URDF = """<robot name="two"><link name="base"/>
  <axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="1.3" effort="1"/></joint>
 <joint name="end" type="fixed"><parent link="fore"/><child link="tool0"/><origin xyz="0 0 .25"/></joint>
 </robot>"""
-INERTIAL = (
-    '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 TRIANGLES = """solid s
 facet normal 0 0 1
 outer loop
