@@ -94,6 +94,7 @@ def test_a_narrow_table_breaks_no_word(
         (["solve", "--goal", "0", "0", "0", "--robot="], "--robot: nothing is given"),
         (["robots", ""], "nothing is given"),
         (["reach", "--seconds", "0"], "--seconds: 0 s"),
+        (["reach", "--film", "--follow"], "--film"),
         (["reach", "--seconds", "inf"], "--seconds: inf s"),
         (["servo", "monitor", "--bus", "sim", "--count", "0"], "--count: 0 samples"),
         (["ar", "--size", "100000", "100000"], "16 to 8192"),

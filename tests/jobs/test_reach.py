@@ -258,3 +258,14 @@ def test_progress_only_grows_within_a_stage(reach: Any) -> None:
     assert [*dict.fromkeys(stage for stage, _ in told)] == ["solving", "moving", "looking again"]
     moving = [share for stage, share in told if stage == "moving"]
     assert moving == sorted(moving) and moving[0] == 0.0 and moving[-1] == 1.0
+
+
+def test_the_film_shows_the_whole_motion(arms: dict[str, Path], reach: Any, tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="needs the extra `video`")
+    from robot_ik.jobs.reach_window import FILM_RATE_HZ, save_film
+
+    report = reach(bus="none", robot=str(arms["planar"]))
+    path = save_film(report, tmp_path / "reach.mp4")
+    frames = [frame.to_ndarray(format="gray").astype(float) for frame in av.open(str(path)).decode(video=0)]
+    assert len(frames) == pytest.approx(report.execution.times[-1] * FILM_RATE_HZ, abs=2)
+    assert np.abs(frames[-1] - frames[0]).max() > 50.0  # the arm went somewhere
