@@ -105,8 +105,9 @@ constraints: $(STAMP)
 clean:
 	rm -rf $(VENV) .venv-opencv4 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
-$(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE)
-	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,dev]'
+$(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,dev]'
+	@$(PY) .ci/link_stubs.py $(VENV)/stubs
 	@printf '%s\n' '$(CURDIR)' > $@
 
 # The same versions but for OpenCV; without the extras that no camera test opens.

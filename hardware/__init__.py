@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from robot_ik.errors import BusNotOpenError
+from robot_ik.errors import BusNotOpenError, ConfigError
 
 if __name__ != "robot_ik.hardware":
     raise ImportError(
@@ -130,8 +130,8 @@ def open_arm(
         park_at: (n,) rad, for ``park``; by default where the arm was enabled.
 
     Raises:
-        ValueError: ``virtual_bus`` or ``start`` for a real port.
-        ConfigError: ``on_exit`` or ``start`` is impossible.
+        ConfigError: ``config`` is none, ``on_exit`` or ``start`` is impossible, or ``virtual_bus`` or
+            ``start`` is for a real port.
     """
     from robot_ik.hardware.arm import Arm
 
@@ -150,7 +150,7 @@ def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = N
 
     Raises:
         BusNotOpenError: Missing, not a serial port, not permitted, already open.
-        ValueError: ``virtual_bus`` for a real port.
+        ConfigError: ``config`` is none, or ``virtual_bus`` for a real port.
     """
     clock, servos = _surroundings(config, name, virtual_bus, None)
     bus = bus_row(name).make(name, config, servos, clock)
@@ -162,10 +162,23 @@ def _surroundings(
     config: ArmConfig, bus: str, servos: VirtualBus | None, start: ArrayLike | None
 ) -> tuple[Clock, VirtualBus | None]:
     """The clock, and the servos where they are virtual; both sides of a simulation share one clock."""
+    from robot_ik.hardware.config import ArmConfig
+
+    given: object = config
+    if not isinstance(given, ArmConfig):
+        raise ConfigError(
+            f"{given!r} is no arm configuration",
+            file="robot_ik.hardware", key="config", allowed='an ArmConfig, e.g. ArmConfig.load("arm.toml")',
+        )  # fmt: skip
     row = bus_row(bus)
     if not row.virtual:
         if servos is not None or start is not None:
-            raise ValueError(f"{bus} is a real port: virtual_bus and start are for sim and pty")
+            raise ConfigError(
+                f"{bus} is a real port",
+                file="robot_ik.hardware",
+                key="virtual_bus, start",
+                allowed="for sim and pty",
+            )
         return row.clock(), None
     if servos is not None:
         return servos.clock, servos

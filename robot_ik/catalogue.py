@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -11,13 +13,17 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from robot_ik.errors import ConfigError, UnknownRobotError, close_matches
+from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
 from robot_ik.files import read_toml
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""
 SERVO_ROBOT = "tabletop_puma"
 """What stands at a servo bus where nothing else is said: X servos move it, and no real PUMA 560."""
+DESCRIPTIONS = "robot_descriptions:"
+"""What the name of a robot of that package begins with."""
+_MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".toml")
+_WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or URDF file"
 
 
 class _Table(BaseModel):
@@ -229,25 +235,32 @@ def _config_error(path: Path, error: ValidationError) -> ConfigError:
     return ConfigError(problem, file=path, key=key, allowed=allowed)
 
 
-def find_robot(name: str | Path) -> tuple[Path, RobotFile]:
-    """Model file and ``robot.toml`` contents for a catalogue name or a path.
+def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
+    """Model file and ``robot.toml`` contents for a catalogue name, a path or a robot_descriptions name.
 
     A ``robot.toml`` beside a model file counts when it names that file.
 
     Raises:
-        UnknownRobotError: Neither a name of the catalogue nor an existing file.
+        UnknownRobotError: No name of the catalogue.
+        ModelError: A path, but of no file.
         ConfigError: Its ``robot.toml`` is wrong.
+        MissingExtraError: The package robot_descriptions is asked for and not there.
     """
     known = catalogue()
+    given: object = name
+    if not isinstance(given, str | os.PathLike):
+        raise UnknownRobotError(repr(given), known, hint=_WHAT_A_ROBOT_IS)
     if str(name) in known:
         return read_robot_file(known[str(name)] / "robot.toml")
+    if str(name).startswith(DESCRIPTIONS):
+        found = described_model(str(name).removeprefix(DESCRIPTIONS))
+        return found, RobotFile(name=str(name).removeprefix(DESCRIPTIONS))
     path = Path(name).expanduser()
     if path.is_dir() and (path / "robot.toml").is_file():
         return read_robot_file(path / "robot.toml")
     if not path.is_file():
-        raise UnknownRobotError(
-            str(name), known, hint="a robot is a name of the catalogue or the path of an MJCF or URDF file"
-        )
+        _refuse_missing(path)
+        raise UnknownRobotError(str(name), known, hint=_WHAT_A_ROBOT_IS)
     if path.name == "robot.toml":
         return read_robot_file(path)
     path = path.resolve()
@@ -256,3 +269,45 @@ def find_robot(name: str | Path) -> tuple[Path, RobotFile]:
         if model.resolve() == path:
             return path, file
     return path, RobotFile(name=path.stem)
+
+
+def _refuse_missing(path: Path) -> None:
+    """Raises ``ModelError`` where ``path`` is meant as a path and not as a name."""
+    if path.is_dir():
+        raise ModelError(
+            f"the folder {path} has no robot.toml", path=path, hint="name the MJCF or URDF file in it"
+        )
+    if len(path.parts) > 1 or path.suffix.lower() in _MODEL_SUFFIXES:
+        beside = [p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODEL_SUFFIXES]
+        close = close_matches(path.name, beside)
+        hint = f"did you mean {path.parent / close[0]}?" if close else f"from {Path.cwd()}"
+        raise ModelError(f"there is no file {path}", path=path, hint=hint)
+
+
+def described_model(name: str) -> Path:
+    """The model file of a description of the package robot_descriptions: its MJCF, else its URDF.
+
+    The package gets it with git, once, unless it lies in its cache.
+
+    Raises:
+        MissingExtraError: The package is not installed.
+        UnknownRobotError: It has no such description; close ones are named.
+        ModelError: git could not get it.
+    """
+    try:
+        from robot_descriptions import DESCRIPTIONS as known
+    except ImportError as error:
+        raise MissingExtraError("robot_descriptions", "descriptions", f"the robot {name!r}") from error
+    if name not in known:
+        raise UnknownRobotError(name, known, hint="all names: python -m robot_descriptions list")
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # git's own errors are of many classes, and long
+        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
+        reason = next((line.strip() for line in reversed(str(error).splitlines()) if line.strip()), "")
+        raise ModelError(
+            f"the description {name!r} is not in {folder}, and git could not get it: {reason[:200]}",
+            reason=str(error),
+            hint=f"where there is a network: python -m robot_descriptions pull {name}",
+        ) from error
+    return Path(getattr(module, "MJCF_PATH", None) or module.URDF_PATH)

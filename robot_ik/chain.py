@@ -7,13 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from robot_ik.catalogue import RobotFile
-from robot_ik.errors import ModelError
+from robot_ik.errors import InvalidModelError
 from robot_ik.robot import Robot, make_robot
 
 # A link is drawn this thick, as a share of its length.
 _THICKNESS = 0.06
+LONGEST = 500
+"""Links of a chain."""
 
 
 def robot_from_model(
@@ -50,12 +53,20 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
         length: Of each link, metres.
 
     Raises:
-        ModelError: No links, or a length that is not positive and finite.
+        InvalidModelError: No links or too many, or a length that is not positive and finite.
     """
-    if n < 1:
-        raise ModelError(f"a chain has one or more links, not {n}")
-    if not (math.isfinite(length) and length > 0.0):
-        raise ModelError(f"a link's length is positive and finite, not {length}")
+    given: object = n
+    if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
+        raise InvalidModelError(
+            f"a chain has 1 to {LONGEST} links, not {n!r}",
+            hint="what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400",
+        )
+    try:
+        metres = float(length)
+    except (TypeError, ValueError):
+        metres = math.nan
+    if not (math.isfinite(metres) and metres > 0.0):
+        raise InvalidModelError(f"a link's length is positive and finite, not {length!r}")
     spec = mujoco.MjSpec()
     spec.modelname = f"chain{n}"
     body = spec.worldbody

@@ -14,6 +14,8 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.errors import InvalidPoseError
+
 Array = NDArray[np.float64]
 
 # Below this angle the series of sin(x)/x is exact to double precision.
@@ -101,25 +103,28 @@ class Pose:
     their numbers are: q and -q are the same rotation, but not the same numbers (``distance`` asks for that).
 
     Raises:
-        ValueError: Wrong shape, a number that is not finite, or a zero quaternion.
+        InvalidPoseError: Wrong shape, a number that is not finite, or a zero quaternion.
     """
 
     position: Array
     wxyz: Array
 
     def __init__(self, position: ArrayLike = (0.0, 0.0, 0.0), wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
-        p = np.array(position, dtype=float)
-        q = np.array(wxyz, dtype=float)
+        try:
+            p = np.array(position, dtype=float)
+            q = np.array(wxyz, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InvalidPoseError(f"a pose is made of numbers, not {position!r}, {wxyz!r}") from error
         if p.shape != (3,) or q.shape != (4,):
-            raise ValueError(
+            raise InvalidPoseError(
                 f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}"
             )
         w, x, y, z = q.tolist()
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not math.isfinite(sum(p.tolist(), norm)) and not (np.isfinite(p).all() and np.isfinite(q).all()):
-            raise ValueError(f"a pose must be finite, not {p.tolist()}, {q.tolist()}")
+            raise InvalidPoseError(f"a pose must be finite, not {p.tolist()}, {q.tolist()}")
         if norm < 1e-12:
-            raise ValueError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
+            raise InvalidPoseError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
         q /= norm
         p.flags.writeable = False
         q.flags.writeable = False
@@ -143,7 +148,7 @@ class Pose:
         """From a homogeneous matrix (4, 4)."""
         m = np.asarray(matrix, dtype=float)
         if m.shape != (4, 4):
-            raise ValueError(f"a homogeneous matrix is (4, 4), not {m.shape}")
+            raise InvalidPoseError(f"a homogeneous matrix is (4, 4), not {m.shape}")
         return cls.from_rotation(m[:3, :3], m[:3, 3])
 
     @classmethod

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +18,20 @@ from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
 from robot_ik.files import LARGEST_NUMBER
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, V_WIDTH, Tree
+from robot_ik.urdf import Urdf
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+
+# Links without <inertial> weigh this much (kg, kg m²): MuJoCo compiles no moving body of nothing.
+_WEIGHTLESS, _WEIGHTLESS_INERTIA = 1e-9, 1e-12
+LEAST_MASS = 1e-6
+"""kg; a robot of less was described without masses."""
 
 # Site and body names that people give to the end of an arm, tried in this order.
 _TOOL_NAMES = (
-    "gripper", "tool", "tcp", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange", "tip",
+    "gripper", "tool", "tcp", "tool0", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange",
+    "tip",
 )  # fmt: skip
 
 
@@ -46,26 +56,93 @@ _NUMBERS = (
 """Arrays of MuJoCo's model, one row a body, joint, …"""
 
 
-def read_model(path: Path) -> mujoco.MjModel:
-    """MuJoCo's model of an MJCF or URDF file.
+def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, float]]:
+    """MuJoCo's model of an MJCF or URDF file, of such a text or of a spec, and a URDF's speed limits.
+
+    Unnamed joints are called ``joint_<id>``.  A URDF keeps its fixed-joint frames, unless it asks for
+    ``fusestatic``.
+
+    Args:
+        source: A file, its text, or a spec, which stays as it is.
+        path: What to call it in messages.
+
+    Returns:
+        The model; and joint -> rad/s or m/s, empty for anything but a URDF.
 
     Raises:
         ModelError: With the file and MuJoCo's reason; a joint whose lower limit is not below its upper; a
             number that is not finite or beyond ``LARGEST_NUMBER``.
     """
+    urdf = None
+    if isinstance(source, Path):
+        urdf = Urdf.of_file(source)
+    elif isinstance(source, str):
+        urdf = Urdf.of_text(source)
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        if isinstance(source, mujoco.MjSpec):
+            spec = source.copy()
+        elif urdf is not None or isinstance(source, str):
+            spec = mujoco.MjSpec.from_string(source if urdf is None else urdf.text())
+        else:
+            spec = mujoco.MjSpec.from_file(str(source))
     except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise ModelError(
-            f"{path} is not a model that MuJoCo can read: {reason}",
-            path=path,
-            reason=reason,
-            hint="MJCF and URDF files are read; meshes must lie where the file says",
-        ) from error
+        raise _unreadable(path, error) from error
+    return compile_model(spec, path), {} if urdf is None else urdf.velocity
+
+
+def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """The compiled model of ``spec``, which gets names for its unnamed joints.
+
+    Raises:
+        ModelError: As ``read_model``.
+    """
+    _name_joints(spec)
+    try:
+        model = _compiled(spec)
+    except (ValueError, RuntimeError) as error:
+        raise _unreadable(path, error) from error
     _refuse_numbers(model, path)
     _refuse_ranges(model, path)
+    _hint_at_radians(model, spec, path)
     return model
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        if "mjMINVAL" not in str(error):  # a moving body without mass
+            raise
+    # Kinematics asks for no mass; what has one keeps it.
+    spec.compiler.boundmass = max(spec.compiler.boundmass, _WEIGHTLESS)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, _WEIGHTLESS_INERTIA)
+    return spec.compile()
+
+
+def _unreadable(path: Path, error: Exception) -> ModelError:
+    reason = " ".join(str(error).split())
+    return ModelError(
+        f"{path} is not a model that MuJoCo can read: {reason}",
+        path=path,
+        reason=reason,
+        hint="MJCF and URDF files are read; meshes must lie where the file says",
+    )
+
+
+def joint_names(model: mujoco.MjModel) -> list[str]:
+    """Names of all joints, by MuJoCo id; ``joint_<id>`` where a model built in memory has none."""
+    return [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
+
+
+def _name_joints(spec: mujoco.MjSpec) -> None:
+    taken = {joint.name for joint in spec.joints}
+    for k, joint in enumerate(spec.joints):
+        if not joint.name:
+            name = f"joint_{k}"
+            while name in taken:
+                name += "_"
+            joint.name = name
+            taken.add(name)
 
 
 def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
@@ -89,13 +166,24 @@ def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
             )
 
 
+def _hint_at_radians(model: mujoco.MjModel, spec: mujoco.MjSpec, path: Path) -> None:
+    """Logs a hint where every hinge has a range of a few degrees: radians that were read as degrees."""
+    hinges = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & model.jnt_limited.astype(bool)
+    ends = np.abs(np.rad2deg(model.jnt_range[hinges]))
+    if spec.compiler.degree and len(ends) and float(ends.max()) <= 2.0 * math.pi + 0.01:
+        _log.warning(
+            "%s: no joint turns further than %.2f degrees; if its ranges are in radians, "
+            'it needs <compiler angle="radian"/>', path, float(ends.max()),
+        )  # fmt: skip
+
+
 def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
     """Raises ``ModelError`` for a joint without room; MuJoCo takes most of these for no limit at all."""
     for joint in range(model.njnt):
         low, high = model.jnt_range[joint].tolist()
         asked = bool(model.jnt_limited[joint]) or low != 0.0 or high != 0.0
         if asked and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE and not low < high:
-            name = model.joint(joint).name or f"joint_{joint}"
+            name = joint_names(model)[joint]
             raise ModelError(
                 f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no room",
                 path=path,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from robot_ik.model_file import (
     active_joints,
     guess_tool,
     home_qpos,
+    joint_names,
     joint_stiffness,
     model_frames,
     motion_limits,
@@ -28,23 +30,40 @@ __all__ = ["Robot", "load_robot", "make_robot"]
 
 
 def load_robot(
-    name: str | Path, *, joints: Sequence[str] | str | None = None, tool: str | None = None
+    name: str | os.PathLike[str] | mujoco.MjSpec,
+    *,
+    joints: Sequence[str] | str | None = None,
+    tool: str | None = None,
 ) -> Robot:
-    """Loads a robot by catalogue name, or any MJCF or MuJoCo-readable URDF by path.
+    """Loads a robot by catalogue name, or any MJCF or MuJoCo-readable URDF by path, as text or as a spec.
 
     Args:
-        name: ``"puma560"``, or the path of a model file or of a folder with a ``robot.toml``.
+        name: ``"puma560"``; the path of a model file or of a folder with a ``robot.toml``;
+            ``"robot_descriptions:panda_mj_description"``; the text of an MJCF or URDF (``"<mujoco>…"``);
+            or an ``MjSpec``, which stays as it is.  The last two are named after the model.
         joints: Names of the joints that may move, or the name of a joint group; the rest are frozen at
             home.  Default: the group ``arm`` of ``robot.toml`` if it has one, else all joints.
         tool: Name of the default frame.
 
     Raises:
-        UnknownRobotError: No such name and no such file; lists the close ones.
-        ModelError: The file cannot be read; carries MuJoCo's reason.
+        UnknownRobotError: No such name; lists the close ones.
+        ModelError: There is no such file, or the file cannot be read; carries MuJoCo's reason.
         UnknownJointError, UnknownFrameError: With the close names.
     """
-    path, file = find_robot(name)
-    return make_robot(read_model(path), path, file, joints, tool)
+    source: Path | str | mujoco.MjSpec
+    if isinstance(name, mujoco.MjSpec) or (isinstance(name, str) and name.lstrip().startswith("<")):
+        source, file = name, RobotFile(name="model")
+        path = Path("<memory>/model")
+    else:
+        source, file = find_robot(name)
+        path = source
+    model, velocity = read_model(source, path)
+    if path is not source:  # its own name
+        file = dataclasses.replace(file, name=model.names[: model.names.index(b"\0")].decode() or "model")
+        path = Path(f"<memory>/{file.name}")
+    if velocity:
+        file = dataclasses.replace(file, velocity={**velocity, **file.velocity})
+    return make_robot(model, path, file, joints, tool)
 
 
 def make_robot(
@@ -55,7 +74,7 @@ def make_robot(
     tool: str | None,
 ) -> Robot:
     """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
-    names = [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
+    names = joint_names(model)
     active = active_joints(names, joints, file)
     rest = home_qpos(model, path, file)
     tree, bodies = build_tree(model, active, rest)

@@ -24,9 +24,7 @@ from robot_ik.errors import ModelError, UnknownFrameError, apart
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
-from robot_ik.model_file import (
-    Frame,
-)
+from robot_ik.model_file import LEAST_MASS, Frame
 from robot_ik.model_tree import (
     Attachment,
     mass_table,
@@ -211,7 +209,7 @@ class Robot:
             ModelError: It has no mass.
         """
         table = mass_table(self.model, self.tree, self._bodies, self._body_id(body))
-        if not table[:, 0].sum() > 0.0:
+        if not table[:, 0].sum() > LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
         return table
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
 from typing import Any, TextIO, get_type_hints
 
+from robot_ik.cli.console import NARROWEST
 from robot_ik.errors import ConfigError, close_matches
 
 HELP_FLAGS = ("--help", "-h")
@@ -43,15 +44,29 @@ def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
         SystemExit: With 0, after help was asked for and given.
     """
     if any(word in HELP_FLAGS for word in words):
-        _, shown = _tyro(kind, prog, words, None)
+        width = max(shutil.get_terminal_size().columns, NARROWEST)
+        _, shown = _tyro(kind, prog, words, width)
         if shown:
-            sys.stdout.write(fold(shown, shutil.get_terminal_size().columns) + "\n")
+            sys.stdout.write(fold(shown, width) + "\n")
             raise SystemExit(0)
+    _refuse_nothing(prog, words)
     gathered = gather(kind, words)
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
         raise _Slip(kind, prog, gathered, said).error()
     return options
+
+
+def _refuse_nothing(prog: str, words: Sequence[str]) -> None:
+    """Raises ``ConfigError`` for a word of no letters: what a shell makes of a variable that is not set."""
+    before = ""
+    for word in words:
+        flag, given, value = word.partition("=")
+        if not word.strip() or (flag.startswith("--") and given and not value.strip()):
+            name = flag if given else before
+            key = name if name.startswith("-") else ""
+            raise wrong(key, "nothing is given", hint=f"all options: {prog} --help")
+        before = word
 
 
 def gather(kind: Any, words: Sequence[str]) -> list[str]:

@@ -13,9 +13,10 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
+from robot_ik.cli.results import results_folder
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import GoalError, UnsupportedJointError
-from robot_ik.files import folder_for_results, write_atomically
+from robot_ik.files import write_atomically
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 _EXTRA = ("kernels", "batch")
 _BATCH = 500  # times as many poses as in the other sets
+
+
+_FILES = ("bench.json", "success-*.png", "convergence-*.png", "growth.png")
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,8 @@ class BenchOptions:
     """Longest time for one method on one set; what is left then is not tried."""
     out: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="(default: runs/<time>-bench)")] = ""
     """Where bench.json and the plots go."""
+    overwrite: bool = False
+    """That folder may hold files of an earlier run: they are replaced."""
     plots: bool = True
     """Draw plots (needs matplotlib)."""
 
@@ -71,7 +77,6 @@ def run(options: BenchOptions) -> int:
     import_mujoco()
     from robot_ik.bench.plots import need_matplotlib
     from robot_ik.bench.results import Results, Settings, this_machine
-    from robot_ik.jobs.reach_files import run_folder
     from robot_ik.problem import Tolerance
 
     solvers, robots = _solvers(options), _robots(options)
@@ -86,7 +91,7 @@ def run(options: BenchOptions) -> int:
         angle_tolerance=options.angle_tolerance,
         seconds=options.seconds,
     )
-    with folder_for_results(run_folder(Path(options.out) if options.out else None, "bench")) as folder:
+    with results_folder(options.out, "bench", _FILES, overwrite=options.overwrite) as folder:
         results = Results(machine=this_machine(), settings=settings)
         try:
             _measure(options, solvers, robots, results)

@@ -11,15 +11,18 @@ import json
 import logging
 import os
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from robot_ik.cli.streams import is_unicode
 from robot_ik.errors import (
     MarkerNotFoundError,
     MotorFaultError,
@@ -41,6 +44,12 @@ NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
 PIPE_WIDTH = 160
+#: Columns below which tables are not folded further.
+NARROWEST = 40
+# Blank columns between two of a table.
+_GAP = 2
+#: Seconds of silence after which a command says what it is at.
+SILENCE = 3.0
 #: An error must fit one screen together with the prompt.
 ERROR_LINES = 20
 _REPORT = (
@@ -49,10 +58,17 @@ _REPORT = (
 )
 
 
-def _width(stream: Any) -> int | None:
-    if stream.isatty() or os.environ.get("COLUMNS", "").isdigit():
-        return None  # rich asks the terminal or the variable
-    return PIPE_WIDTH
+def width_of(stream: Any) -> int:
+    """Columns to write to a stream: the variable's, else the terminal's, else ``PIPE_WIDTH``.
+
+    0 means unknown, as everywhere; narrower than ``NARROWEST`` nothing can be read.
+    """
+    asked = os.environ.get("COLUMNS", "")
+    columns = int(asked) if asked.isdecimal() else 0
+    if not columns and stream.isatty():
+        with contextlib.suppress(OSError, ValueError):
+            columns = os.get_terminal_size(stream.fileno()).columns or 80
+    return max(columns or PIPE_WIDTH, NARROWEST)
 
 
 class _Console(Console):
@@ -64,12 +80,12 @@ class _Console(Console):
 
 def out() -> Console:
     """Console for results, on stdout."""
-    return _Console(width=_width(sys.stdout), highlight=False, soft_wrap=False)
+    return _Console(width=width_of(sys.stdout), highlight=False, soft_wrap=False)
 
 
 def talk() -> Console:
     """Console for everything that is not a result, on stderr."""
-    return _Console(stderr=True, width=_width(sys.stderr), highlight=False)
+    return _Console(stderr=True, width=width_of(sys.stderr), highlight=False)
 
 
 def say(text: str, style: str = "") -> None:
@@ -77,9 +93,43 @@ def say(text: str, style: str = "") -> None:
     talk().print(Text(text, style=style), soft_wrap=True)
 
 
+class _Table(Table):
+    """A table that breaks no word: where that needs more columns than there are, each row is a list."""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        texts = [[_plain(cell) for cell in (column.header, *column.cells)] for column in self.columns]
+        words = [max(len(word) for text in column for word in text.split() or [""]) for column in texts]
+        lines = [max(len(line) for text in column for line in text.splitlines() or [""]) for column in texts]
+        words[0] = lines[0]  # the first column is never broken
+        room = options.max_width - _GAP * (len(texts) - 1)
+        if sum(lines) > room >= sum(words):
+            wishes = [line - word for word, line in zip(words, lines, strict=True)]
+            for column, word, wish in zip(self.columns, words, wishes, strict=True):
+                column.width = word + wish * (room - sum(words)) // sum(wishes)
+        elif sum(lines) > room and len(texts) > 2:
+            yield from self._rows_as_lists()
+            return
+        yield from super().__rich_console__(console, options)
+
+    def _rows_as_lists(self) -> Iterator[Table]:
+        names = [_plain(column.header) for column in self.columns]
+        for row in zip(*(list(column.cells) for column in self.columns), strict=True):
+            made = table(names[0], "")
+            made.show_header = False
+            made.add_row(Text(_plain(row[0]), style="bold"), "")
+            for name, cell in zip(names[1:], row[1:], strict=True):
+                if _plain(cell):
+                    made.add_row(f"  {name}", cell)
+            yield made
+
+
+def _plain(cell: object) -> str:
+    return cell.plain if isinstance(cell, Text) else str(cell)
+
+
 def table(*columns: str, title: str | None = None) -> Table:
     """An empty table in the one style of all commands; the first column is never broken."""
-    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
+    made = _Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
     made.pad_edge = False
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")
@@ -100,6 +150,42 @@ def progress() -> Progress:
     )
 
 
+@contextlib.contextmanager
+def busy(what: str, seconds: float | None = None) -> Iterator[None]:
+    """Shows that something goes on inside: a bar on a terminal, elsewhere a line after ``SILENCE``.
+
+    Args:
+        what: What goes on.
+        seconds: How long it will take, where that is known.
+    """
+    console = talk()
+    if not console.is_terminal:
+        takes = "" if seconds is None else f", about {seconds:.0f} s"
+        timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+        return
+    with progress() as bar:
+        task = bar.add_task(what, total=seconds, note="")
+        done, begin = threading.Event(), time.monotonic()
+
+        def advance() -> None:
+            while seconds is not None and not done.wait(0.1):
+                bar.update(task, completed=min(time.monotonic() - begin, seconds))
+
+        thread = threading.Thread(target=advance, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+
 def json_text(value: Any, indent: str = "") -> str:
     """JSON for people and machines: objects over several lines, lists of plain values on one."""
     inner = indent + "  "
@@ -113,7 +199,7 @@ def json_text(value: Any, indent: str = "") -> str:
 
 
 def _dumps(value: Any) -> str:
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    return json.dumps(value, allow_nan=False, ensure_ascii=not is_unicode(sys.stdout))
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -164,6 +250,8 @@ def describe_error(error: BaseException) -> tuple[str, str]:
         )
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
         return f"a part of the installation cannot be loaded: {error}", "look closer with: robot-ik doctor"
+    if isinstance(error, MemoryError):
+        return f"not enough memory: {str(error) or 'a smaller job may fit'}", ""
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}", ""

@@ -57,11 +57,13 @@ def run(options: DoctorOptions) -> int:
         from robot_ik.cli.servo_link import load_arm
 
         config = load_arm(options.arm)  # a wrong name is told at once
-    rows = checks.run_checks(CHECKS)
+    with console.busy("looking at this machine"):
+        rows = checks.run_checks(CHECKS)
     if config is not None:
         from robot_ik.cli.servo_checks import servo_rows
 
-        rows += servo_rows(options.bus, config)
+        with console.busy(f"asking the servos on {options.bus}"):
+            rows += servo_rows(options.bus, config)
     problems = [row for row in rows if row.status == checks.PROBLEM]
     if options.json:
         console.print_json({"schema": SCHEMA, "ok": not problems, "rows": [asdict(row) for row in rows]})

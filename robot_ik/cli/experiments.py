@@ -44,6 +44,8 @@ class ExperimentsOptions:
     """s12: draw the table, too (needs matplotlib)."""
     out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-<experiment>)")] = ""
     """Where the JSON and CSV files go."""
+    overwrite: bool = False
+    """That folder may hold files of an earlier run: they are replaced."""
     seed: int = 0
     """Of the random targets and of restarts."""
 
@@ -51,13 +53,12 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
-    from robot_ik.files import folder_for_results
-    from robot_ik.jobs.reach_files import run_folder
+    from robot_ik.cli.results import results_folder
 
     prepare = _a00 if options.experiment == "a00" else _s12
     report, work, save, show = prepare(options)
-    out = Path(options.out) if options.out else None
-    with folder_for_results(run_folder(out, options.experiment)) as folder:
+    own = [f"{options.experiment}.{kind}" for kind in ("json", "csv", "png")]
+    with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:
             with console.progress() as bar:
                 task = bar.add_task(options.experiment, total=1.0, note="")

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 SCHEMA = 1
 
 
-def gallery_folder(words: Sequence[str]) -> Path:
-    """Where the pictures go.
+def gallery_folder(words: Sequence[str]) -> str:
+    """Where the pictures go; empty: to a new folder.
 
     Args:
         words: What stood after ``--gallery``: nothing, or a folder.
@@ -26,7 +26,6 @@ def gallery_folder(words: Sequence[str]) -> Path:
         ConfigError: More than one word, or a robot's name, which belongs before the option.
     """
     from robot_ik.catalogue import catalogue
-    from robot_ik.jobs.reach_files import run_folder
 
     if len(words) > 1:
         raise ConfigError(
@@ -39,19 +38,20 @@ def gallery_folder(words: Sequence[str]) -> Path:
             allowed="a folder, or nothing",
             hint=f"this robot alone: robot-ik robots {words[0]} --gallery; a folder so named: ./{words[0]}",
         )  # fmt: skip
-    return run_folder(Path(words[0]) if words else None, "gallery")
+    return words[0] if words else ""
 
 
-def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool) -> int:
+def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
     """Draws one robot, or all; 0 done, 1 some robot does not reach what it is drawn reaching for."""
     folder = gallery_folder(words)
     from robot_ik.catalogue import catalogue
-    from robot_ik.files import folder_for_results
+    from robot_ik.cli.results import results_folder
     from robot_ik.jobs.gallery import draw_gallery
     from robot_ik.robot import load_robot
 
     robots = [load_robot(name) for name in ([robot] if robot else catalogue())]
-    with folder_for_results(folder) as place, console.progress() as bar:
+    own = [f"{one.name}.png" for one in robots] + ["gallery.png"]
+    with results_folder(folder, "gallery", own, overwrite=overwrite) as place, console.progress() as bar:
         task = bar.add_task("drawing", total=len(robots), note="")
         portraits, files = draw_gallery(
             robots, place, seed, tell=lambda name, k: bar.update(task, completed=k, note=name)

@@ -36,6 +36,8 @@ class RobotsOptions:
         arg(metavar="[FOLDER]", help_behavior_hint="(default folder: runs/<time>-gallery)"),
     ] = None
     """Draw all robots, or the one given, at home and at work: a PNG each and a sheet of all."""
+    overwrite: bool = False
+    """The folder of --gallery may hold pictures of these names: they are replaced."""
     seed: int = 0
     """Of the drawn poses at work."""
     json: bool = False
@@ -60,7 +62,9 @@ def run_robots(options: RobotsOptions) -> int:
     if options.gallery is not None:
         from robot_ik.cli.gallery import run_gallery
 
-        return run_gallery(options.robot, options.gallery, options.seed, json=options.json)
+        return run_gallery(
+            options.robot, options.gallery, options.seed, json=options.json, overwrite=options.overwrite
+        )
     if options.robot:
         from robot_ik.robot import load_robot
 
@@ -141,8 +145,10 @@ def about_frame(robot: Robot, name: str) -> str:
 
 def joint_kinds(robot: Robot) -> list[str]:
     """``free``, ``ball``, ``slide`` or ``hinge`` for each active joint."""
-    names = ("free", "ball", "slide", "hinge")  # in the order of MuJoCo's mjtJoint
-    return [names[int(robot.model.joint(name).type[0])] for name in robot.joints]
+    from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+
+    names = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
+    return [names[int(kind)] for kind in robot.tree.kind]
 
 
 def _print_robot(robot: Robot) -> None:

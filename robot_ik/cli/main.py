@@ -13,7 +13,8 @@ from types import FrameType
 from typing import Any
 
 from robot_ik.cli.commands import COMMANDS, Command, find_command
-from robot_ik.errors import close_matches, unknown_name_text
+from robot_ik.cli.streams import prepare_streams
+from robot_ik.errors import OutputError, close_matches, unknown_name_text
 
 _VERSION_FLAGS = ("--version", "-V", "version")
 _HELP_FLAGS = ("--help", "-h")
@@ -38,6 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.remove("--debug")
         debug = True
     try:
+        if not prepare_streams():
+            raise OutputError("standard output is closed, so results have nowhere to go")
         code = _dispatch(arguments, debug=debug)
         sys.stdout.flush()
         return code

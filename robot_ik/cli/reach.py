@@ -20,6 +20,7 @@ from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
+    from robot_ik.jobs.reach_report import ReachReport
     from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
 
 
@@ -98,9 +99,13 @@ class ReachOptions:
     lead: Annotated[float, arg(metavar="S")] = 0.0
     """Predict the marker's motion so far beyond each tick: the lag of the servos."""
     view: bool = False
-    """Mirror the motion in MuJoCo's window."""
+    """Mirror the motion in MuJoCo's window; it stays until you close it."""
+    film: bool = False
+    """Also write reach.mp4: the motion as the stage's camera sees it (extra `video`)."""
     out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-reach)")] = ""
     """Where reach.png, trajectory.csv and summary.json go."""
+    overwrite: bool = False
+    """That folder may hold files of an earlier run: they are replaced."""
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""
     json: bool = False
@@ -112,20 +117,42 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
-    from robot_ik.files import folder_for_results
+    from robot_ik.cli.results import results_folder
     from robot_ik.jobs.reach import run_reach
-    from robot_ik.jobs.reach_files import reach_summary, run_folder, save_reach
+    from robot_ik.jobs.reach_files import FILES
 
+    if options.film:
+        from robot_ik.jobs.reach_window import require_films
+
+        require_films()
     # Before anything moves: a run whose results cannot be kept is not started.
-    with folder_for_results(run_folder(Path(options.out) if options.out else None, "reach")) as folder:
-        with console.progress() as bar:
-            task = bar.add_task("opening", total=1.0, note="")
+    with (
+        results_folder(options.out, "reach", FILES, overwrite=options.overwrite) as folder,
+        console.progress() as bar,
+    ):
+        task = bar.add_task("opening", total=1.0, note="")
 
-            def progress(stage: str, share: float) -> None:
-                bar.update(task, description=stage, completed=share)
+        def progress(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share)
 
-            report = run_reach(request, progress)
-        files = save_reach(report, folder)
+        def done(report: ReachReport) -> None:
+            bar.stop()
+            _save_and_tell(report, folder, options)
+
+        report = run_reach(request, progress, done)
+    return console.DONE if report.reached else console.NOT_ACHIEVED
+
+
+def _save_and_tell(report: ReachReport, folder: Path, options: ReachOptions) -> None:
+    from robot_ik.jobs.reach_files import reach_summary, save_reach
+
+    files = save_reach(report, folder)
+    if options.film:
+        from robot_ik.jobs.reach_window import save_film
+
+        with console.busy("drawing the film"):
+            film = save_film(report, folder / "reach.mp4")
+        files += [] if film is None else [film]
     if options.json:
         console.print_json({**reach_summary(report), "folder": str(folder)})
     else:
@@ -136,7 +163,8 @@ def run(options: ReachOptions) -> int:
         console.out().print(Text(f"files in {folder}: {names}"), soft_wrap=True)
     if report.problem is not None:
         console.show_error(report.problem)
-    return console.DONE if report.reached else console.NOT_ACHIEVED
+    if options.view:
+        console.say("close the window to end", "dim")
 
 
 def make_request(options: ReachOptions) -> ReachRequest:
@@ -149,8 +177,10 @@ def make_request(options: ReachOptions) -> ReachRequest:
 
     if not 0.0 < options.speed <= 1.0:
         raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
-    if options.follow and not options.seconds > 0.0:
+    if not 0.0 < options.seconds < math.inf:
         raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
+    if options.film and options.follow:
+        raise wrong("--film", "it shows the way to a goal that stands still", "without --follow")
     if not 0.0 <= options.lost_after < math.inf:
         raise wrong("--lost-after", f"{options.lost_after:g} s", "0 or more")
     if not 0.0 <= options.lead <= 0.2:

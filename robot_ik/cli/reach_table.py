@@ -22,25 +22,10 @@ def print_report(report: ReachReport) -> None:
     rows = console.table("reach", report.robot.file.title or report.robot.name)
     for name, text in _rows(report):
         rows.add_row(name, Text(text))
-    verdict = ("REACHED" if report.reached else "NOT REACHED", "bold green" if report.reached else "bold red")
-    why = _why(report)
-    rows.add_row("result", Text.assemble(verdict, f"  {why}" if why else ""))
+    verdict = report.decision
+    word = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
+    rows.add_row("result", Text.assemble(word, f"  {verdict.text}" if verdict.text else ""))
     screen.print(rows)
-
-
-def _why(report: ReachReport) -> str:
-    """One sentence on the result; servos that stopped short are named before the camera's view of it."""
-    if report.read_back is None or report.read_back.passed or report.execution is None:
-        return report.verdict
-    off = report.execution.final_error
-    if off is None:
-        return report.verdict
-    worst = int(abs(off).argmax())
-    joint = report.execution.joints[worst]
-    return (
-        f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
-        "is it held, overloaded or too slow?"
-    )
 
 
 def _rows(report: ReachReport) -> list[tuple[str, str]]:
@@ -125,11 +110,14 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
     if report.read_back is not None:
         judged = report.read_back
         why = "servo ticks" if report.limbs.arm is not None else "tolerance of the solver"
+        if judged.sigma.position > 0.0:
+            why = f"3 σ of the goal + {why}"
         rows.append(("read back", f"{_judged(judged)} ({why})"))
     if report.by_camera is not None:
         judged = report.by_camera
+        ticks = "ticks" if report.limbs.arm is not None else "tolerance"
         sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
-        rows.append(("camera", f"{_judged(judged)} (3 σ + ticks, {sigma})"))
+        rows.append(("camera", f"{_judged(judged)} (3 σ + {ticks}, {sigma})"))
     return rows
 
 

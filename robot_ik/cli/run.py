@@ -16,10 +16,10 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.cli.bus_argument import bus_argument
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import OutputError
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.script import ScriptReport
+    from robot_ik.jobs.script import Script, ScriptReport
 
 _STYLE = {"passed": "green", "failed": "bold red", "not run": "dim"}
 
@@ -48,12 +48,14 @@ class RunOptions:
     """Write the report as JUnit XML, for build servers."""
     json: Annotated[Path | None, arg(metavar="FILE|-", help_behavior_hint="(default: none)")] = None
     """Write the report as JSON; with - it goes to stdout instead of the table."""
+    overwrite: bool = False
+    """These files may be there from an earlier run: they are replaced."""
 
 
 def run(options: RunOptions) -> int:
     """Runs the script; 0 passed, 1 not."""
     import_mujoco()
-    from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
+    from robot_ik.jobs.script import find_script, load_script, shipped
 
     if not options.script:
         if options != RunOptions():
@@ -61,9 +63,16 @@ def run(options: RunOptions) -> int:
             raise wrong("FILE.toml|NAME", "no script is named, so nothing was run", "a script", hint)
         return _list()
     script = load_script(find_script(options.script))
-    for file in (options.junit, options.json):
-        if file is not None and str(file) != "-" and not file.parent.is_dir():
-            raise OutputError(f"cannot write {file}: no such folder", hint="give a folder that exists")
+    files = [file for file in (options.junit, options.json) if str(file) != "-"]
+    if files[0] is not None and len(files) == 2 and files[0] == files[1]:
+        raise wrong("--json", f"{files[0]} is the file of --junit, too", "a name of its own")
+    with claimed(*files, overwrite=options.overwrite):
+        return _run(script, options)
+
+
+def _run(script: Script, options: RunOptions) -> int:
+    from robot_ik.jobs.script import ScriptRequest, ScriptRun
+
     arm = Path(options.arm) if options.arm else None
     this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed))
     try:

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_link import BusOptions, opened
-from robot_ik.errors import OutputError
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.hardware.backup import Change
@@ -32,25 +32,15 @@ def run_backup(options: BackupOptions) -> int:
     """Reads all registers, writes the file."""
     from robot_ik.hardware.backup import read_tables, save_backup
 
-    new_file(options.file, options.overwrite)
-    with opened(options) as link:
-        servos = read_tables(link.bus, link.config)
-    save_backup(options.file, link.config.name, servos)
+    with claimed(options.file, overwrite=options.overwrite):
+        with opened(options) as link:
+            servos = read_tables(link.bus, link.config)
+        save_backup(options.file, link.config.name, servos)
     count = sum(len(servo.registers) for servo in servos)
     console.out().print(
         f"{options.file}: {len(servos)} servos, {count} registers", markup=False, soft_wrap=True
     )
     return console.DONE
-
-
-def new_file(path: Path, overwrite: bool) -> None:
-    """Raises ``OutputError`` if a result could not be kept or would replace another; asked first."""
-    if path.exists() and not overwrite:
-        raise OutputError(
-            f"{path} exists; it stays as it is", hint="choose another name, or give --overwrite"
-        )
-    if not path.absolute().parent.is_dir():
-        raise OutputError(f"cannot write {path}: its folder does not exist", hint="make the folder first")
 
 
 @dataclass(frozen=True)

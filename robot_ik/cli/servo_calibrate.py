@@ -13,11 +13,11 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_link import BusOptions, Limits, arm_on, load_arm, model_limits, tried
 from robot_ik.cli.servo_move import parse_angles
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ArmStateError
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -76,8 +76,11 @@ def run_calibrate(options: CalibrateOptions) -> int:
     if options.pose:
         pose |= parse_angles(options.pose, config)
     beside = calibration_beside(options.out)
-    for path in (options.out, beside, *([options.to_lerobot] if options.to_lerobot else [])):
-        new_file(path, options.overwrite)
+    with claimed(options.out, beside, options.to_lerobot, overwrite=options.overwrite):
+        return _calibrate(options, config, pose, beside)
+
+
+def _calibrate(options: CalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path) -> int:
     limits = model_limits(config)
     arm = arm_on(options, config)
 
@@ -207,11 +210,11 @@ def _check(options: CalibrateOptions) -> int:
     found = Calibration.load(calibration_beside(options.out))
     config = load_arm(str(options.out)).whole
     limits = model_limits(config)
-    with arm_on(options, replace(config, file=None)) as arm:
-        check_calibration(arm.bus, config, found, limits)
-    if options.to_lerobot is not None:
-        new_file(options.to_lerobot, options.overwrite)
-        save_lerobot(options.to_lerobot, found)
+    with claimed(options.to_lerobot, overwrite=options.overwrite):
+        with arm_on(options, replace(config, file=None)) as arm:
+            check_calibration(arm.bus, config, found, limits)
+        if options.to_lerobot is not None:
+            save_lerobot(options.to_lerobot, found)
     console.out().print(
         f"{options.out}, its calibration, model and servos agree", markup=False, soft_wrap=True
     )

@@ -34,7 +34,7 @@ class MonitorOptions(BusOptions):
 
     rate: Annotated[float, arg(metavar="HZ")] = 10.0
     """Samples a second, at most 200."""
-    count: Annotated[int, arg(metavar="N", help_behavior_hint="(default: until Ctrl-C)")] = 0
+    count: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: until Ctrl-C)")] = None
     """End after so many samples."""
     json: bool = False
     """Print one JSON object a line for each sample."""
@@ -44,8 +44,8 @@ def run_monitor(options: MonitorOptions) -> int:
     """Prints samples; 1 when somebody was silent in the last one."""
     if not 0.0 < options.rate <= FASTEST:
         raise wrong("--rate", f"{options.rate:g} Hz", f"above 0, at most {FASTEST:g}")
-    if options.count < 0:
-        raise wrong("--count", f"{options.count} samples", "1 and more; 0: until Ctrl-C")
+    if options.count is not None and options.count < 1:
+        raise wrong("--count", f"{options.count} samples", "1 and more")
     with opened(options) as link:
         if options.json:
             return _lines(link, options)

@@ -56,7 +56,10 @@ def run_move(options: MoveOptions) -> int:
         here = arm.positions()
         goal = {name: q + here[name] for name, q in angles.items()} if options.by else angles
         require_inside(goal, config)
-        arm.park(goal)
+        way = {name: abs(q - here[name]) for name, q in goal.items()}
+        takes = max((far / config.joint(name).velocity for name, far in way.items()), default=0.0)
+        with console.busy("moving", takes):
+            arm.park(goal)
         _show(arm, here, goal)
         return console.DONE
 

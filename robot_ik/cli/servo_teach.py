@@ -15,13 +15,12 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.servo_backup import new_file
 from robot_ik.cli.servo_calibrate import require_limp
 from robot_ik.cli.servo_link import BusOptions, arm_on, driving, load_arm, require_model, tried
 from robot_ik.cli.servo_move import shown_value, slowed
 from robot_ik.cli.servo_prompt import Prompts
 from robot_ik.errors import ConfigError, HardwareError, TrajectoryError
-from robot_ik.files import config_error, read_json, write_atomically
+from robot_ik.files import claimed, config_error, read_json, write_atomically
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
@@ -63,16 +62,20 @@ class TeachOptions(BusOptions):
 
 def run_teach(options: TeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.hardware.startup import shared_register
-
     require_suffix(options.file)
     if options.seconds is not None and not 0.0 < options.seconds <= 3600.0:
         raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 3600")
     if not 0.0 < options.rate <= 200.0:
         raise wrong("--rate", f"{options.rate:g} Hz", "above 0, at most 200")
-    new_file(options.file, options.overwrite)
     config = load_arm(options.arm).whole
     require_model(config)
+    with claimed(options.file, overwrite=options.overwrite):
+        return _record(options, config)
+
+
+def _record(options: TeachOptions, config: ArmConfig) -> int:
+    from robot_ik.hardware.startup import shared_register
+
     times: list[float] = []
     poses: list[list[float]] = []
     with arm_on(options, config) as arm:
@@ -249,8 +252,11 @@ def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
     from robot_ik.hardware.control_table import OperatingMode
 
     arm.enable()
-    execute(approach(arm.read().q, motion.q[0], arm.config), [arm], source=arm, clock=arm.clock, settle=0.2)
-    done = execute(motion, [arm], source=arm, clock=arm.clock, settle=0.4)
+    first = approach(arm.read().q, motion.q[0], arm.config)
+    with console.busy("going to where it begins", first.duration):
+        execute(first, [arm], source=arm, clock=arm.clock, settle=0.2)
+    with console.busy("playing", motion.duration):
+        done = execute(motion, [arm], source=arm, clock=arm.clock, settle=0.4)
     assert done.final_error is not None and done.tracking_error is not None  # there was a source
     # By the last gear: a slide's way as its pinion turns.  Fingers that press may be held by something.
     levers = np.array([joint.lever for joint in arm.config.joints])

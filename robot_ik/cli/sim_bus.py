@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from robot_ik.catalogue import SERVO_ROBOT
+from robot_ik.catalogue import SERVO_ROBOT, catalogue
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.cli.servo_link import load_arm
@@ -101,7 +102,7 @@ def run(options: SimBusOptions) -> int:
             latency_ms=options.latency_ms,
         ) as port,
     ):
-        _announce(config, port)
+        _announce(options.arm, config, port)
         ended.wait()
     console.say("closed", "dim")
     return console.DONE
@@ -198,11 +199,24 @@ def _ended_by_signal() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def _announce(config: ArmConfig, port: PtyPort) -> None:
+def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
     """The port alone on stdout, for scripts; the rest is talk."""
     name = str(port.link or port.path)
     ids = ", ".join(f"{joint.id} {joint.name} ({joint.model})" for joint in config.whole.joints)
     print(name, flush=True)
     console.say(f"{config.name}: Protocol 2.0 at {config.baud} baud, torque off")
     console.say(f"servos: {ids}")
-    console.say(f"try: robot-ik reach --robot {config.robot} --bus {name}    end with Ctrl-C", "cyan")
+    console.say(f"try: {_client(arm, config)} --bus {shlex.quote(name)}", "cyan")
+    console.say("end with Ctrl-C", "dim")
+
+
+def _client(arm: str, config: ArmConfig) -> str:
+    """A command that works on these servos: reach, where the model is at hand and moved by them."""
+    from robot_ik.robot import load_robot
+
+    servos = f"--arm {shlex.quote(arm)}"
+    try:
+        load_robot(config.robot, joints=config.names)
+    except RobotIkError:
+        return f"robot-ik servo monitor {servos}"
+    return f"robot-ik reach --robot {arm}" if arm in catalogue() else f"robot-ik reach {servos}"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from robot_ik.solution import Solution
 
 #: Version of the JSON object; raised when a field changes its meaning.
-SCHEMA = 1
+SCHEMA = 2
 _BOOLEANS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 
@@ -82,10 +82,11 @@ def run(options: SolveOptions) -> int:
         seed=options.seed,
     )
     start = options.start or None
-    solution = solver.solve(problem, start)
+    with console.busy("solving"):
+        solver.solve(problem, start)
     # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
-    again = solver.solve(problem, start)
-    facts = solution_facts(problem, solution, microseconds=1e6 * again.seconds)
+    solution = solver.solve(problem, start)
+    facts = solution_facts(problem, solution)
     if options.json:
         console.print_json(facts)
     else:
@@ -138,13 +139,12 @@ def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float |
     return found
 
 
-def solution_facts(problem: Problem, solution: Solution, *, microseconds: float) -> dict[str, Any]:
+def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
     """What is printed of a solution: SI units, quaternions wxyz, world frame.
 
     Args:
         problem: What was asked.
-        solution: What came out.
-        microseconds: Duration of a solve with the kernel loaded.
+        solution: What came out, with the kernel loaded before.
     """
     robot, goal = problem.robot, problem.goals[0]
     wanted = goal.target
@@ -165,7 +165,6 @@ def solution_facts(problem: Problem, solution: Solution, *, microseconds: float)
         "restarts": solution.restarts,
         "seed": problem.seed,
         "seconds": solution.seconds,
-        "microseconds": round(microseconds, 1),
     }
 
 
@@ -176,7 +175,7 @@ def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
     head.add_row("status", Text(f"{facts['status']}: {facts['meaning']}"))
     head.add_row("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg")
     head.add_row("effort", f"{facts['iterations']} iterations, {facts['restarts']} restarts")
-    head.add_row("time", f"{facts['microseconds']:.0f} µs")
+    head.add_row("time", f"{1e6 * facts['seconds']:.0f} µs")
     screen.print(head)
     screen.print()
     shown = console.table("joint", "q", "unit")

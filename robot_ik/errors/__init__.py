@@ -41,6 +41,8 @@ from robot_ik.errors.hardware import (
 from robot_ik.errors.robot import (
     GoalError,
     InvalidGoalError,
+    InvalidModelError,
+    InvalidPoseError,
     ModelError,
     NotConvergedError,
     ProblemInUseError,
@@ -68,6 +70,8 @@ __all__ = [
     "GoalError",
     "HardwareError",
     "InvalidGoalError",
+    "InvalidModelError",
+    "InvalidPoseError",
     "MarkerNotFoundError",
     "MissingExtraError",
     "ModelError",

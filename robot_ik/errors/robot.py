@@ -28,6 +28,14 @@ class ModelError(RobotIkError):
         self.reason = reason
 
 
+class InvalidModelError(ModelError, ValueError):
+    """No model can be made of these values."""
+
+
+class InvalidPoseError(RobotIkError, ValueError):
+    """A pose of the wrong shape, of numbers that are not finite, or of no orientation."""
+
+
 class _UnknownName(ModelError, LookupError):
     kind = "name"
 
@@ -38,8 +46,8 @@ class _UnknownName(ModelError, LookupError):
         super().__init__(unknown_name_text(self.kind, name, self.known), hint=hint)
 
 
-class UnknownRobotError(_UnknownName):
-    """No robot of that name in the catalogue, and no file of that path."""
+class UnknownRobotError(_UnknownName, ValueError):
+    """No robot of that name in the catalogue, or what was given is no name at all."""
 
     kind = "robot"
 

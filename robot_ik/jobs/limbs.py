@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
 
 _RATE_HZ = 100.0
 # A generic servo is this much faster than the plan, so that what fell behind on a busy machine catches up.
@@ -245,8 +247,22 @@ def joints_that_move(robot: Robot, frame: str) -> tuple[str, ...]:
 
 
 def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
-    """The robot without the joints that do not move ``frame``: they stay at home and need no servo."""
-    chain = joints_that_move(robot, frame)
+    """The robot without the joints that do not move ``frame``: they stay at home and need no servo.
+
+    Ball and free joints stay there too: moves are planned for hinges and slides.
+    """
+    planned = {
+        joint for joint, kind in zip(robot.joints, robot.tree.kind, strict=True) if kind in (HINGE, SLIDE)
+    }
+    chain = tuple(joint for joint in joints_that_move(robot, frame) if joint in planned)
+    if not chain and len(planned) < len(robot.joints):
+        raise UnsupportedJointError(
+            f"no hinge or slide moves {frame!r} of {robot.name}, and moves are planned for these alone",
+            hint="robot-ik solve takes ball and free joints too",
+        )
+    held = [joint for joint in joints_that_move(robot, frame) if joint not in planned]
+    if held:
+        _log.warning("%s stays as at home: moves are planned for hinges and slides", ", ".join(held))
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,13 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.ahead import CompiledAhead
 from robot_ik.jobs.cameras import open_eyes
+from robot_ik.jobs.eyes import Eyes
 from robot_ik.jobs.limbs import Limbs, prepare_limbs
 from robot_ik.jobs.reach_report import SOLVE_TOLERANCE, ReachReport
 from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
 from robot_ik.jobs.verdict import (
     SIGMAS,
+    Bound,
     judge_by_camera,
     judge_read_back,
     quantisation,
@@ -35,9 +37,6 @@ from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.problem import Problem, Tolerance
 from robot_ik.solvers import make_solver
-
-if TYPE_CHECKING:
-    pass
 
 Array = NDArray[np.float64]
 
@@ -52,12 +51,17 @@ __all__ = ["ReachReport", "ReachRequest", "Rehearsal", "run_reach"]
 Progress = Callable[[str, float], None]
 
 
-def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: None) -> ReachReport:
+def run_reach(
+    request: ReachRequest,
+    progress: Progress = lambda stage, share: None,
+    done: Callable[[ReachReport], None] = lambda report: None,
+) -> ReachReport:
     """Looks, solves, moves, looks again.
 
     Args:
         request: What to do.
         progress: Told the stage ("looking", "solving", "moving", …) and the share of it that is done.
+        done: Given the report when the arm has been left; with a window, before its user closes that.
 
     Returns:
         A report; not reaching the goal is a result (``report.reached``, ``report.problem``).
@@ -79,27 +83,39 @@ def run_reach(request: ReachRequest, progress: Progress = lambda stage, share: N
         limbs = prepare_limbs(request)
         frame = limbs.frame
         eyes = open_eyes(request, limbs, frame, stack)
-        window = _window(request, limbs, stack)
-        stack.enter_context(limbs.connected())
+        window = _window(request, limbs, eyes, stack)
         report = ReachReport(request, limbs.robot, frame, limbs, eyes)
-        try:
-            _look(report, progress)
-            ahead.wait()
-            _solve(report, method, progress)
-            limbs.energise()
-            _reach(report, window, progress)
-        except _NOT_ACHIEVED as problem:
-            report.problem = problem
-        report.counters = limbs.counters()
+        with limbs.connected():
+            try:
+                _look(report, progress)
+                ahead.wait()
+                if window is not None and report.target is not None:
+                    window.show_goal(report.target)
+                _solve(report, method, progress)
+                limbs.energise()
+                _reach(report, window, progress)
+            except _NOT_ACHIEVED as problem:
+                report.problem = problem
+            report.counters = limbs.counters()
+        done(report)
+        if window is not None:
+            window.wait()
     return report
 
 
-def _window(request: ReachRequest, limbs: Limbs, stack: contextlib.ExitStack) -> Any:
+def _window(request: ReachRequest, limbs: Limbs, eyes: Eyes | None, stack: contextlib.ExitStack) -> Any:
     if not request.view:
         return None
+    from robot_ik.jobs.reach_window import stage_solids, window_stage
     from robot_ik.testbed.frontends.window import WindowSink
 
-    return stack.enter_context(WindowSink(limbs.robot, start=limbs.q))
+    stage = window_stage(limbs.robot, limbs.frame, None if eyes is None else eyes.stage)
+    view: dict[str, Any] = {"solids": stage_solids(stage)}
+    if stage is not None:
+        marker = stage.pose_world_marker
+        view["see"] = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
+        view["eye"] = stage.pose_world_camera.position
+    return stack.enter_context(WindowSink(limbs.robot, start=limbs.q, **view))
 
 
 def _look(report: ReachReport, progress: Progress) -> None:
@@ -146,15 +162,20 @@ def _accept(report: ReachReport) -> None:
     solution, seen = report.solution, report.seen
     assert solution is not None
     if seen is not None and not solution.converged:
-        known = seen.uncertainty(report.eyes.stage.pose_marker_tool.position)  # type: ignore[union-attr]
-        miss = solution.miss
+        known, miss = _known(report), solution.miss
         if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
             report.tolerance = Tolerance(
-                position=max(SOLVE_TOLERANCE.position, miss.position),
-                angle=max(SOLVE_TOLERANCE.angle, miss.angle),
+                position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),
+                angle=max(SOLVE_TOLERANCE.angle, SIGMAS * known.angle),
             )
             return
     solution.require()
+
+
+def _known(report: ReachReport) -> Bound:
+    """Standard deviation of the goal as the last look at the marker tells it."""
+    assert report.seen is not None and report.eyes is not None  # eyes have seen it
+    return report.seen.uncertainty(report.eyes.stage.pose_marker_tool.position)
 
 
 def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
@@ -184,7 +205,7 @@ def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
     report.q_end = limbs.q.copy()
     report.bound = quantisation(robot, report.q_end, limbs.resolution, report.frame, report.tolerance)
     report.read_back = judge_read_back(
-        robot, report.q_end, report.goal, report.target, report.frame, report.bound
+        robot, report.q_end, report.goal, report.target, report.frame, report.bound, report.goal_sigma
     )
     progress("looking again", 0.0)
     _judge(report)
@@ -249,27 +270,22 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
     # What counts in the end is where the marker is now.
     report.seen = eyes.find_target_again()
     report.goal, report.target = report.seen.goal, report.seen.goal.target
+    # Two measurements of the marker: the one that was followed last, no better than this, and this one.
+    report.goal_sigma = _known(report).combined(_known(report))
 
 
 def _judge(report: ReachReport) -> None:
     """The camera's look at the gripper."""
     eyes, limbs = report.eyes, report.limbs
     if eyes is None or not eyes.sees_arm:
-        report.verdict = "no camera watched the arm" if eyes is None else eyes.why_blind
+        report.blind = "no camera watched the arm" if eyes is None else eyes.why_blind
         return
     body = eyes.find_gripper()
     report.after = eyes.last_image
-    report.camera_counts = report.request.goal is None or body is not None
     if body is None:
-        report.verdict = "no marker of the gripper is in view, so where the tool is remains unproven"
         return
     assert report.goal is not None and report.target is not None and report.bound is not None
-    pose_body_tool = eyes.pose_body_tool(limbs.scene.q)
     report.by_camera = judge_by_camera(
-        body, eyes.pose_world_camera, pose_body_tool, report.goal, report.target, report.bound
-    )
-    report.verdict = (
-        "within what the servos' ticks and the camera explain"
-        if report.by_camera.passed
-        else "farther off than the servos' ticks and the camera can explain: check zeros, horns and limits"
-    )
+        body, eyes.pose_world_camera, eyes.pose_body_tool(limbs.scene.q), report.goal, report.target,
+        report.bound, report.goal_sigma,
+    )  # fmt: skip

@@ -32,6 +32,8 @@ from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.
 SCHEMA = 1
+#: What a reach may leave behind.
+FILES = ("reach.png", "trajectory.csv", "summary.json", "reach.mp4")
 _AXES_PER_HOVER = 0.6
 
 
@@ -134,7 +136,7 @@ def _outcome(report: ReachReport) -> str:
         )
     if report.problem is not None:
         return "NOT reached"
-    return f"{'reached' if report.reached else 'NOT reached'} by the servos' own account\n{report.verdict}"
+    return f"{'reached' if report.reached else 'NOT reached'}\n{report.verdict}"
 
 
 def _table(report: ReachReport) -> str:

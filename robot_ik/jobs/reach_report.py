@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from robot_ik.goals import Goal
 from robot_ik.jobs.eyes import Eyes, Seen
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.reach_request import ReachRequest
-from robot_ik.jobs.verdict import Bound, Judgement
+from robot_ik.jobs.verdict import EXACT, Bound, Judgement, Verdict, decide
 from robot_ik.motion.reports import Execution, FollowReport
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.problem import Tolerance
@@ -41,8 +42,9 @@ class ReachReport:
         tolerance: What the solution's miss may be; part of ``bound``.
         behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
         problem: Why it ended early: an error that means "not achieved".
+        goal_sigma: How well ``target`` is known beside what the arm was sent to; zeros where both are one.
         read_back, by_camera: The two judgements.
-        verdict: One sentence on the camera's judgement.
+        blind: Why no camera looked at the arm; empty: one looked.
     """
 
     request: ReachRequest
@@ -65,18 +67,48 @@ class ReachReport:
     bound: Bound | None = None
     read_back: Judgement | None = None
     by_camera: Judgement | None = None
-    verdict: str = ""
-    camera_counts: bool = False
+    goal_sigma: Bound = EXACT
+    blind: str = ""
     before: Any = None
     after: Any = None
     problem: RobotIkError | None = None
     counters: dict[str, int] = field(default_factory=dict)
 
     @property
+    def decision(self) -> Verdict:
+        """Did it arrive, and why so; text and exit code are its."""
+        if self.problem is not None or self.read_back is None:
+            return Verdict(False, "")
+        return decide(
+            self.read_back,
+            self.by_camera,
+            servos=self.limbs.arm is not None,
+            blind=self.blind,
+            seen_goal=self.request.goal is None,
+            stopped_short=self._stopped_short(),
+            followed=self.following is not None,
+        )
+
+    @property
     def reached(self) -> bool:
-        """Both judgements passed, or the only one that could be made."""
-        if self.problem is not None or self.read_back is None or not self.read_back.passed:
-            return False
-        if not self.camera_counts:
-            return True
-        return self.by_camera is not None and self.by_camera.passed
+        """Whether it arrived."""
+        return self.decision.reached
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on that; empty where ``problem`` says it."""
+        return self.decision.text
+
+    def _stopped_short(self) -> str:
+        """Which servo did not get to where it was sent, by its own account; empty: all did."""
+        off = None if self.execution is None else self.execution.final_error
+        if off is None or self.following is not None:
+            return ""
+        worst = int(abs(off).argmax())
+        if abs(off[worst]) <= self.limbs.resolution[worst]:
+            return ""
+        joint = self.execution.joints[worst]  # type: ignore[union-attr]
+        return (
+            f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
+            "is it held, overloaded or too slow?"
+        )

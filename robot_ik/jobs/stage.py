@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,9 @@ _MADE_UP_IDS = (20, 21, 22, 23)
 _TRIES = 60
 # Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
 _GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
+# A view in which the tool's markers lie on the target's is worth so much of one that keeps them apart, and
+# ends the search after so many goals.
+_ONE_ON_THE_OTHER, _PATIENCE = 0.5, 4
 
 
 @dataclass(frozen=True)
@@ -201,7 +205,8 @@ def _best_view(robot: Robot, frame: str, stage: Stage, reach: float, upright: bo
             score = _visibility(robot, replace(placed, pose_world_camera=pose), q)
             if score > best_score:
                 best, best_score = replace(placed, pose_world_camera=pose), score
-        if best_score > _GOOD_VIEW:
+        enough = _GOOD_VIEW if attempt < _PATIENCE else _ONE_ON_THE_OTHER * _GOOD_VIEW
+        if best_score > enough:
             break
     if best is None:
         raise CameraError(
@@ -221,7 +226,7 @@ def _marker_for(tool: Pose, stage: Stage, upright: bool) -> Pose:
 
 def _ground(robot: Robot, stage: Stage, q_goal: Array, reach: float) -> Table | None:
     """A table top below marker and tool where the floor, at height 0, would hide them."""
-    cube = robot.forward(q_goal, stage.cube_frame).compose(stage.cube_offset)
+    cube = _cube_pose(robot, stage, q_goal)
     side = next(side for side, _ in stage.cube.values())
     lowest = min(stage.pose_world_marker.position[2] - stage.marker_size, cube.position[2] - 1.2 * side)
     height = float(lowest) - 0.02 * reach
@@ -248,13 +253,35 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
 def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
     """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
     at_home = _facing(robot, stage, robot.home, [stage.pose_world_marker], [stage.marker_size])
-    if not at_home:
+    if not at_home or not _apart(robot, stage, robot.home):
         return 0.0
-    cube = robot.forward(q_goal, stage.cube_frame).compose(stage.cube_offset)
+    cube = _cube_pose(robot, stage, q_goal)
     sides = [cube.compose(pose) for _, pose in stage.cube.values()]
     seen = _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
-    return min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
+    score = min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
+    return score if not score or _apart(robot, stage, q_goal) else _ONE_ON_THE_OTHER * score
+
+
+def _cube_pose(robot: Robot, stage: Stage, q: Array) -> Pose:
+    return robot.forward(q, stage.cube_frame).compose(stage.cube_offset)
+
+
+def _apart(robot: Robot, stage: Stage, q: Array) -> bool:
+    """Whether the picture at ``q`` shows the target, and a cell of white round it, beside the whole cube."""
+    to_camera = stage.pose_world_camera.inverse()
+
+    def outline(pose: Pose, points: Array) -> NDArray[np.float32]:
+        pixels = stage.intrinsics.project(to_camera.apply(pose.apply(points)))
+        return np.asarray(cv2.convexHull(pixels.astype(np.float32)))
+
+    h = 0.6 * stage.marker_size
+    paper = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
+    side = next(side for side, _ in stage.cube.values())
+    c = 0.5 * side + stage.cube_margin
+    corners = c * np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    target, cube = outline(stage.pose_world_marker, paper), outline(_cube_pose(robot, stage, q), corners)
+    return not cv2.intersectConvexConvex(target, cube)[0] > 0.0
 
 
 def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:

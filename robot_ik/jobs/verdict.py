@@ -1,11 +1,13 @@
-"""Did the arm reach its goal?  Two answers that know nothing of each other.
+"""Did the arm reach its goal?  Two measurements that know nothing of each other, and one decision.
 
 The servos' registers say where the joints are (through MuJoCo's forward pass); a camera says where the
-tool really is.  A servo with a slipped horn passes the first and fails the second.
+tool really is.  A servo with a slipped horn passes the first and fails the second.  ``decide`` makes the
+verdict of both; text and exit code are its.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,10 +33,24 @@ SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Bound:
-    """Largest miss that is explained: metres and radians."""
+    """Largest miss that is explained, or a standard deviation: metres and radians."""
 
     position: float
     angle: float
+
+    def combined(self, other: Bound) -> Bound:
+        """The standard deviation of the sum of two that are independent."""
+        return Bound(math.hypot(self.position, other.position), math.hypot(self.angle, other.angle))
+
+    def widened(self, sigma: Bound) -> Bound:
+        """With three standard deviations of a measurement, which take it to 5 mm and 1 degree at most."""
+        return Bound(
+            max(self.position, min(LARGEST_MISS, self.position + SIGMAS * sigma.position)),
+            max(self.angle, min(LARGEST_ANGLE, self.angle + SIGMAS * sigma.angle)),
+        )
+
+
+EXACT = Bound(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -85,11 +101,23 @@ def distance(pose: Pose, goal: Goal, target: Pose) -> tuple[float, float]:
     return goal.off(pose, target)
 
 
-def judge_read_back(robot: Robot, q: Array, goal: Goal, target: Pose, frame: str, bound: Bound) -> Judgement:
-    """The miss at the joint angles read back (nq,), by MuJoCo's own forward pass."""
+def judge_read_back(
+    robot: Robot, q: Array, goal: Goal, target: Pose, frame: str, bound: Bound, goal_sigma: Bound = EXACT
+) -> Judgement:
+    """The miss at the joint angles read back (nq,), by MuJoCo's own forward pass.
+
+    Args:
+        robot: At ``q`` (nq,).
+        q: See ``robot``.
+        goal: What was wanted, at ``target`` in the world.
+        target: See ``goal``.
+        frame: The tool.
+        bound: From ``quantisation``.
+        goal_sigma: How well ``target`` is known, beside where the arm was sent; zeros where both are one.
+    """
     pose = robot.measure(q, frame)
     metres, radians = distance(pose, goal, target)
-    return Judgement(metres, radians, bound, Bound(0.0, 0.0), pose)
+    return Judgement(metres, radians, bound.widened(goal_sigma), goal_sigma, pose)
 
 
 def judge_by_camera(
@@ -99,6 +127,7 @@ def judge_by_camera(
     goal: Goal,
     target: Pose,
     bound: Bound,
+    goal_sigma: Bound = EXACT,
 ) -> Judgement:
     """The miss as a camera sees it: the tool carries markers.
 
@@ -112,10 +141,12 @@ def judge_by_camera(
         goal: What was wanted, at ``target`` in the world.
         target: See ``goal``.
         bound: From ``quantisation``.
+        goal_sigma: As in ``judge_read_back``.
     """
     pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
     metres, radians = distance(pose, goal, target)
-    sigma = sigma_at(seen.covariance, seen.pose_camera_body.rotation @ pose_body_tool.position)
+    lever = seen.pose_camera_body.rotation @ pose_body_tool.position
+    sigma = sigma_at(seen.covariance, lever).combined(goal_sigma)
     allowed = Bound(
         min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
@@ -140,3 +171,58 @@ def sigma_at(covariance: Array, lever: Array) -> Bound:
         float(np.sqrt(np.linalg.eigvalsh(at_point)[-1])),
         float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])),
     )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the goal was reached, and why in one sentence; the exit code follows ``reached``."""
+
+    reached: bool
+    text: str
+
+
+def decide(
+    read_back: Judgement,
+    by_camera: Judgement | None,
+    *,
+    servos: bool,
+    blind: str,
+    seen_goal: bool,
+    stopped_short: str = "",
+    followed: bool = False,
+) -> Verdict:
+    """The one decision of a reach.
+
+    Without servos the joint angles are known, so a camera that sees no gripper leaves nothing unproven.
+
+    Args:
+        read_back: By the joint angles.
+        by_camera: None: no picture shows where the tool is.
+        servos: There are any, so the registers may be wrong about the arm.
+        blind: Why no camera looked at the arm; empty: one looked.
+        seen_goal: The goal is a marker, so a camera is at hand.
+        stopped_short: What servo is how far from its command; empty: none is.
+        followed: The goal moved.
+    """
+    account = "by the servos' own account" if servos else "by the model's joint angles"
+    if not read_back.passed:
+        if stopped_short:
+            return Verdict(False, stopped_short)
+        off = f"the tool is {1e3 * read_back.position:.2f} mm from the goal {account}"
+        why = "the marker moved on, or the arm is too slow" if followed else "the solution was not kept to"
+        return Verdict(False, f"{off}: {why}")
+    if by_camera is not None:
+        if by_camera.passed:
+            return Verdict(True, f"within what {_explained(servos)} explain")
+        hint = "check zeros, horns and limits" if servos else "check the camera's calibration and place"
+        return Verdict(False, f"farther off than {_explained(servos)} can explain: {hint}")
+    if blind:
+        return Verdict(True, f"{account}: {blind}")
+    if servos and seen_goal:
+        missing = "no marker of the gripper is in view, so where the tool is remains unproven"
+        return Verdict(False, missing)
+    return Verdict(True, f"{account}: no marker of the gripper is in view")
+
+
+def _explained(servos: bool) -> str:
+    return "the servos' ticks and the camera" if servos else "the solver's tolerance and the camera"

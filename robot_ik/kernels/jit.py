@@ -21,8 +21,15 @@ from typing import Any, TypeVar
 
 import numba
 
+from robot_ik.errors import ConfigError
+
 # Made while numba is imported, from the environment: no type checker can see what is in it.
 numba_config: Any = numba.core.config
+if numba_config.DISABLE_JIT:
+    raise ConfigError(
+        "the kernels exist compiled only, and this switches the compiler off",
+        file="environment", key="NUMBA_DISABLE_JIT", allowed="unset, or 0",
+    )  # fmt: skip
 
 logger = logging.getLogger("robot_ik.kernels")
 
@@ -173,4 +180,4 @@ def announce(function: Any, what: str) -> None:
         return
     _announced.add(name)
     if not compiled(function):
-        logger.info("compiling %s: some seconds, once on this machine", what)
+        logger.info("compiling %s: up to a minute, once on this machine", what)

@@ -98,3 +98,14 @@ def test_a_broken_model_names_file_and_reason(robot_ik: Any, tmp_path: Path) -> 
     run = robot_ik("robots", file)
     run.assert_one_screen_error()
     assert str(file) in run.err and "XML" in run.err
+
+
+def test_a_model_with_nameless_and_free_joints_is_shown(robot_ik: Any, tmp_path: Path) -> None:
+    path = tmp_path / "float.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="a"><freejoint/><geom size=".1"/><body><joint axis="0 0 1"/>'
+        '<geom size=".1"/><site name="tip"/></body></body></worldbody></mujoco>'
+    )
+    run = robot_ik("robots", path)
+    assert run.code == 0 and "joint_0  free" in run.out and "joint_1  hinge" in run.out
+    assert robot_ik("solve", "--robot", path, "--goal", 0.1, 0.2, 0.3).code == 0

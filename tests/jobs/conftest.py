@@ -65,6 +65,29 @@ DESK = """
 """
 
 
+def two_arms(links: list[tuple[str, float]]) -> str:
+    """A trunk with two equal arms: the axis of each joint, and the length of the link behind it."""
+
+    def arm(name: str, y: float) -> str:
+        text, before = "", ""
+        for k, (axis, length) in enumerate(links):
+            place = before or f"0 {y} .5"
+            text += f"""<body pos="{place}"><joint name="{name}{k}" axis="{axis}" range="-120 120"/>
+             <geom type="capsule" fromto="0 0 0 0 0 {length}" size=".03"/>"""
+            before = f"0 0 {length}"
+        return f'{text}<site name="{name}_hand" pos="0 0 {links[-1][1] + 0.05}"/>' + "</body>" * len(links)
+
+    trunk = '<body name="trunk"><geom type="box" size=".08 .15 .25" pos="0 0 .25"/>'
+    both = arm("left", 0.2) + arm("right", -0.2)
+    return f'<mujoco model="two"><worldbody>{trunk}{both}</body></worldbody></mujoco>'
+
+
+X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
+# Both were given stages on which the arm's own markers covered the target.
+SEVEN = [(Y, 0.117), (Z, 0.06), (Z, 0.253), (Y, 0.278), (Y, 0.232), (Y, 0.186), (X, 0.254)]
+THREE = [(Z, 0.175), (X, 0.2), (Z, 0.087)]
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _stages_painted_once() -> Iterator[None]:
     """A stage does not change between pictures; painting it takes longer than everything else here."""
@@ -108,10 +131,11 @@ def healthy() -> ReachReport:
 
 @pytest.fixture(scope="session")
 def arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Model files by name: ``ur`` (six axes), ``planar`` (three), ``desk`` (four and two fingers)."""
+    """Model files by name: ``ur`` has six axes, ``planar`` three, ``desk`` four and two fingers."""
     folder = tmp_path_factory.mktemp("arms")
     files = {}
-    for name, text in {"ur": UR, "planar": PLANAR, "desk": DESK}.items():
+    texts = {"two_arms": two_arms(SEVEN), "two_arms_of_three_joints": two_arms(THREE)}
+    for name, text in {"ur": UR, "planar": PLANAR, "desk": DESK, **texts}.items():
         files[name] = folder / f"{name}.xml"
         files[name].write_text(text)
     return files

@@ -13,6 +13,8 @@ from robot_ik.jobs.verdict import (
     LARGEST_MISS,
     SIGMAS,
     Bound,
+    Judgement,
+    decide,
     judge_by_camera,
     judge_read_back,
     quantisation,
@@ -115,3 +117,44 @@ def test_no_more_than_one_degree(angle_deg: float, passed: bool) -> None:
     judged = by_camera(0.0, np.deg2rad(angle_deg), 1e-4, Bound(1e-3, 0.5))
     assert judged.allowed.angle == LARGEST_ANGLE and judged.angle == pytest.approx(np.deg2rad(angle_deg))
     assert judged.passed is passed
+
+
+def test_two_looks_at_a_moving_goal_may_differ_by_what_they_are_worth(puma: Robot) -> None:
+    pose = puma.forward(puma.home, "gripper")
+    target = Pose(np.add(pose.position, [0.0, 4e-4, 0.0]), pose.wxyz)
+    goal = PoseGoal("gripper", position=target.position, wxyz=target.wxyz)
+    asked = (puma, puma.home, goal, target, "gripper", Bound(1e-5, 1e-4))
+    assert not judge_read_back(*asked).passed
+    assert judge_read_back(*asked, Bound(2e-4, 1e-3)).passed
+    wide = judge_read_back(*asked, Bound(1.0, 1.0)).allowed
+    assert wide == Bound(LARGEST_MISS, LARGEST_ANGLE)  # however uncertain the goal
+
+
+def judged(miss: float) -> Judgement:
+    return Judgement(miss, 0.0, Bound(1e-3, 0.01), Bound(0.0, 0.0), Pose())
+
+
+@pytest.mark.parametrize(
+    ("by_camera", "servos", "blind", "seen_goal", "reached", "says"),
+    [
+        (judged(0.0), True, "", True, True, "servos' ticks"),
+        (judged(0.0), False, "", True, True, "solver's tolerance"),
+        (judged(2e-3), True, "", True, False, "zeros, horns"),
+        (judged(2e-3), False, "", True, False, "calibration"),
+        (None, True, "", True, False, "unproven"),
+        (None, True, "", False, True, "own account"),
+        (None, False, "", True, True, "model's joint angles"),
+        (None, True, "nobody looked", True, True, "nobody looked"),
+    ],
+)
+def test_verdict_and_text_agree(
+    by_camera: Judgement | None, servos: bool, blind: str, seen_goal: bool, reached: bool, says: str
+) -> None:
+    asked = {"servos": servos, "blind": blind, "seen_goal": seen_goal}
+    verdict = decide(judged(0.0), by_camera, **asked)  # type: ignore[arg-type]
+    assert verdict.reached is reached and says in verdict.text
+    # whatever a camera says, joints that are elsewhere have not arrived, and the text says that
+    away = decide(judged(3e-3), by_camera, **asked)  # type: ignore[arg-type]
+    assert not away.reached and "3.00 mm" in away.text and "explain" not in away.text
+    stuck = decide(judged(3e-3), by_camera, **asked, stopped_short="joint2 is 3° off")  # type: ignore[arg-type]
+    assert not stuck.reached and stuck.text == "joint2 is 3° off"

@@ -153,7 +153,7 @@ def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
         jit.announce(fresh, "solver 'fresh'")
         jit.announce(known, "solver 'known'")
     assert [record.getMessage() for record in caplog.records] == [
-        "compiling solver 'fresh': some seconds, once on this machine"
+        "compiling solver 'fresh': up to a minute, once on this machine"
     ]
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import sysconfig
 import tomllib
 import zipfile
 from pathlib import Path
@@ -117,3 +118,17 @@ def test_hardware_refuses_its_bare_name() -> None:
     bare = subprocess.run([sys.executable, "-c", "import hardware"], cwd=ROOT, capture_output=True, text=True)
     assert bare.returncode == 1
     assert "robot_ik.hardware" in bare.stderr
+
+
+def test_a_type_checker_sees_the_editable_install(tmp_path: Path) -> None:
+    if not Path(sysconfig.get_path("purelib"), "robot_ik_stubs.pth").is_file():
+        pytest.skip("this environment was not made by `make`, which links the stubs")
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "import robot_ik as rik\nfrom robot_ik.hardware.config import ArmConfig\n"
+        'number: int = rik.load_robot("puma560")\nreveal_type(ArmConfig.load("arm.toml"))\n'
+    )
+    command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "mine.py"]
+    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
+    assert 'expression has type "Robot"' in said and "config.ArmConfig" in said, said
+    assert "import-not-found" not in said

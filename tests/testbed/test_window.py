@@ -188,3 +188,49 @@ def test_a_display_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ViewerError, match="no window can be opened"):
         WindowSink(load_robot("puma560"))
+
+
+# Shows a stage as `reach --view` does, and ends when its window is closed.
+STAGE = """
+import sys, threading
+import numpy as np
+from robot_ik.jobs.reach_window import stage_solids
+from robot_ik.jobs.stage import stage_for
+from robot_ik.robot import load_robot
+from robot_ik.testbed.frontends.window import WindowSink
+
+robot = load_robot(sys.argv[1])
+stage = stage_for(robot)
+marker = stage.pose_world_marker
+see = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
+with WindowSink(robot, solids=stage_solids(stage), see=see, eye=stage.pose_world_camera.position) as window:
+    scene = window._viewer.user_scn
+    assert scene.ngeom > 8, "floor, table, paper, square, cells"
+    window.show_goal(marker.compose(stage.pose_marker_tool))
+    assert scene.ngeom == window._fixed + 3
+    window.clear_goals()
+    assert scene.ngeom == window._fixed
+    # everything within the cone of view, seen from where the camera stands
+    camera, model = window._viewer.cam, window._model
+    azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
+    ahead = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    place = camera.lookat - camera.distance * np.array(ahead)
+    for point in [*window.data.geom_xpos, *see]:
+        way = point - place
+        angle = np.arccos(way @ ahead / np.linalg.norm(way))
+        assert angle < 0.5 * np.deg2rad(model.vis.global_.fovy), (point, angle)
+    threading.Timer(1.0, window._viewer.close).start()
+    window.wait()
+print("closed", flush=True)
+"""
+
+
+@pytest.mark.parametrize("name", ["puma560", "panda"])
+def test_the_stage_is_there_and_the_window_stays_until_it_is_closed(name: str, screen: Screen) -> None:
+    environment = {**os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+    environment.pop("MUJOCO_GL", None)
+    done = subprocess.run(
+        [sys.executable, "-c", STAGE, name],
+        env=environment, text=True, capture_output=True, timeout=3 * PATIENCE, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0 and done.stdout == "closed\n", done.stderr

@@ -14,6 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+# A day: a script that waits longer waits for something else.
+_LONGEST = 86_400.0
+_Seconds = Annotated[float, Field(gt=0.0, le=_LONGEST, allow_inf_nan=False)]
 _Place = Annotated[list[_Number], Field(min_length=3, max_length=3)]
 _Turn = Annotated[list[_Number], Field(min_length=4, max_length=4)]
 _Span = Annotated[list[_NotNegative], Field(min_length=2, max_length=2)]
@@ -45,7 +48,7 @@ class Action(Step):
         raises: Class of the error with which it must end; without it, an error is a failure.
     """
 
-    time_limit_s: _Positive | None = None
+    time_limit_s: _Seconds | None = None
     raises: _Word | None = None
 
 
@@ -136,7 +139,7 @@ class FollowStep(Action):
 
     do: Literal["follow"]
     path: Literal["circle", "eight", "marker"]
-    seconds: _Positive
+    seconds: _Seconds
     center: _Place | None = None
     radius: _Positive | None = None
     period: _Positive | None = None
@@ -152,7 +155,7 @@ class WaitStep(Action):
     """The arm stays where it was sent to."""
 
     do: Literal["wait"]
-    seconds: _NotNegative
+    seconds: Annotated[float, Field(ge=0.0, le=_LONGEST, allow_inf_nan=False)]
 
 
 class HoldStep(Action):

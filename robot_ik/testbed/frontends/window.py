@@ -6,11 +6,14 @@ step is ever taken, so ``data.time`` stays 0.  Closing the window stops the pict
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -30,7 +33,20 @@ OPEN_LIMIT = 20.0
 CLOSE_LIMIT = 5.0
 #: Axis thickness as a fraction of its length.
 _AXIS_WIDTH = 0.04
+#: Seconds between two looks whether the window is closed.
+_LOOK_AGAIN = 0.05
+# Of the light at the eye, where the model has none.
+_AMBIENT, _DIFFUSE = 0.35, 0.55
 _AXIS_COLOURS = ((0.9, 0.1, 0.1, 1.0), (0.1, 0.75, 0.1, 1.0), (0.15, 0.3, 1.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A box that stands round the robot: ``pose`` in the world, half its sides in metres, colour rgba."""
+
+    pose: Pose
+    half: tuple[float, float, float]
+    rgba: tuple[float, ...]
 
 
 def _require_display(limit: float) -> None:
@@ -79,6 +95,9 @@ class WindowSink:
         start: (nq,) first joint angles, rad or m; the robot's home if ``None``.
         panels: Show MuJoCo's side panels.
         limit: Seconds the window may take to appear.
+        solids: What stands round the robot.
+        see: (n, 3) points that shall be in view beside the whole robot, metres.
+        eye: From where to look; None: from the side that MuJoCo takes.
 
     Attributes:
         data: The ``MjData`` that is shown; nobody else may write it.
@@ -89,16 +108,69 @@ class WindowSink:
     """
 
     def __init__(
-        self, robot: Robot, *, start: Array | None = None, panels: bool = False, limit: float = OPEN_LIMIT
+        self,
+        robot: Robot,
+        *,
+        start: Array | None = None,
+        panels: bool = False,
+        limit: float = OPEN_LIMIT,
+        solids: Sequence[Solid] = (),
+        see: Array | None = None,
+        eye: Array | None = None,
     ) -> None:
         self._mujoco = import_mujoco()
         self._robot = robot
         self._model = copy.deepcopy(robot.model)
+        self._light()
         self.data = self._mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
         before = set(threading.enumerate())
         self._viewer = self._open(panels, limit)
         self._threads = [t for t in threading.enumerate() if t not in before]
+        with self._lock():
+            self._look(see, eye)
+            for solid in solids:
+                self._add_box(solid)
+        self._fixed = int(self._viewer.user_scn.ngeom)
+        self._viewer.sync()
+
+    def _light(self) -> None:
+        """A model without a light of its own is lit from the eye alone, and then more brightly."""
+        if not self._model.nlight:
+            self._model.vis.headlight.ambient[:] = _AMBIENT
+            self._model.vis.headlight.diffuse[:] = _DIFFUSE
+
+    def _look(self, see: Array | None, eye: Array | None) -> None:
+        """Turns the camera so that the robot as it stands and ``see`` (n, 3) fill the view."""
+        model, data = self._model, self.data
+        solid = [g for g in range(model.ngeom) if model.geom_type[g] != self._mujoco.mjtGeom.mjGEOM_PLANE]
+        points = np.zeros((0, 3)) if see is None else np.reshape(see, (-1, 3))
+        places, sizes = data.geom_xpos[solid], model.geom_rbound[solid][:, None]
+        corners = np.vstack([places - sizes, places + sizes, points])
+        if not len(corners):
+            return
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        camera = self._viewer.cam
+        camera.lookat[:] = middle
+        camera.distance = radius / np.sin(0.5 * np.deg2rad(model.vis.global_.fovy))
+        if eye is not None:
+            way = middle - eye
+            camera.azimuth = float(np.rad2deg(np.arctan2(way[1], way[0])))
+            camera.elevation = float(np.rad2deg(np.arcsin(way[2] / np.linalg.norm(way))))
+
+    def _add_box(self, solid: Solid) -> None:
+        mujoco, scene = self._mujoco, self._viewer.user_scn
+        if scene.ngeom < scene.maxgeom:
+            mujoco.mjv_initGeom(
+                scene.geoms[scene.ngeom],
+                mujoco.mjtGeom.mjGEOM_BOX,
+                np.array(solid.half),
+                np.array(solid.pose.position),
+                solid.pose.rotation.ravel(),
+                np.array(solid.rgba, dtype=np.float32),
+            )
+            scene.ngeom += 1
 
     def _open(self, panels: bool, limit: float) -> Any:
         try:
@@ -160,12 +232,18 @@ class WindowSink:
     def clear_goals(self) -> None:
         """Takes all drawn goals away."""
         with self._lock():
-            self._viewer.user_scn.ngeom = 0
+            self._viewer.user_scn.ngeom = self._fixed
         self._viewer.sync()
 
     def is_running(self) -> bool:
         """Whether the window is still open."""
         return bool(self._viewer.is_running())
+
+    def wait(self) -> None:
+        """Returns when its user has closed the window, or pressed Ctrl-C."""
+        with contextlib.suppress(KeyboardInterrupt):
+            while self.is_running():
+                time.sleep(_LOOK_AGAIN)
 
     def close(self) -> None:
         """Closes the window and waits for its drawing thread; may be called twice."""

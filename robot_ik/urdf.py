@@ -1,0 +1,110 @@
+"""URDF files as people have them, made readable for MuJoCo: fixed frames, meshes of packages, velocities."""
+
+from __future__ import annotations
+
+import logging
+import math
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+_log = logging.getLogger(__name__)
+
+# What MuJoCo reads (XML reference, asset/mesh).
+_MESHES = (".stl", ".obj", ".msh")
+
+
+class Urdf:
+    """A URDF, and the folder that its file names count from.
+
+    Args:
+        root: Its element ``robot``.
+        folder: See above.
+    """
+
+    def __init__(self, root: ElementTree.Element, folder: Path) -> None:
+        self._root, self._folder = root, folder
+
+    @classmethod
+    def of_file(cls, path: Path) -> Urdf | None:
+        """The URDF in a file; None where it is something else."""
+        try:
+            for _, root in ElementTree.iterparse(path, ("start",)):
+                return cls(ElementTree.parse(path).getroot(), path.parent) if root.tag == "robot" else None
+        except (OSError, ElementTree.ParseError):
+            pass  # MuJoCo says what is wrong with it
+        return None
+
+    @classmethod
+    def of_text(cls, text: str) -> Urdf | None:
+        """The URDF in a string, its files beside the working directory; None where it is something else."""
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError:
+            return None
+        return cls(root, Path()) if root.tag == "robot" else None
+
+    @property
+    def velocity(self) -> dict[str, float]:
+        """Joint -> rad/s or m/s, where the file limits it."""
+        found = {}
+        for joint in self._root.iter("joint"):
+            limit = joint.find("limit")
+            try:
+                velocity = float(limit.get("velocity", "0")) if limit is not None else 0.0
+            except ValueError:
+                velocity = 0.0  # MuJoCo does not read it, so nobody says that it is no number
+            if 0.0 < velocity < math.inf:
+                found[joint.get("name", "")] = velocity
+        return found
+
+    def text(self) -> str:
+        """What MuJoCo shall read.
+
+        Fixed joints keep their frames, and meshes are found, unless the file's own ``<mujoco>`` says more.
+        A mesh that is not there, or that MuJoCo does not read (.dae), is left out: kinematics needs none.
+        """
+        extension = self._root.find("mujoco")
+        if extension is None:
+            extension = ElementTree.SubElement(self._root, "mujoco")
+        compiler = extension.find("compiler")
+        if compiler is None:
+            compiler = ElementTree.SubElement(extension, "compiler")
+        if "fusestatic" not in compiler.attrib:
+            compiler.set("fusestatic", "false")
+        if "meshdir" not in compiler.attrib and "strippath" not in compiler.attrib:
+            compiler.set("strippath", "false")
+            self._find_meshes()
+        return ElementTree.tostring(self._root, encoding="unicode")
+
+    def _find_meshes(self) -> None:
+        missing = []
+        for link in self._root.iter("link"):
+            for shape in [*link.findall("visual"), *link.findall("collision")]:
+                mesh = shape.find("geometry/mesh")
+                if mesh is None:
+                    continue
+                asked = mesh.get("filename", "")
+                found = self._file(asked)
+                if found is None or found.suffix.lower() not in _MESHES:
+                    missing.append(asked)
+                    link.remove(shape)
+                else:
+                    mesh.set("filename", str(found))
+        if missing:
+            _log.warning(
+                "%d meshes are left out, since they are not there or neither STL nor OBJ: %s%s",
+                len(missing), ", ".join(missing[:3]), ", …" if len(missing) > 3 else "",
+            )  # fmt: skip
+
+    def _file(self, name: str) -> Path | None:
+        """The file that ``package://PACKAGE/…``, ``file://…`` or a plain name means; None: there is none."""
+        folder = self._folder.resolve()
+        tries = []
+        if name.startswith("package://"):
+            package, _, rest = name.removeprefix("package://").partition("/")
+            for above in (folder, *folder.parents):
+                tries += [above / package / rest, *([above / rest] if above.name == package else [])]
+        else:
+            plain = Path(name.removeprefix("file://"))
+            tries = [folder / plain, folder / plain.name]
+        return next((path for path in tries if path.is_file()), None)
