@@ -18,9 +18,12 @@ from hypothesis import settings
 # The width of the terminal that the tests were started in, which pytest-xdist hands on, must not matter.
 os.environ.pop("COLUMNS", None)
 
-# Started in the background of a shell, Ctrl-C is ignored, and by all children too: tests of it need it.
+# Started in the background of a shell or under nohup, signals are ignored, and by all children too: tests of
+# them need them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries
 # the same examples every time: a change is judged by itself, not by luck.  `make explore` draws new ones.
