@@ -121,7 +121,7 @@ class Arm:
         self._heartbeat = Heartbeat(self._look)
         self._streaming = False  # commands come one after the other, none of them meant to last
         self._commanded = 0.0  # when the last one came
-        self._stop_file = StopFile(bus.port, config.name)
+        self._stop_file = StopFile(config.name)
         self._stop_policy: str | None = None  # somebody asked to stop: how the arm is left, whatever on_exit
         self._stop_answered = True
         self._looked = 0.0
@@ -190,7 +190,7 @@ class Arm:
                 self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
             self._commanded, self._streaming = self.clock.now(), False
             if not isinstance(self.clock, VirtualClock):
-                self._stop_file.open()
+                self._stop_file.open(self.bus.port)
                 self._heartbeat.start()
             self.state = after
         except BaseException:

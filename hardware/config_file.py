@@ -41,7 +41,7 @@ class BusFile(_Table):
     """Table ``[bus]``."""
 
     baud: int = 1_000_000
-    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 100.0
+    rate_hz: Annotated[float, Field(ge=1, le=1000)] = 100.0
     watchdog_ms: Annotated[int, Field(ge=0, le=WATCHDOG_MAX_MS, multiple_of=WATCHDOG_UNIT_MS)] = WATCHDOG_MS
     on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
     stale_ms: Annotated[int | None, Field(ge=0, le=60_000)] = None  # half of watchdog_ms
@@ -252,7 +252,7 @@ def _limits(location: tuple[int | str, ...]) -> str:
     metadata = list(field.metadata) if field else []
     for choice in get_args(field.annotation) if field else ():  # of a key that may be left out
         for info in getattr(choice, "__metadata__", ()):
-            metadata += info.metadata
+            metadata += getattr(info, "metadata", ())
     for item in metadata:
         for name in ("gt", "ge", "le", "multiple_of"):
             if getattr(item, name, None) is not None:

@@ -58,23 +58,24 @@ class StopFile:
     """The arm's side.
 
     Args:
-        port: Of its bus.
         name: Of the arm.
     """
 
-    def __init__(self, port: str, name: str) -> None:
-        self._about = {"pid": os.getpid(), "port": os.path.realpath(port), "name": name}
+    def __init__(self, name: str) -> None:
+        self._name = name
         self._stem: Path | None = None
         self._request = ""
         self._file = -1
 
-    def open(self) -> None:
-        """From here on the arm can be found; without a folder it cannot, and the log says so."""
+    def open(self, port: str) -> None:
+        """From here on the arm on ``port`` can be found; without a folder it cannot, and the log says so."""
+        self.close()
+        about = {"pid": os.getpid(), "port": os.path.realpath(port), "name": self._name}
         try:
             stem = runtime_folder() / uuid.uuid4().hex
             self._file = os.open(stem.with_suffix(".arm"), os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
             _locked(self._file)
-            os.write(self._file, json.dumps(self._about).encode())
+            os.write(self._file, json.dumps(about).encode())
         except (OSError, HardwareError) as error:
             log.warning("robot-ik stop cannot reach this arm: %s", error)
             self.close()

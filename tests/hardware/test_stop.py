@@ -152,6 +152,7 @@ def test_whatever_a_request_says_the_arm_stops(arm_config, start):
     with open_arm(arm_config, "pty", start=start) as arm:
         arm.enable()
         (running,) = running_arms()
+        assert running.port == os.path.realpath(arm.bus.port)
         running.stem.with_suffix(".stop").write_text("{")
         with pytest.raises(StopRequestedError):
             for k in range(200):

@@ -106,7 +106,7 @@ seconds = 0.5
 def test_an_arm_that_cannot_be_left_safely_fails_the_run(play: Run) -> None:
     report = play('[[steps]]\ndo = "inject"\nkind = "port_unplugged"')
     assert outcomes(report) == ["passed", "failed"]
-    assert "torque may be on" in report.steps[-1].found and not report.passed
+    assert "torque may be ON" in report.steps[-1].found and not report.passed
 
 
 def test_recovering_needs_a_fault_and_its_cause_gone(play: Run) -> None:

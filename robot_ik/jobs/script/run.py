@@ -169,7 +169,7 @@ def _tell_leaving(now: Situation, row: StepResult) -> None:
     row.outcome = PASSED if left.ok else FAILED
     row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'nobody'}"
     if left.unverified:
-        row.found += f"; not by {', '.join(left.unverified)}: torque may be on"
+        row.found += f"; {left.doubt}"
 
 
 def run_step(now: Situation, step: AnyStep, result: StepResult) -> None:
@@ -209,7 +209,7 @@ def _take_time(now: Situation, step: Action, result: StepResult) -> None:
     if over and result.outcome == PASSED:
         result.outcome = FAILED
         took, most = apart(result.seconds, step.time_limit_s or 0.0, digits=2)
-        result.found = f"took {took} s, allowed {most} s; {result.found}"
+        result.found = "; ".join(filter(None, (f"took {took} s, allowed {most} s", result.found)))
 
 
 def _wait(now: Situation, step: WaitStep, result: StepResult) -> None:
