@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.control_table import ControlTable, OperatingMode, control_table
 from robot_ik.hardware.joint_map import JointMap
-from robot_ik.hardware.watchdogs import least_watchdog_ms
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -51,8 +51,12 @@ def _check_watchdogs(config: ArmConfig, file: Path | str) -> None:
     """The heartbeat must act before the servos stop by themselves, or a held arm sinks a little each time."""
     if not config.watchdog_ms or not config.stale_ms:
         return
-    least = least_watchdog_ms(config.stale_ms, 1.0 / config.rate_hz)
+    period = 1.0 / config.rate_hz
+    least = least_watchdog_ms(config.stale_ms, period)
     if config.watchdog_ms < least:
+        if config.stale_ms == config.watchdog_ms // 2:  # not named: it grows with the watchdog
+            while least < least_watchdog_ms(least // 2, period):
+                least += WATCHDOG_UNIT_MS
         raise ConfigError(
             f"the servos would stop by themselves after {config.watchdog_ms} ms, before the program can hold "
             f"them (stale_ms = {config.stale_ms} at {config.rate_hz:g} Hz)",

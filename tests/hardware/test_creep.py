@@ -170,6 +170,17 @@ def test_a_file_that_names_only_the_watchdog_gets_half_of_it(arm_toml):
     assert (plain.watchdog_ms, plain.stale_ms) == (400, 200)
 
 
+def test_the_least_value_that_is_named_is_accepted(arm_toml):
+    for watchdog in (40, 60, 100, 120, 140):
+        text = arm_toml.replace("watchdog_ms = 200", f"watchdog_ms = {watchdog}")
+        with pytest.raises(ConfigError) as refused:
+            ArmConfig.parse(text)
+        least = int(refused.value.allowed.split()[0])
+        ArmConfig.parse(text.replace(f"watchdog_ms = {watchdog}", f"watchdog_ms = {least}"))
+        with pytest.raises(ConfigError):
+            ArmConfig.parse(text.replace(f"watchdog_ms = {watchdog}", f"watchdog_ms = {least - 20}"))
+
+
 def test_without_a_heartbeat_the_arm_warns(arm_config, caplog):
     with open_arm(dataclasses.replace(arm_config, stale_ms=0), "sim") as arm, caplog.at_level("WARNING"):
         arm.enable()
