@@ -32,7 +32,7 @@ from robot_ik.camera.sheets.blocks import SheetWish
 from robot_ik.camera.sheets.page import rasterize
 from robot_ik.camera.sheets.sheet import make_sheet_page
 from robot_ik.geometry import rotation_exp
-from robot_ik.jobs.ar import extent
+from robot_ik.jobs.ar import heights
 from robot_ik.jobs.ar_scene import BOARD, Motion, synthetic_stage
 from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
 from robot_ik.jobs.verify import VerifyRequest, run_verify
@@ -172,7 +172,7 @@ def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: fl
     )
     clock.ticks = 30
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
-    low, high = extent(robot)
+    low, high = heights(robot)
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
     watcher = BoardWatcher(parse_board(BOARD), optics)

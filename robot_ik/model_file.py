@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from collections.abc import Sequence
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,14 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.catalogue import RobotFile
-from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
-from robot_ik.files import LARGEST_NUMBER
+from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
+from robot_ik.files import LARGEST_NUMBER, read_text
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, V_WIDTH, Tree
 from robot_ik.urdf import Urdf
 
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
+
+# What Python does with warnings is one setting of the whole process.
+_NOTING = threading.Lock()
 
 # Links without <inertial> weigh this much (kg, kg m²): MuJoCo compiles no moving body of nothing.
 _WEIGHTLESS, _WEIGHTLESS_INERTIA = 1e-9, 1e-12
@@ -75,19 +81,27 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
     """
     urdf = None
     if isinstance(source, Path):
-        urdf = Urdf.of_file(source)
+        urdf = Urdf.of_text(_text_of(source), source.parent)
     elif isinstance(source, str):
         urdf = Urdf.of_text(source)
     try:
-        if isinstance(source, mujoco.MjSpec):
-            spec = source.copy()
-        elif urdf is not None or isinstance(source, str):
-            spec = mujoco.MjSpec.from_string(source if urdf is None else urdf.text())
-        else:
-            spec = mujoco.MjSpec.from_file(str(source))
+        with _warnings_noted(path):
+            if isinstance(source, mujoco.MjSpec):
+                spec = source.copy()
+            elif urdf is not None or isinstance(source, str):
+                spec = mujoco.MjSpec.from_string(source if urdf is None else urdf.text())
+            else:
+                spec = mujoco.MjSpec.from_file(str(source))
     except (ValueError, RuntimeError) as error:
         raise _unreadable(path, error) from error
     return compile_model(spec, path), {} if urdf is None else urdf.velocity
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return read_text(path, "the model", errors="replace")  # MuJoCo takes bytes that are no UTF-8
+    except ConfigError as error:
+        raise ModelError(str(error.args[0]), path=path, reason="it cannot be read") from error
 
 
 def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
@@ -98,7 +112,8 @@ def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """
     _name_joints(spec)
     try:
-        model = _compiled(spec)
+        with _warnings_noted(path):
+            model = _compiled(spec)
     except (ValueError, RuntimeError) as error:
         raise _unreadable(path, error) from error
     _refuse_numbers(model, path)
@@ -117,6 +132,16 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     spec.compiler.boundmass = max(spec.compiler.boundmass, _WEIGHTLESS)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, _WEIGHTLESS_INERTIA)
     return spec.compile()
+
+
+@contextmanager
+def _warnings_noted(path: Path) -> Iterator[None]:
+    """Logs what MuJoCo warns of, such as masses that do not suffice for dynamics: no goal asks for them."""
+    with _NOTING, warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        yield
+    for warning in noted:
+        _log.info("%s: %s", path, warning.message)
 
 
 def _unreadable(path: Path, error: Exception) -> ModelError:
@@ -158,12 +183,9 @@ def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
             number = int(np.argmax(wrong))
             owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}.get(kind)
             whose = f"{what} of {kind} {owner(number).name or number!r}" if owner else name
-            raise ModelError(
-                f"{path}: {whose} is {rows[number].tolist()}",
-                path=path,
-                reason=f"{whose} is not finite, too large or of no length",
-                hint=f"finite numbers up to {LARGEST_NUMBER:g} are read",
-            )
+            reason = f"{whose} is {rows[number].tolist()}: not finite, too large or of no length"
+            hint = f"finite numbers up to {LARGEST_NUMBER:g} are read"
+            raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
 
 
 def _hint_at_radians(model: mujoco.MjModel, spec: mujoco.MjSpec, path: Path) -> None:

@@ -25,23 +25,13 @@ class Urdf:
         self._root, self._folder = root, folder
 
     @classmethod
-    def of_file(cls, path: Path) -> Urdf | None:
-        """The URDF in a file; None where it is something else."""
-        try:
-            for _, root in ElementTree.iterparse(path, ("start",)):
-                return cls(ElementTree.parse(path).getroot(), path.parent) if root.tag == "robot" else None
-        except (OSError, ElementTree.ParseError):
-            pass  # MuJoCo says what is wrong with it
-        return None
-
-    @classmethod
-    def of_text(cls, text: str) -> Urdf | None:
-        """The URDF in a string, its files beside the working directory; None where it is something else."""
+    def of_text(cls, text: str, folder: Path = Path()) -> Urdf | None:
+        """The URDF in a text whose file names count from ``folder``; None where it is something else."""
         try:
             root = ElementTree.fromstring(text)
-        except ElementTree.ParseError:
+        except (ElementTree.ParseError, ValueError):  # MuJoCo says what is wrong with it
             return None
-        return cls(root, Path()) if root.tag == "robot" else None
+        return cls(root, folder) if root.tag == "robot" else None
 
     @property
     def velocity(self) -> dict[str, float]:

@@ -135,6 +135,19 @@ def test_radians_read_as_degrees_get_a_hint(caplog: pytest.LogCaptureFixture) ->
     assert 'angle="radian"' in caplog.text and "3.10 degrees" in caplog.text
 
 
+def test_what_mujoco_warns_of_masses_is_logged_and_not_printed(
+    caplog: pytest.LogCaptureFixture, recwarn: pytest.WarningsRecorder
+) -> None:
+    twice = '<joint name="j1"/><joint name="j2"/>'  # two hinges about one axis: no dynamics, good kinematics
+    with caplog.at_level(logging.INFO):
+        robot = rik.load_robot(
+            f'<mujoco><worldbody><body name="a">{twice}<geom size="0.1"/></body></worldbody></mujoco>'
+        )
+    assert robot.nq == 2 and not recwarn.list
+    (record,) = caplog.records
+    assert record.levelno == logging.INFO and "nertia" in record.getMessage()
+
+
 @pytest.mark.parametrize("where", ['pos="nan 0 0"', 'quat="1 nan 0 0"'])
 def test_a_number_that_is_none_is_named(where: str) -> None:
     text = f'<mujoco><worldbody><body name="a" {where}><joint/><geom size=".1"/></body></worldbody></mujoco>'

@@ -43,7 +43,7 @@ NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
 )
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
-PIPE_WIDTH = 160
+PIPE_WIDTH = 240
 #: Columns below which tables are not folded further.
 NARROWEST = 40
 # Blank columns between two of a table.
@@ -103,9 +103,12 @@ class _Table(Table):
         words[0] = lines[0]  # the first column is never broken
         room = options.max_width - _GAP * (len(texts) - 1)
         if sum(lines) > room >= sum(words):
-            wishes = [line - word for word, line in zip(words, lines, strict=True)]
-            for column, word, wish in zip(self.columns, words, wishes, strict=True):
-                column.width = word + wish * (room - sum(words)) // sum(wishes)
+            spare = room - sum(words)
+            wishes = sorted((line - word, k) for k, (word, line) in enumerate(zip(words, lines, strict=True)))
+            for done, (wish, k) in enumerate(wishes):  # the smallest first: long lines fold, not headers
+                more = min(wish, spare // (len(wishes) - done))
+                self.columns[k].width = words[k] + more
+                spare -= more
         elif sum(lines) > room and len(texts) > 2:
             yield from self._rows_as_lists()
             return

@@ -184,7 +184,8 @@ def _print_help() -> None:
     for name, command in COMMANDS.items():
         rows.add_row(name, command.about)
     screen.print(rows)
-    others = console.table("option", "")
+    others = console.table("", "")
+    others.show_header = False
     others.add_row("--version", "versions of robot_ik and of what it stands on")
     others.add_row("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)")
     screen.print()

@@ -16,8 +16,8 @@ from robot_ik.camera.boards.view import BoardView
 from robot_ik.camera.handeye.model import HandEyeSample, Mounting
 from robot_ik.camera.handeye.places import today
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.errors import CameraError, RobotIkError
-from robot_ik.files import config_error, plain, read_json, write_atomically
+from robot_ik.errors import CameraError, ConfigError, RobotIkError
+from robot_ik.files import config_error, parse_json, plain, read_text, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot
 
@@ -178,12 +178,14 @@ def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str)
     Raises:
         CameraError: It is missing, or ``made`` can make nothing of it.
     """
+    hint = f"give the file that robot-ik camera {command} leaves beside its result"
     try:
-        return made(read_json(path, "the file of samples"))
+        text = read_text(path, "the file of samples")
+    except ConfigError as error:
+        raise CameraError(str(error.args[0]), hint=hint) from error
+    try:
+        return made(parse_json(text, path))
     except (ValueError, RobotIkError) as error:
         found = config_error(error, path) if isinstance(error, ValidationError) else error
         reason = str(found.args[0]).removeprefix(f"{path}: ")
-        raise CameraError(
-            f"{path} holds no samples of {of} ({reason})",
-            hint=f"give the file that robot-ik camera {command} leaves beside its result",
-        ) from error
+        raise CameraError(f"{path} holds no samples of {of} ({reason})", hint=hint) from error

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from robot_ik.camera.arm_zeros.model import KnownPose
 from robot_ik.errors import ConfigError
-from robot_ik.files import plain, write_atomically
+from robot_ik.files import plain, shown, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.handeye_samples import Place, SampleSet, Turn, read_samples
@@ -70,9 +70,10 @@ class VerifySamples:
 
     @classmethod
     def _of_values(cls, data: Any) -> VerifySamples:
+        job = data.get("job") if isinstance(data, dict) else None
+        if isinstance(job, str) and job != "verify":
+            raise ValueError(f"they are of {shown(job, str)}, which does not know the camera's place")
         file = _File.model_validate(data)
-        if file.job != "verify":
-            raise ValueError(f"they are of {file.job}, which does not know the camera's place")
         offsets = file.true_offsets
         return cls(
             SampleSet.of_values(data),

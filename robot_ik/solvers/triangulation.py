@@ -23,10 +23,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_ik.kernels.aiming import fit_joint
+from robot_ik.kernels.aiming import HANGS, fit_joint, mark_hanging
 from robot_ik.kernels.bones import (
     LENGTH,
-    LINK_COLUMNS,
     NOW,
     PATH,
     POINT_COLUMNS,
@@ -173,10 +172,11 @@ def triangulation(tree, goals, work, options):
     """Runs until ``proceed`` says stop; options: improved, pull, sweeps."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, LINK_COLUMNS), dtype=np.int64)
+    links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
+    mark_hanging(goal, links)
     work.step[:] = 0.0
     sums[BALL_PULL] = 0.0
     sums[PULL] = options[1]

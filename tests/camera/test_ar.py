@@ -180,9 +180,9 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
         ("", "no boxes"),
         ("[[box]]\nposition = [0, 0, 0]", "no box"),
         ("[[box]]\nposition = [0, 0, 0]\nsize = [1, 1, 0]", "no size"),
-        ("[[box]]\nposition = [0, 0, nan]\nsize = [1, 1, 1]", "no position"),
+        ("[[box]]\nposition = [0, 0, nan]\nsize = [1, 1, 1]", r"position\[2\]: nan is not right"),
         ("[[box]]\nposition = [0, 0]\nsize = [1, 1, 1]", "no position"),
-        ("x = ", "cannot be read"),
+        ("x = ", "not valid TOML"),
     ],
 )
 def test_a_file_of_phantoms_that_is_none_is_refused(

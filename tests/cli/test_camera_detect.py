@@ -172,7 +172,7 @@ def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: 
         (("{}/board.png", "--intrinsics", "{}/camera.yaml", "--size", "50"), "50.0 mm are 0.05"),
         (("{}/board.png", "--bodies", "{}/bodies.toml"), "needs the camera's intrinsics"),
         (("{}/board.png", "--intrinsics", "{}/none.yaml", "--size", "0.05"), "none.yaml"),
-        (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: is not TOML"),
+        (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: not valid TOML"),
         (
             ("{}/board.png", "--bodies", "{}/bodies.toml", "--intrinsics", "{}/camera.yaml", "--ids", "9"),
             "no size is given for marker ids [9]",

@@ -89,7 +89,7 @@ def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch
         (["--bus", "none"], "without servos"),
         (["--board", "plank"], "is no board"),
         (["--camera-guess", "1", "2"], "--camera-guess"),
-        (["--samples", "nowhere.json"], "cannot read nowhere.json"),
+        (["--samples", "nowhere.json"], "nowhere.json: the file of samples cannot be read"),
         (["--camera", "0"], "has no calibration"),
     ],
 )

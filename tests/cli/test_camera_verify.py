@@ -102,7 +102,8 @@ def test_samples_of_something_else_are_told(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--samples", "hand.json")
     run.assert_one_screen_error()
     assert "which does not know the camera's place" in run.err
-    assert "cannot read gone.json" in robot_ik("camera", "verify", "--samples", "gone.json").err
+    gone = robot_ik("camera", "verify", "--samples", "gone.json")
+    assert "gone.json: the file of samples cannot be read: No such file" in gone.err
 
 
 def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> None:

@@ -83,7 +83,7 @@ WRONG = [
     ("1_000_000", "1_000_001", "bus.baud", "57600"),
     ("watchdog_ms = 200", "watchdog_ms = 210", "bus.watchdog_ms", "multiple of 20"),
     ("watchdog_ms = 200", "watchdog_ms = 2560", "bus.watchdog_ms", "0..2540"),
-    ("rate_hz = 100", "rate_hz = 0", "bus.rate_hz", "> 0"),
+    ("rate_hz = 100", "rate_hz = 0.9", "bus.rate_hz", "1..1000"),
     ('"torque_off"', '"off"', "bus.on_exit", "'torque_off', 'hold' or 'park'"),
     ('robot = "puma560"', "robot = 560", "robot", "string"),
     ("[bus]", "[bus", "", "not valid TOML"),
@@ -115,6 +115,9 @@ def test_several_mistakes_are_counted(arm_toml: str) -> None:
 def test_an_arm_without_joints(arm_toml: str) -> None:
     with pytest.raises(ConfigError) as caught:
         ArmConfig.parse(arm_toml[: arm_toml.index("[[joints]]")])
+    assert caught.value.key == "joints"
+    with pytest.raises(ConfigError, match="5e-324 is not right; allowed: list") as caught:
+        ArmConfig.parse("joints = 5e-324\n" + arm_toml[: arm_toml.index("[[joints]]")])
     assert caught.value.key == "joints"
 
 

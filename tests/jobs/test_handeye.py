@@ -169,7 +169,9 @@ def test_a_file_without_samples_is_told(tmp_path: Path, text: str | None) -> Non
     path = tmp_path / "some.json"
     if text is not None:
         path.write_text(text)
-    with pytest.raises(CameraError, match="cannot read" if text is None else "holds no samples"):
+    with pytest.raises(
+        CameraError, match="cannot be read: No such file" if text is None else "holds no samples"
+    ):
         SampleSet.load(path)
 
 

@@ -164,17 +164,19 @@ def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_appr
     assert nearest.misses[0].position < alone.misses[0].position and not robot.outside(nearest.q)
 
 
-def test_a_path_through_half_a_turn_does_not_jump(tmp_path):
+# lm, which auto asks first near the goal, ends inside the tolerance; the closed form ends at its middle.
+@pytest.mark.parametrize(("name", "off"), [("auto", 1e-4), ("analytic", 1e-6)])
+def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
     rng = np.random.default_rng(8)
     robot = made_up(rng, tmp_path, "spherical", limit=6.2)
     q0 = rng.uniform(-0.5, 0.5, 6)
     problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT)
-    solver, q = make_solver("auto"), q0
+    solver, q = make_solver(name), q0
     for t in np.linspace(0.0, 1.0, 400):
         wanted = q0 + t * np.array([5.0, 0.3, -0.3, 0.2, 0.2, 5.0])
         problem.retarget(robot.forward(wanted))
         solution = solver.solve(problem, q)
-        assert solution.converged and np.abs(solution.q - wanted).max() < 1e-6
+        assert solution.converged and np.abs(solution.q - wanted).max() < off
         q = solution.q
 
 

@@ -209,7 +209,10 @@ def test_a_batch_chooses_as_one_solve_does(name):
     problem, auto = Problem(robot, PoseGoal.at(None, poses[0])), make_solver("auto")
     for row, (pose, start) in enumerate(zip(poses, starts, strict=True)):
         problem.retarget(pose)
-        assert auto.solve(problem, start).q.tobytes() == batch.q[row].tobytes()
+        alone = auto.solve(problem, start)
+        # Compiled versions differ in the last bits, as above; answers of lm and of the closed form by more.
+        assert (batch.status[row], batch.iterations[row]) == (alone.status, alone.iterations)
+        np.testing.assert_allclose(batch.q[row], alone.q, atol=1e-7)
 
 
 def test_the_table_of_first_choices_follows_the_times_and_nothing_else():

@@ -36,7 +36,7 @@ def load_phantoms(path: Path | str) -> mujoco.MjModel:
         raise ConfigError("there is no such file", file=file, allowed="boxes in TOML, or a MuJoCo model")
     if file.suffix.lower() != ".toml":
         try:
-            return read_model(file)
+            return read_model(file, file)[0]
         except ModelError as error:
             raise ConfigError(f"is not a MuJoCo model: {error.reason or error}", file=file) from error
     data = read_toml(file, "the file of boxes")
