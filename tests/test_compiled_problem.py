@@ -106,7 +106,7 @@ STRESS = """
         budget = rik.Budget(iterations=20, restarts=1)
         problem = Problem(own, kind(None, own.forward(own.home).position), budget=budget)
         solvers = [make_solver(name), make_solver(name), make_solver("lm")]
-        for _ in range(40):
+        for _ in range(int(sys.argv[1])):
             what, pose = rng.integers(8), own.forward(own.sample(rng))
             solver = solvers[rng.integers(3)]
             if what < 2:
@@ -137,7 +137,7 @@ STRESS = """
 
     robot = rik.load_robot("puma560")
     rik.warm_up(robot)
-    for name in sys.argv[1:]:
+    for name in sys.argv[2:]:
         shared = Problem(robot, rik.PoseGoal(None, (0.4, 0.1, 0.9)))
         failed = []
         def run(seed):
@@ -153,10 +153,11 @@ STRESS = """
 """
 
 
-def test_solves_batches_moves_copies_collections_and_threads_in_any_order_never_crash():
+@pytest.mark.parametrize("rounds", [8, pytest.param(200, marks=pytest.mark.soak)])
+def test_solves_batches_moves_copies_collections_and_threads_in_any_order_never_crash(rounds):
     """In a process of its own: what a bare address would end in is a segmentation fault."""
     code = textwrap.dedent(STRESS)
-    command = [sys.executable, "-X", "faulthandler", "-c", code, *SOLVERS]
+    command = [sys.executable, "-X", "faulthandler", "-c", code, str(rounds), *SOLVERS]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.split() == [word for name in SOLVERS for word in (name, "done")]

@@ -47,6 +47,7 @@ def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleTy
             assert f"| **{row.about}** | not measured | |" in (DOCS / "camera.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.soak  # it measures them anew
 def test_the_remedies_are_those_of_today() -> None:
     told = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))["remedies"]
     found = remedy_errors()

@@ -189,7 +189,7 @@ def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: 
     assert report.read_back.position < 1e-4
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.soak)])
 def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
     report = reach(bus="none", follow=2.0, seed=seed)
     assert report.reached, report.verdict

@@ -317,7 +317,12 @@ PLACES = {
 
 
 @pytest.mark.parametrize(
-    ("name", "place"), [(name, place) for name in sorted(PLACES) for place in PLACES[name]]
+    ("name", "place"),
+    [
+        pytest.param(name, place, marks=[pytest.mark.soak] * (place is None))
+        for name in sorted(PLACES)
+        for place in PLACES[name]
+    ],
 )
 def test_reach_on_simulated_servos_without_a_contact(name: str, place: tuple[float, ...] | None) -> None:
     arm = ARMS[name]
