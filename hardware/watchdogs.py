@@ -98,8 +98,8 @@ class Heartbeat:
         Raises:
             RuntimeError: The system gives no thread.
         """
-        if self._thread is not None and self._thread.is_alive():
-            return
+        if self._thread is not None and self._thread.is_alive() and not self._stop.is_set():
+            return  # one that is dismissed may live for a beat, and looks no more
         self._stop = threading.Event()
         thread = threading.Thread(target=self._run, args=(self._stop,), name="heartbeat", daemon=True)
         thread.start()

@@ -102,3 +102,14 @@ def test_no_look_begins_after_stop(monkeypatch):
     count = len(looks)
     time.sleep(0.02)
     assert len(looks) == count
+
+
+def test_one_that_is_dismissed_can_be_started_at_once():
+    """As by an arm that is enabled again right after a signal came while it was enabled."""
+    looks = []
+    beat = Heartbeat(lambda: looks.append(time.monotonic()))
+    beat.start()
+    beat.dismiss()
+    beat.start()
+    wait_until(lambda: len(looks) >= 2)
+    beat.stop()
