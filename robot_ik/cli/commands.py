@@ -27,39 +27,60 @@ class Command:
     subcommands: Mapping[str, Command] = field(default_factory=dict)
 
 
-def _servo(name: str, about: str, module: str = "") -> Command:
-    """``run_reset_fault(options: ResetFaultOptions)`` in ``servo_torque``, and so on."""
+def _servo(module: str, name: str, about: str) -> Command:
+    """``run_reset_fault(options: ResetFaultOptions)`` for ``reset-fault``, and so on."""
     options = "".join(word.title() for word in name.split("-")) + "Options"
-    run = "run_" + name.replace("-", "_")
-    return Command(f"robot_ik.cli.servo_{module or name}", options, about, run, mujoco=False)
+    return Command(module, options, about, "run_" + name.replace("-", "_"), mujoco=False)
 
 
-def _camera(name: str, about: str) -> Command:
-    return Command(f"robot_ik.cli.camera_{name}", f"Camera{name.title()}Options", about, mujoco=False)
+def _camera(module: str, name: str, about: str, run: str = "run") -> Command:
+    return Command(module, f"Camera{name.title()}Options", about, run, mujoco=False)
 
 
 _SERVO = {
-    "ports": _servo("ports", "serial ports, the adapter behind each, who uses it"),
-    "scan": _servo("scan", "which servos answer, at every rate; doubled ids"),
-    "setup": _servo("setup", "id and baud rate of the one servo connected"),
-    "calibrate": _servo("calibrate", "ranges, zeros and directions by hand"),
-    "monitor": _servo("monitor", "position, current, supply, heat, errors, live"),
-    "move": _servo("move", "joints to angles, slowly, within limits"),
-    "torque": _servo("torque", "on: hold where it stands; off: let go"),
-    "reset-fault": _servo("reset-fault", "restart servos that have shut down", "torque"),
-    "teach": _servo("teach", "record the arm while a hand guides it"),
-    "play": _servo("play", "repeat a recording within the limits", "teach"),
-    "backup": _servo("backup", "save the control tables as JSON"),
-    "restore": _servo("restore", "put the EEPROM back as a backup has it", "backup"),
+    "ports": _servo(
+        "robot_ik.cli.servo_ports", "ports", "serial ports, the adapter behind each, who uses it"
+    ),
+    "scan": _servo("robot_ik.cli.servo_scan", "scan", "which servos answer, at every rate; doubled ids"),
+    "setup": _servo("robot_ik.cli.servo_setup", "setup", "id and baud rate of the one servo connected"),
+    "calibrate": _servo("robot_ik.cli.servo_calibrate", "calibrate", "ranges, zeros and directions by hand"),
+    "monitor": _servo(
+        "robot_ik.cli.servo_monitor", "monitor", "position, current, supply, heat, errors, live"
+    ),
+    "move": _servo("robot_ik.cli.servo_move", "move", "joints to angles, slowly, within limits"),
+    "torque": _servo("robot_ik.cli.servo_torque", "torque", "on: hold where it stands; off: let go"),
+    "reset-fault": _servo("robot_ik.cli.servo_torque", "reset-fault", "restart servos that have shut down"),
+    "teach": _servo("robot_ik.cli.servo_teach", "teach", "record the arm while a hand guides it"),
+    "play": _servo("robot_ik.cli.servo_teach", "play", "repeat a recording within the limits"),
+    "backup": _servo("robot_ik.cli.servo_backup", "backup", "save the control tables as JSON"),
+    "restore": _servo("robot_ik.cli.servo_backup", "restore", "put the EEPROM back as a backup has it"),
 }
 _CAMERA = {
-    "list": _camera("list", "cameras of this machine: index, name, who uses them"),
-    "print": _camera("print", "a sheet of markers, a board, a cube or a pattern to print"),
-    "calibrate": _camera("calibrate", "lens and focal length from views of a printed pattern"),
-    "detect": _camera("detect", "markers in pictures: ids, corners, poses"),
-    "locate": _camera("locate", "where the camera stands, from a board whose place is known"),
-    "handeye": _camera("handeye", "where the camera is mounted, by moving the arm"),
-    "verify": _camera("verify", "how far the arm is from where its joints say"),
+    "list": _camera(
+        "robot_ik.cli.camera_list", "list", "cameras of this machine: index, name, who uses them", "run_list"
+    ),
+    "print": _camera(
+        "robot_ik.cli.camera_print",
+        "print",
+        "a sheet of markers, a board, a cube or a pattern to print",
+        "run_print",
+    ),
+    "calibrate": _camera(
+        "robot_ik.cli.camera_calibrate", "calibrate", "lens and focal length from views of a printed pattern"
+    ),
+    "detect": _camera(
+        "robot_ik.cli.camera_detect", "detect", "markers in pictures: ids, corners, poses", "run_detect"
+    ),
+    "locate": _camera(
+        "robot_ik.cli.camera_locate",
+        "locate",
+        "where the camera stands, from a board whose place is known",
+        "run_locate",
+    ),
+    "handeye": _camera(
+        "robot_ik.cli.camera_handeye", "handeye", "where the camera is mounted, by moving the arm"
+    ),
+    "verify": _camera("robot_ik.cli.camera_verify", "verify", "how far the arm is from where its joints say"),
 }
 
 COMMANDS: dict[str, Command] = {

@@ -28,7 +28,7 @@ from robot_ik.jobs.ar_files import open_sink
 from robot_ik.jobs.ar_motion import Motion, Replay, make_motion
 from robot_ik.jobs.ar_scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
 from robot_ik.jobs.ar_scene import Motion as BoardMotion
-from robot_ik.jobs.cameras_request import open_calibrated
+from robot_ik.jobs.cameras import open_calibrated
 from robot_ik.robot import load_robot
 
 if TYPE_CHECKING:

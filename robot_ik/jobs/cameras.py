@@ -1,20 +1,21 @@
-"""Opens the camera that a request asks for."""
+"""Opens the camera that a request asks for, with its calibration."""
 
 from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robot_ik.camera.goals.lost import WhenLost
+from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.made_up.synthetic import SyntheticSource
-from robot_ik.camera.sources import ImageSource
-from robot_ik.errors import CameraError, ConfigError
+from robot_ik.camera.sources import FrameSource, ImageSource, open_source
+from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PostureGoal
-from robot_ik.jobs.cameras_request import calibration_of, open_calibrated
 from robot_ik.jobs.eyes import FREEDOMS_OF_AN_AXIS, Eyes
 from robot_ik.jobs.stage import Stage, stage_for
 
@@ -111,3 +112,48 @@ def _stage(request: ReachRequest, limbs: Limbs, frame: str) -> Stage:
             )  # fmt: skip
         changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
     return replace(stage, **changes)
+
+
+def calibration_of(camera: str, intrinsics: Path | None) -> Path:
+    """The file, for a camera that shall measure.
+
+    Raises:
+        CalibrationError: None was given.
+    """
+    if intrinsics is None:
+        raise CalibrationError(
+            f"the camera {camera!r} has no calibration, so nothing can be measured in its pictures",
+            hint="give its calibration file (OpenCV or ROS YAML): --intrinsics FILE; "
+            "make one with: robot-ik camera calibrate",
+        )
+    return intrinsics
+
+
+def open_calibrated(
+    camera: str,
+    intrinsics: Path | None,
+    stack: contextlib.ExitStack,
+    *,
+    size: tuple[int, int] | None = None,
+    scaled: bool = False,
+) -> tuple[FrameSource, CameraIntrinsics]:
+    """A camera that can measure.
+
+    Args:
+        camera: What ``open_source`` opens.
+        intrinsics: Its calibration file.
+        stack: Closes it.
+        size: (width, height) to ask of it.
+        scaled: Whether a calibration for the same picture at another size will do.
+
+    Raises:
+        CalibrationError: There is no calibration, or it is for other pictures.
+        CameraError: The camera cannot be opened.
+    """
+    lens = CameraIntrinsics.load(calibration_of(camera, intrinsics))
+    source = stack.enter_context(open_source(camera, size=size))
+    delivered = tuple(getattr(source, "size", lens.size))
+    if scaled and delivered != lens.size:
+        return source, lens.scaled(*delivered)
+    lens.require_size(*delivered)
+    return source, lens

@@ -1,16 +1,12 @@
-"""What every job says that moves an arm before a camera, and how a camera with a calibration is opened."""
+"""What every job says that moves an arm before a camera."""
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from robot_ik.camera.boards.board import Board
-from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import FrameSource, open_source
-from robot_ik.errors import CalibrationError
 from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
 
 
@@ -53,48 +49,3 @@ class ArmCameraRequest:
             robot=self.robot, frame=self.frame, bus=self.bus, arm_file=self.arm_file,
             speed=self.speed, seed=self.seed, rehearsal=rehearsal or Rehearsal(),
         )  # fmt: skip
-
-
-def calibration_of(camera: str, intrinsics: Path | None) -> Path:
-    """The file, for a camera that shall measure.
-
-    Raises:
-        CalibrationError: None was given.
-    """
-    if intrinsics is None:
-        raise CalibrationError(
-            f"the camera {camera!r} has no calibration, so nothing can be measured in its pictures",
-            hint="give its calibration file (OpenCV or ROS YAML): --intrinsics FILE; "
-            "make one with: robot-ik camera calibrate",
-        )
-    return intrinsics
-
-
-def open_calibrated(
-    camera: str,
-    intrinsics: Path | None,
-    stack: contextlib.ExitStack,
-    *,
-    size: tuple[int, int] | None = None,
-    scaled: bool = False,
-) -> tuple[FrameSource, CameraIntrinsics]:
-    """A camera that can measure.
-
-    Args:
-        camera: What ``open_source`` opens.
-        intrinsics: Its calibration file.
-        stack: Closes it.
-        size: (width, height) to ask of it.
-        scaled: Whether a calibration for the same picture at another size will do.
-
-    Raises:
-        CalibrationError: There is no calibration, or it is for other pictures.
-        CameraError: The camera cannot be opened.
-    """
-    lens = CameraIntrinsics.load(calibration_of(camera, intrinsics))
-    source = stack.enter_context(open_source(camera, size=size))
-    delivered = tuple(getattr(source, "size", lens.size))
-    if scaled and delivered != lens.size:
-        return source, lens.scaled(*delivered)
-    lens.require_size(*delivered)
-    return source, lens

@@ -17,7 +17,8 @@ from robot_ik.camera.pose.bodies import grid_body
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.cameras_request import ArmCameraRequest, calibration_of, open_calibrated
+from robot_ik.jobs.cameras import calibration_of, open_calibrated
+from robot_ik.jobs.cameras_request import ArmCameraRequest
 from robot_ik.jobs.clearance import Clearance
 from robot_ik.jobs.limbs import Limbs
 from robot_ik.jobs.stage import Stage, stage_for
