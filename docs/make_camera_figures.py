@@ -17,9 +17,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera_motion import compare_filters
-from robot_ik.bench.camera_rows import Figure
-from robot_ik.camera.ar.registration import remedy_errors
+from robot_ik.bench.camera import Figure
+from robot_ik.bench.camera.accuracy import remedy_errors
+from robot_ik.bench.camera.arm import compare_filters
 from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
 DOCS = Path(__file__).resolve().parent

@@ -33,7 +33,7 @@ PICTURES = {
 
 def collect(results: Path) -> dict[str, Any]:
     """What the page needs of a folder of results; also puts the pictures into docs/images."""
-    from robot_ik.bench.results import Cell, read_results
+    from robot_ik.bench.methods.results import Cell, read_results
 
     found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
     runs = {name: read_results(results / name / "bench.json") for name in BENCHES}

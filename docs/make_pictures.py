@@ -21,22 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.camera.ar.draw import Figure, PainterArtist
-from robot_ik.camera.ar.registrar import BoardWatcher, Registrar
 from robot_ik.camera.boards.board import parse_board
 from robot_ik.camera.boards.patterns import CharucoPattern
-from robot_ik.camera.calibrate.coverage import cover, coverage_picture
-from robot_ik.camera.made_up.pattern_set import pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
-from robot_ik.camera.sheets.blocks import SheetWish
+from robot_ik.camera.calibration.coverage import cover, coverage_picture
+from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetWish, make_sheet_page
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, Look, pattern_set
 from robot_ik.geometry import rotation_exp
-from robot_ik.jobs.ar import heights
-from robot_ik.jobs.ar_scene import BOARD, Motion, synthetic_stage
-from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
-from robot_ik.jobs.verify import VerifyRequest, run_verify
-from robot_ik.jobs.verify_picture import error_picture
+from robot_ik.jobs.ar.job.job import heights
+from robot_ik.jobs.ar.job.scene import BOARD, Motion, synthetic_stage
+from robot_ik.jobs.arm_camera.error_picture import error_picture
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 
 Image = NDArray[np.uint8]
 
@@ -176,7 +174,7 @@ def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: fl
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
     watcher = BoardWatcher(parse_board(BOARD), optics)
-    registrar = Registrar(watcher, PainterArtist(16), Figure(robot.model, base, scale, things), optics)
+    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, things), optics)
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
 
 

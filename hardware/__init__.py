@@ -51,7 +51,7 @@ class Bus:
 
 
 def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
-    from robot_ik.hardware.virtual.inprocess import SimBus
+    from robot_ik.hardware.simulated import SimBus
 
     assert servos is not None
     return SimBus(servos)
@@ -59,7 +59,7 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) 
 
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
     try:
-        from robot_ik.hardware.served import ServedBus
+        from robot_ik.hardware.simulated import ServedBus
     except ImportError as reason:
         raise no_pty(reason) from reason
 

@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from robot_ik.catalogue import catalogue
-    from robot_ik.chain import make_chain
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -38,14 +36,13 @@ if TYPE_CHECKING:
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.problem import Budget, Problem, Tolerance
-    from robot_ik.robot import Robot, load_robot
+    from robot_ik.robot import Robot, load_robot, make_chain
+    from robot_ik.robot_file import catalogue
     from robot_ik.solution import Miss, Solution, Status
     from robot_ik.solve import solve, solve_all, solve_batch, warm_up
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
-    "robot_ik.catalogue": ("catalogue",),
-    "robot_ik.chain": ("make_chain",),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -65,7 +62,8 @@ _HOME = {
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.problem": ("Budget", "Problem", "Tolerance"),
-    "robot_ik.robot": ("Robot", "load_robot"),
+    "robot_ik.robot": ("Robot", "load_robot", "make_chain"),
+    "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
     "robot_ik.solve": ("solve", "solve_all", "solve_batch", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals.base import LARGEST, numbers
-from robot_ik.model_tree import pose_row
+from robot_ik.model import pose_row
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Status

@@ -26,7 +26,7 @@ from robot_ik.kernels.partial_rows import (
     TURN,
     WHOLE,
 )
-from robot_ik.model_tree import pose_row, row_pose
+from robot_ik.model import pose_row, row_pose
 from robot_ik.robot import Robot
 
 Ints = NDArray[np.int64]

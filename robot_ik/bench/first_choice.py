@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import robot_ik.solvers.first_choice as table
-from robot_ik.bench.problems import ProblemSet, make_set
+from robot_ik.bench.methods.problems import ProblemSet, make_set
 from robot_ik.goals import PoseGoal
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot

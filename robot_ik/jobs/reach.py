@@ -3,40 +3,223 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import Any
+import importlib.util
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.catalogue import find_robot
+from robot_ik.camera.image import marker_bits
+from robot_ik.camera.marker_goals import LostPolicy
+from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import (
+    CameraError,
     ConfigError,
     MarkerNotFoundError,
+    MissingExtraError,
     MotorFaultError,
     NotConvergedError,
+    RobotIkError,
     TrajectoryError,
 )
-from robot_ik.execution import execute
+from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
-from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.jobs.ahead import CompiledAhead
-from robot_ik.jobs.cameras import open_eyes
-from robot_ik.jobs.eyes import Eyes
-from robot_ik.jobs.limbs import Limbs, prepare_limbs
-from robot_ik.jobs.reach_report import SOLVE_TOLERANCE, ReachReport
-from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.jobs.ar.job.output import Film
+from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.robot_setup import Limbs, prepare_limbs
+from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.jobs.verdict import (
+    EXACT,
     SIGMAS,
     Bound,
+    Judgement,
+    Verdict,
+    decide,
     judge_by_camera,
     judge_read_back,
     quantisation,
 )
+from robot_ik.jobs.vision import Eyes, Seen, open_eyes
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.problem import Problem, Tolerance
+from robot_ik.robot_file import find_robot
 from robot_ik.solvers import make_solver
+from robot_ik.testbed.frontends.window import Solid
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+    from robot_ik.solution import Solution
+
+
+# ------------------------------------------------------------------------------------------
+# What a reach shall do, and what shall go wrong on purpose.
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
+
+    Attributes:
+        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
+        stuck: Joints whose shaft does not move.
+        cover_gripper: Hide the gripper's markers in the second picture.
+        blank_marker: Leave the target's paper white.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the stage's own.
+    """
+
+    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
+    stuck: tuple[str, ...] = ()
+    cover_gripper: bool = False
+    blank_marker: bool = False
+    marker_at: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class ReachRequest:
+    """What ``run_reach`` shall do; every default is the embedded demonstration.
+
+    Attributes:
+        robot: Catalogue name, or path of an MJCF or URDF file.
+        solver: Name of a method; empty: the robot's own, else ``auto``.
+        goal: Instead of a marker.
+        frame: What shall get there; None: the robot's tool.
+        camera: ``synthetic``, or what ``open_source`` opens.
+        intrinsics: Calibration file of a real camera.
+        pose_world_camera: Where a real camera stands; None: where the stage's stands.
+        marker_id, marker_size, dictionary: The target; None: the stage's.
+        bus: ``pty``, ``sim``, ``none`` or a serial port.
+        arm_file: None: the one beside the model, else a generic one.
+        speed: Share of the joints' speed limits.
+        line: Move the tool on a straight line.
+        follow: Seconds to go on following the marker; 0: not at all.
+        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many seconds without
+            the marker while following.
+        lead: Seconds to predict the marker beyond each tick.
+        view: Mirror the motion in a window.
+        seed: Of restarts and of the synthetic camera's noise.
+        rehearsal: What shall go wrong.
+    """
+
+    robot: str = "puma560"
+    solver: str = ""
+    goal: Goal | None = None
+    frame: str | None = None
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    pose_world_camera: Pose | None = None
+    marker_id: int | None = None
+    marker_size: float | None = None
+    dictionary: str | None = None
+    bus: str = "pty"
+    arm_file: Path | None = None
+    speed: float = 1.0
+    line: bool = False
+    follow: float = 0.0
+    when_lost: LostPolicy = "hold"
+    lost_after: float = 2.0
+    lead: float = 0.0
+    view: bool = False
+    seed: int = 0
+    rehearsal: Rehearsal = Rehearsal()
+
+
+# ------------------------------------------------------------------------------------------
+# What happened in a reach, as far as it got.
+
+
+# The solve is asked for far more than the servos can do, so that its miss does not count.
+SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
+
+
+@dataclass(eq=False)
+class ReachReport:
+    """What happened, as far as it got; fields stay None where it did not get.
+
+    Attributes:
+        robot: With the limits that were used.
+        frame: What was to reach the goal.
+        seen: The target marker in the first picture.
+        goal, target: What was wanted; its pose in the world.
+        tolerance: What the solution's miss may be; part of ``bound``.
+        behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
+        problem: Why it ended early: an error that means "not achieved".
+        goal_sigma: How well ``target`` is known beside what the arm was sent to; zeros where both are one.
+        read_back, by_camera: The two judgements.
+        blind: Why no camera looked at the arm; empty: one looked.
+    """
+
+    request: ReachRequest
+    robot: Robot
+    frame: str
+    limbs: Limbs
+    eyes: Eyes | None
+    seen: Seen | None = None
+    goal: Goal | None = None
+    target: Pose | None = None
+    solution: Solution | None = None
+    microseconds: float | None = None
+    trajectory: Trajectory | None = None
+    execution: Execution | None = None
+    following: FollowReport | None = None
+    q_start: Array | None = None
+    q_end: Array | None = None
+    tolerance: Tolerance = SOLVE_TOLERANCE
+    behind: tuple[float, float] | None = None
+    bound: Bound | None = None
+    read_back: Judgement | None = None
+    by_camera: Judgement | None = None
+    goal_sigma: Bound = EXACT
+    blind: str = ""
+    before: Any = None
+    after: Any = None
+    problem: RobotIkError | None = None
+    counters: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def decision(self) -> Verdict:
+        """Did it arrive, and why so; text and exit code are its."""
+        if self.problem is not None or self.read_back is None:
+            return Verdict(False, "")
+        return decide(
+            self.read_back,
+            self.by_camera,
+            servos=self.limbs.arm is not None,
+            blind=self.blind,
+            seen_goal=self.request.goal is None,
+            stopped_short=self._stopped_short(),
+            followed=self.following is not None,
+        )
+
+    @property
+    def reached(self) -> bool:
+        """Whether it arrived."""
+        return self.decision.reached
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on that; empty where ``problem`` says it."""
+        return self.decision.text
+
+    def _stopped_short(self) -> str:
+        """Which servo did not get to where it was sent, by its own account; empty: all did."""
+        off = None if self.execution is None else self.execution.final_error
+        if off is None or self.following is not None:
+            return ""
+        worst = int(abs(off).argmax())
+        if abs(off[worst]) <= self.limbs.resolution[worst]:
+            return ""
+        joint = self.execution.joints[worst]  # type: ignore[union-attr]
+        return (
+            f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
+            "is it held, overloaded or too slow?"
+        )
+
 
 Array = NDArray[np.float64]
 
@@ -45,8 +228,6 @@ _NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorF
 # How long the servos may take to arrive after the last command.
 _SETTLE_SECONDS = 0.4
 
-
-__all__ = ["ReachReport", "ReachRequest", "Rehearsal", "run_reach"]
 
 Progress = Callable[[str, float], None]
 
@@ -106,7 +287,6 @@ def run_reach(
 def _window(request: ReachRequest, limbs: Limbs, eyes: Eyes | None, stack: contextlib.ExitStack) -> Any:
     if not request.view:
         return None
-    from robot_ik.jobs.reach_window import stage_solids, window_stage
     from robot_ik.testbed.frontends.window import WindowSink
 
     stage = window_stage(limbs.robot, limbs.frame, None if eyes is None else eyes.stage)
@@ -289,3 +469,81 @@ def _judge(report: ReachReport) -> None:
         body, eyes.pose_world_camera, eyes.pose_body_tool(limbs.scene.q), report.goal, report.target,
         report.bound, report.goal_sigma,
     )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------
+# What is seen of a reach while it runs: the window with its stage, and the film.
+
+
+FILM_RATE_HZ = 25.0
+_FLOOR, _TABLE = (0.82, 0.83, 0.85, 1.0), (0.62, 0.52, 0.42, 1.0)
+_WHITE, _BLACK = (0.97, 0.97, 0.97, 1.0), (0.03, 0.03, 0.03, 1.0)
+_FLOOR_HALF = 8.0  # metres
+_TOP = 0.03  # of the table, metres
+_PAPER = 2e-4  # metres, so that what lies on it is not lost in it
+
+
+def stage_solids(stage: Stage | None) -> list[Solid]:
+    """Floor, table and printed marker for the window."""
+    table = None if stage is None else stage.table
+    floor = 0.0 if table is None else table.floor_height
+    found = [Solid(Pose((0.0, 0.0, floor - 0.01)), (_FLOOR_HALF, _FLOOR_HALF, 0.01), _FLOOR)]
+    if table is not None:
+        middle = (0.5 * sum(table.x), 0.5 * sum(table.y), table.height - 0.5 * _TOP)
+        half = (0.5 * (table.x[1] - table.x[0]), 0.5 * (table.y[1] - table.y[0]), 0.5 * _TOP)
+        found.append(Solid(Pose(middle), half, _TABLE))
+    return found if stage is None else [*found, *_marker(stage)]
+
+
+def _marker(stage: Stage) -> list[Solid]:
+    """White paper, the black square on it, and its white cells on that."""
+    bits = marker_bits(stage.dictionary, stage.marker_id)
+    cell, h = stage.marker_size / len(bits), 0.5 * stage.marker_size
+    at = stage.pose_world_marker
+
+    def sheet(x: float, y: float, half: float, layer: int, colour: tuple[float, ...]) -> Solid:
+        return Solid(at.compose(Pose((x, y, layer * _PAPER))), (half, half, 0.5 * _PAPER), colour)
+
+    cells = [
+        sheet(-h + (column + 0.5) * cell, h - (row + 0.5) * cell, 0.5 * cell, 3, _WHITE)
+        for row, column in np.argwhere(bits > 0).tolist()
+    ]
+    return [sheet(0.0, 0.0, h + cell, 1, _WHITE), sheet(0.0, 0.0, h, 2, _BLACK), *cells]
+
+
+def window_stage(robot: Robot, frame: str, stage: Stage | None) -> Stage | None:
+    """The stage to show: the camera's, else the robot's own; None where there is none."""
+    if stage is not None:
+        return stage
+    try:
+        return stage_for(robot, frame)
+    except CameraError:
+        return None
+
+
+def require_films() -> None:
+    """Raises ``MissingExtraError`` where no film can be written."""
+    if importlib.util.find_spec("av") is None:
+        raise MissingExtraError("av", "video", "a film of the reach")
+
+
+def save_film(report: ReachReport, path: Path) -> Path | None:
+    """The motion as the stage's camera sees it; None where nothing moved.
+
+    Raises:
+        MissingExtraError: The extra ``video`` is not installed.
+        OutputError: It cannot be written.
+    """
+    run = report.execution
+    stage = window_stage(report.robot, report.frame, None if report.eyes is None else report.eyes.stage)
+    if run is None or stage is None:
+        return None
+    q = run.commanded if run.measured is None else run.measured
+    shown = [q[0]]
+    times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
+    source = SyntheticSource(stage.scene(report.robot), lambda: shown[0], seed=0, quality="fast")
+    with Film(path, FILM_RATE_HZ) as film:
+        for time in times.tolist():
+            shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]
+            film.write(source.read().image, time)
+    return path

@@ -14,8 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.goals.latency import Delays
-from robot_ik.camera.overlay import (
+from robot_ik.camera.drawing.overlay import (
     GREEN,
     ORANGE,
     RED,
@@ -24,10 +23,11 @@ from robot_ik.camera.overlay import (
     draw_marker_outline,
     draw_robot,
 )
+from robot_ik.camera.marker_goals import Delays
 from robot_ik.errors import apart
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.jobs.reach_report import ReachReport
+from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.pose import BodyObservation
+from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 

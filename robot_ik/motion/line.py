@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import TrajectoryError, apart
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal
-from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
-from robot_ik.motion.profiles import Timing, fastest_timing
-from robot_ik.motion.trajectory import Trajectory
+from robot_ik.motion.timing import Timing, fastest_timing
+from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:

@@ -13,13 +13,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.found_pattern import FoundPattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern
-from robot_ik.camera.calibrate import CalibrationResult, View, calibrate
-from robot_ik.camera.calibrate.coverage import LEANS, coverage_picture
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
+from robot_ik.camera.calibration.coverage import LEANS, coverage_picture
+from robot_ik.camera.calibration.intrinsic import CalibrationResult, View, calibrate
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.pattern_set import pattern_pose, pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, pattern_pose, pattern_set
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -173,7 +171,7 @@ def test_a_lean_points_to_the_side_that_is_farther(side: str) -> None:
     depth = Pose((-0.1, -0.06, 0.5), turn).apply(found[0].points_board)[:, 2]
     along = (found[0].pixels - found[0].pixels.mean(axis=0)) @ way
     assert np.corrcoef(depth, along)[0, 1] > 0.9
-    from robot_ik.camera.calibrate.coverage import cover
+    from robot_ik.camera.calibration.coverage import cover
 
     lean = cover(found, [Pose(wxyz=turn).rotation], SIZE).leans[0]
     assert lean == pytest.approx(25.0 * way, abs=1e-6)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.found_pattern import FoundPattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.calibrate.views import ViewGatherer, missing_words
-from robot_ik.camera.drawing.raster import paint_boxes
-from robot_ik.camera.made_up.pattern_set import render_pattern
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
+from robot_ik.camera.calibration.views import ViewGatherer, missing_words
+from robot_ik.camera.drawing.rasteriser import paint_boxes
 from robot_ik.camera.sources import Frame
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, Look, render_pattern
 from robot_ik.errors import CalibrationError, FrameSizeError
 from robot_ik.geometry import Pose, rotation_exp
 

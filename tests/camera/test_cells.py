@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera_accuracy import frame_of
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, random_pose, render_marker, render_markers
-from robot_ik.camera.pose import estimate_body
-from robot_ik.camera.pose.bodies import grid_body
-from robot_ik.camera.pose.cells import fit_print
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.observations import estimate_body
+from robot_ik.camera.photometric_pose import fit_print
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 
 DICTIONARY = "DICT_4X4_50"

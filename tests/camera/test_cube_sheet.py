@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.pose.marker import marker_points
-from robot_ik.camera.sheets.blocks import SheetWish
-from robot_ik.camera.sheets.bodies import body_of
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import marker_bits
+from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sheets.cube import cube_paper, unfold
 from robot_ik.camera.sheets.page import pdf_bytes, rasterize
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetWish, body_of, make_sheet_page
 from robot_ik.geometry import Pose, rotation_exp
 
 DPI, EDGE = 150.0, 50.0

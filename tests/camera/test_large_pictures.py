@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.made_up.pattern_set import pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, Look, standard_set
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.reduction import from_reduced, reduced, to_reduced
-from robot_ik.camera.refine import refine_markers
+from robot_ik.camera.corner_refinement import refine_markers
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import from_reduced, marker_bits, reduced, to_reduced
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, Look, pattern_set, standard_set
+from robot_ik.camera.tracker import MarkerTracker
 
 TIMES = 8  # 640 px become 5120, and a blur of 0.7 px 5.6
 

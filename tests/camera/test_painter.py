@@ -11,12 +11,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera import overlay
-from robot_ik.camera.drawing.mesh import ROUND_PX, build_mesh
+from robot_ik.camera.drawing import overlay
+from robot_ik.camera.drawing.meshes import ROUND_PX, build_mesh, triangulate
 from robot_ik.camera.drawing.painter import Faces, Samples, bounding_box, faces_in_picture, paint_mask
-from robot_ik.camera.drawing.primitives import triangulate
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.robot import load_robot
 

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.chess_corner import refine_corners
-from robot_ik.camera.boards.pattern_guess import fitting_pattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.drawing.raster import paint_boxes
-from robot_ik.camera.made_up.pattern_set import pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
-from robot_ik.camera.opencv import marker_dictionary
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern, fitting_pattern
+from robot_ik.camera.drawing.rasteriser import paint_boxes
+from robot_ik.camera.image import marker_dictionary
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, Look, pattern_set
 from robot_ik.errors import CalibrationError
 
 CHARUCO = CharucoPattern(8, 6, 0.03, 0.022)

@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.board import MarkerBoard, PatternBoard, parse_board
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye.places import CameraPlace, locate_camera, today
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.pose import marker_points
-from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.boards.board import BoardView, MarkerBoard, PatternBoard, parse_board
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.extrinsics import CameraPlace, locate_camera, today
+from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -155,7 +154,7 @@ def test_patterns_are_seen_with_their_frame_in_the_corner(text: str) -> None:
 
 def pattern_frame(board: PatternBoard, pose: Pose) -> Frame:
     """A picture of the pattern at ``pose_camera_board``."""
-    from robot_ik.camera.made_up.pattern_set import render_pattern
+    from robot_ik.camera.synthetic.datasets import render_pattern
 
     image = render_pattern(board.pattern, STANDARD_CAMERA, pose, np.random.default_rng(0))
     return Frame(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)

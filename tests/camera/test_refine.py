@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, refine_corners, refine_markers
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look, standard_set
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.refine import DETECTOR_SIGMA, refine_corners, refine_markers
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, Look, standard_set
 
 STRAIGHT = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
 

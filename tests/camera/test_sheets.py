@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.board import PatternBoard, parse_board
-from robot_ik.camera.boards.pattern_kinds import PatternKind, PatternWish
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.pose.bodies import load_bodies
-from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
-from robot_ik.camera.sheets.bodies import body_file, body_of
+from robot_ik.camera.boards.patterns import PatternKind, PatternWish
+from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetKind, SheetWish, body_file, body_of, make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 
 DPI = 150.0

@@ -13,23 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from robot_ik.camera.detect import Detection, MarkerDetector
-from robot_ik.camera.detect.search_window import SearchWindow
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.corner_refinement import refine_corners_of, refine_markers, unrefined
+from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens_kernels import lens_vector
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.made_up.standard_set import random_pose, render_markers
-from robot_ik.camera.pose.bodies import grid_body
-from robot_ik.camera.pose.branches import Branches, flat_normal, mirrored
-from robot_ik.camera.pose.corner_fit import CornerData, fit_pose
-from robot_ik.camera.pose.marker import marker_branches, marker_points
-from robot_ik.camera.refine import refine_markers, unrefined
-from robot_ik.camera.refine.kernel import refine_corners_of
+from robot_ik.camera.lens import lens_vector
+from robot_ik.camera.observations import marker_branches, marker_points
+from robot_ik.camera.pose_fit import Branches, CornerData, fit_pose, flat_normal, mirrored
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.track import MarkerTracker
-from robot_ik.camera.track.flips import BranchMemory
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.datasets import random_pose, render_markers
+from robot_ik.camera.tracker import BranchMemory, MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.jobs.ar_scene import synthetic_stage
+from robot_ik.jobs.ar.job.scene import synthetic_stage
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
 SIZE, RATE = 0.05, 30.0

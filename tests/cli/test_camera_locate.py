@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.extrinsics import CameraPlace
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.errors import CalibrationError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp

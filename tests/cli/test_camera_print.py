@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera.pose.bodies import load_bodies
-from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.sheets.sheets import SheetKind, SheetWish, make_sheet_page
 from robot_ik.cli.arguments import parse
-from robot_ik.cli.camera_print import CameraPrintOptions
-from robot_ik.cli.commands import find_command
+from robot_ik.cli.camera import CameraPrintOptions
+from robot_ik.cli.main import find_command
 
 
 def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.calibration.extrinsics import CameraPlace
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 
 

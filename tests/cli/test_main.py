@@ -17,7 +17,7 @@ import pytest
 
 from robot_ik import errors
 from robot_ik.cli import main as main_module
-from robot_ik.cli.commands import COMMANDS, Command, find_command
+from robot_ik.cli.main import COMMANDS, Command, find_command
 
 #: All that has options of its own: "reach", "servo scan" …
 LEAVES = [name for name, command in COMMANDS.items() if command.options] + [

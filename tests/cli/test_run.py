@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import pytest
 
 from robot_ik.jobs.script import shipped
-from robot_ik.jobs.script.situation import Situation
+from robot_ik.jobs.script.state import Situation
 
 WAIT = 'schema = 1\nname = "wait a little"\n[[steps]]\ndo = "wait"\nseconds = 0.2\n'
 FAIL = WAIT + '[[steps]]\ndo = "expect"\nstate = "fault"\n[[steps]]\ndo = "hold"\n'

@@ -18,13 +18,13 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig, JointMap
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.discovery import ScanBus
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.packets import FastParser, StatusParser
 from robot_ik.hardware.packets import crc as host_crc
-from robot_ik.hardware.scan import ScanBus
+from robot_ik.hardware.simulated import InProcessPort, SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.inprocess import InProcessPort, SimBus
-from robot_ik.hardware.virtual.protocol2 import (
+from robot_ik.hardware.virtual.protocol import (
     HEADER,
     MAX_PACKET,
     Instruction,

@@ -11,7 +11,7 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import JointMap
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.suspicion import jumped
+from robot_ik.hardware.cycle import jumped
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.goals.latest import LatestGoals
-from robot_ik.camera.made_up.synthetic import SyntheticSource
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.marker_goals import LatestGoals
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import (
     CalibrationError,
     CameraError,
@@ -22,10 +22,10 @@ from robot_ik.errors import (
     MarkerNotFoundError,
 )
 from robot_ik.geometry import Pose
-from robot_ik.jobs import cameras
-from robot_ik.jobs.pictures import Wandering
+from robot_ik.jobs import vision
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.vision import Wandering
 from robot_ik.ports import RealClock, VirtualClock
 from robot_ik.robot import load_robot
 
@@ -88,7 +88,7 @@ def test_a_lying_truth_changes_nothing_but_the_remark(
 ) -> None:
     lie = Pose((9.0, 9.0, 9.0))
     lies = {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
-    monkeypatch.setattr(cameras.SyntheticSource, "_truth", lambda self, *rest: lies)
+    monkeypatch.setattr(vision.SyntheticSource, "_truth", lambda self, *rest: lies)
     report = reach()
     assert report.reached and report.seen.true_pose is lie
     np.testing.assert_array_equal(report.target.position, healthy.target.position)  # type: ignore[union-attr]

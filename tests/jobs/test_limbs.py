@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError, UnsupportedJointError
-from robot_ik.jobs.limbs import KinematicScene, joints_that_move, prepare_limbs
 from robot_ik.jobs.reach import ReachRequest, Rehearsal
+from robot_ik.jobs.robot_setup import KinematicScene, joints_that_move, prepare_limbs
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 

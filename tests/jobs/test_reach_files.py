@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.overlay import draw_robot
+from robot_ik.camera.drawing.overlay import draw_robot
 from robot_ik.errors import OutputError
 from robot_ik.files import folder_for_results, plain
 from robot_ik.jobs.reach import ReachReport

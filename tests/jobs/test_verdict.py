@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.pose import BodyObservation
+from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.verdict import (

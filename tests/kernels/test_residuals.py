@@ -17,7 +17,7 @@ from robot_ik.goals import (
 )
 from robot_ik.goals.base import axis_vector
 from robot_ik.kernels.residuals import residual_and_jacobian, rotation_error
-from robot_ik.model_tree import pose_row
+from robot_ik.model import pose_row
 from robot_ik.problem import Problem
 
 

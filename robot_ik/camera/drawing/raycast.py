@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing.mesh import VISIBLE_GROUPS, geom_rgba
+from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS, geom_rgba
 from robot_ik.camera.intrinsics import CameraIntrinsics
 
 Array = NDArray[np.float64]

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_ik.errors import UnknownFrameError, apart
-from robot_ik.jobs.limbs import Limbs
-from robot_ik.jobs.script.faults import fault_for
-from robot_ik.jobs.script.file import Script
-from robot_ik.jobs.script.gripping import check_grip
-from robot_ik.jobs.script.moves import keyframes, per_unit, slides
+from robot_ik.hardware.virtual.faults import fault_for
+from robot_ik.jobs.robot_setup import Limbs
+from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import (
     AnyStep,
     ClearStep,
@@ -19,6 +17,10 @@ from robot_ik.jobs.script.steps import (
     InjectStep,
     MarkerStep,
     RecoverStep,
+    check_grip,
+    keyframes,
+    per_unit,
+    slides,
 )
 from robot_ik.solution import Status
 

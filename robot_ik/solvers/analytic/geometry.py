@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, HINGE, Tree
-from robot_ik.model_tree import row_pose
+from robot_ik.model import row_pose
 
 Array = NDArray[np.float64]
 
