@@ -30,8 +30,8 @@ from robot_ik.camera.sheets.page import rasterize
 from robot_ik.camera.sheets.sheets import SheetWish, make_sheet_page
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, Look, pattern_set
 from robot_ik.geometry import rotation_exp
-from robot_ik.jobs.ar.job.job import heights
-from robot_ik.jobs.ar.job.scene import BOARD, Motion, synthetic_stage
+from robot_ik.jobs.ar.job import heights
+from robot_ik.jobs.ar.scene import BOARD, Motion, synthetic_stage
 from robot_ik.jobs.arm_camera.error_picture import error_picture
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface

@@ -38,7 +38,7 @@ from robot_ik.hardware.calibration_file import Calibration, JointCalibration, lo
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.faults import load_faults
-from robot_ik.jobs.ar.job.motion import is_script, make_motion, robot_of
+from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
 from robot_ik.jobs.arm_camera.measuring import SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory

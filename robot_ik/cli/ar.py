@@ -17,7 +17,7 @@ from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.bench.camera.accuracy import Misses
-    from robot_ik.jobs.ar.job.job import ArReport, ArRequest
+    from robot_ik.jobs.ar.job import ArReport, ArRequest
 
 
 # Sides of a picture, px; larger ones than any camera's would take all memory before they fail.
@@ -99,7 +99,7 @@ def run(options: ArOptions) -> int:
     if options.self_test:
         return run_self_test(json=options.json)
     request = make_request(options)
-    from robot_ik.jobs.ar.job.job import run_ar
+    from robot_ik.jobs.ar.job import run_ar
 
     with console.progress() as bar:
         task = bar.add_task("drawing", total=None, note="")
@@ -148,7 +148,7 @@ def _print(report: ArReport) -> None:
 
 
 def _default_out() -> str:
-    from robot_ik.jobs.ar.job.output import films_can_be_written
+    from robot_ik.jobs.ar.output import films_can_be_written
 
     if films_can_be_written():
         return "ar.mp4"
@@ -163,8 +163,8 @@ def make_request(options: ArOptions) -> ArRequest:
         ConfigError: A malformed option.
     """
     from robot_ik.camera.registration import Remedies
-    from robot_ik.jobs.ar.job.job import ArRequest
-    from robot_ik.jobs.ar.job.motion import robot_of
+    from robot_ik.jobs.ar.job import ArRequest
+    from robot_ik.jobs.ar.motion import robot_of
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
         raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")

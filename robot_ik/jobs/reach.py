@@ -29,7 +29,7 @@ from robot_ik.errors import (
 from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.jobs.ar.job.output import Film
+from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.robot_setup import Limbs, prepare_limbs
 from robot_ik.jobs.scene import Stage, stage_for

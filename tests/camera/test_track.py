@@ -25,7 +25,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import random_pose, render_markers
 from robot_ik.camera.tracker import BranchMemory, MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.jobs.ar.job.scene import synthetic_stage
+from robot_ik.jobs.ar.scene import synthetic_stage
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
 SIZE, RATE = 0.05, 30.0

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera import calibrate as calibrating
 from robot_ik.camera import sources
+from robot_ik.camera.calibration import intrinsic as calibrating
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA

@@ -17,7 +17,7 @@ from robot_ik.cli import bench_camera
 from robot_ik.errors import OutputError
 from robot_ik.files import claimed
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar.job import job
+from robot_ik.jobs.ar import job
 from robot_ik.jobs.arm_camera import handeye, verify
 
 LOCATE = ("locate", "photo.png", "--intrinsics", "lens.yaml", "--board", "marker:7:50")

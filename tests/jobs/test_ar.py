@@ -15,10 +15,10 @@ from robot_ik.camera.registration import Registrar, Remedies, Shown
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar.job import job, output
-from robot_ik.jobs.ar.job.job import ArRequest, run_ar
-from robot_ik.jobs.ar.job.motion import Replay, make_motion, play_script, robot_of
-from robot_ik.jobs.ar.job.scene import SteppedClock, lens
+from robot_ik.jobs.ar import job, output
+from robot_ik.jobs.ar.job import ArRequest, run_ar
+from robot_ik.jobs.ar.motion import Replay, make_motion, play_script, robot_of
+from robot_ik.jobs.ar.scene import SteppedClock, lens
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue

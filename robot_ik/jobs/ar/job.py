@@ -22,10 +22,10 @@ from robot_ik.camera.registration import BoardWatcher, Registrar, Remedies, Seen
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.ar.job.motion import Motion, Replay, make_motion
-from robot_ik.jobs.ar.job.output import open_sink
-from robot_ik.jobs.ar.job.scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
-from robot_ik.jobs.ar.job.scene import Motion as BoardMotion
+from robot_ik.jobs.ar.motion import Motion, Replay, make_motion
+from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
+from robot_ik.jobs.ar.scene import Motion as BoardMotion
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.robot import load_robot
