@@ -90,7 +90,7 @@ def prediction(data: Data, others: Data) -> str:
     return "\n".join([*lines, ""])
 
 
-def remedies(data: Data, others: Data) -> str:
+def latency_options(data: Data, others: Data) -> str:
     """What is left of a delay of 66 ms, by remedy."""
     lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
     for name, (rms, worst) in data["remedies"].items():
@@ -128,7 +128,7 @@ def _rms(data: Data) -> str:
 
 
 TABLES: dict[str, Callable[[Data, Data], str]] = {
-    make.__name__: make for make in (camera, prediction, remedies, headlines)
+    make.__name__: make for make in (camera, prediction, latency_options, headlines)
 }
 
 

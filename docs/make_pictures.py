@@ -27,8 +27,8 @@ from robot_ik.camera.calibration.coverage import cover, coverage_picture
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
-from robot_ik.camera.sheets.sheets import SheetWish, make_sheet_page
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, Look, pattern_set
+from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, Motion, synthetic_stage
@@ -111,9 +111,9 @@ def draw(scene: Scene) -> Image:
 def calibration() -> Image:
     """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
     board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
-    shown = list(pattern_set(board, camera, 20, seed=2, look=Look(noise=1.0)))
+    shown = list(pattern_set(board, camera, 20, seed=2, look=SensorModel(noise=1.0)))
     found = [view for view in (board.find(v.image) for v in shown) if view is not None]
-    tiles = [rasterize(make_sheet_page(SheetWish("charuco")), 60.0)]
+    tiles = [rasterize(make_sheet_page(SheetRequest("charuco")), 60.0)]
     tiles += [cv2.cvtColor(v.image, cv2.COLOR_GRAY2BGR) for v in shown[1:3]]
     for tile, corners in zip(tiles[1:], found[1:3], strict=True):
         for x, y in corners.pixels:

@@ -29,7 +29,7 @@ LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000
 
 IDS = range(253)
 
-KNOCK = ANSWER_TIME
+PING_WAIT = ANSWER_TIME
 """s for one id to answer a ping of its own."""
 
 _LOOKS = 4  # reads of changing registers that two servos with one id would have to answer alike
@@ -76,7 +76,7 @@ class FoundServo:
 class ScanBus(DynamixelBus):
     """A driver that also tells what it could not understand."""
 
-    def shout(self, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+    def collect_pings(self, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
         """A ping to everybody.
 
         Args:
@@ -90,8 +90,8 @@ class ScanBus(DynamixelBus):
         """
         return self._ping(BROADCAST_ID, listen)
 
-    def knock(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
-        """A ping to one id; late answers of others are told under theirs.  Otherwise as ``shout``."""
+    def ping_once(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        """A ping to one id; late answers of others are told under theirs.  Otherwise as ``collect_pings``."""
         return self._ping(id, listen)
 
     def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
@@ -139,7 +139,7 @@ def scan(
         bus = make_bus(port, baud, retries=0)
         bus.open()
         try:
-            heard, damaged = bus.shout(listening_time(baud))
+            heard, damaged = bus.collect_pings(listening_time(baud))
             servos = [_look(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
             if damaged:
                 rest = [id for id in IDS if id not in heard]
@@ -166,9 +166,9 @@ def _one_by_one(
     found: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{baud} baud, id {id}", k / len(ids))
-        heard, damaged = bus.knock(id, KNOCK)
+        heard, damaged = bus.ping_once(id, PING_WAIT)
         if damaged and id not in heard:
-            heard, damaged = bus.knock(id, KNOCK)  # noise can hit one answer
+            heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one answer
         for other, who in heard.items():
             found[other] = _look(bus, FoundServo(other, baud, *who))
         if damaged and id not in heard:

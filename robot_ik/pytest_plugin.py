@@ -91,9 +91,9 @@ class FaultPlayer:
     """
 
     def __init__(self, config: ArmConfig, bus: VirtualBus) -> None:
-        from robot_ik.hardware.virtual.faults import Mischief
+        from robot_ik.hardware.virtual.faults import ScriptFaults
 
-        self._config, self._bus, self._mischief = config, bus, Mischief(bus)
+        self._config, self._bus, self._mischief = config, bus, ScriptFaults(bus)
 
     def __call__(self, source: str | Path) -> FaultScript:
         """Plays a file of faults, or the text of one.

@@ -56,7 +56,7 @@ class Table(_Table):
     y: tuple[float, float]
 
 
-class CameraPlace(_Table):
+class CameraExtrinsics(_Table):
     """A camera: where it stands, what it looks at, and its optics (pixels)."""
 
     position: tuple[float, float, float]
@@ -82,7 +82,7 @@ class ReachScene(_Table):
     marker: Marker
     hover: float
     table: Table | None = None
-    camera: CameraPlace
+    camera: CameraExtrinsics
     tool_marker: ToolMarker
 
 

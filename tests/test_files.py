@@ -26,7 +26,7 @@ from robot_ik import files, load_robot
 from robot_ik.bench.methods.results import Machine, Results, Settings, read_results, results_text
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
-from robot_ik.camera.calibration.extrinsics import CameraPlace, today
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.drawing.renderers import load_phantoms
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -180,9 +180,9 @@ ROWS = {
         lambda _: shipped()["out_of_reach"].read_text(encoding="utf-8"),
     ),
     "place": Row(
-        CameraPlace.load,
+        CameraExtrinsics.load,
         "p.toml",
-        _saved(CameraPlace(Pose(), "world", np.eye(6), 0.1, 0.2, today(), LENS.digest).save),
+        _saved(CameraExtrinsics(Pose(), "world", np.eye(6), 0.1, 0.2, today(), LENS.digest).save),
     ),
     "bodies": Row(load_bodies, "bodies.toml", lambda _: BODIES),
     "boxes": Row(load_phantoms, "boxes.toml", lambda _: BOXES),

@@ -776,7 +776,7 @@ class _Healing:
             booking.end()
 
 
-class Mischief:
+class ScriptFaults:
     """Faults injected into one virtual bus, and the way back."""
 
     def __init__(self, bus: VirtualBus) -> None:

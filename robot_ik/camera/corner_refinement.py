@@ -44,8 +44,8 @@ from robot_ik.camera.edge_fit import (
     VAR_LAST,
     WEIGHT,
     WORK_ROWS,
-    bent_side,
     cross_columns,
+    distorted_side,
     fit_edge,
     take_pixels,
 )
@@ -85,7 +85,7 @@ _FIT_NUMBERS = EDGE_NUMBERS + 4
 
 
 @kernel
-def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
+def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good):
     """Refines the corners of m markers in place.
 
     Args:
@@ -93,7 +93,7 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
         lens: ``lens_vector``.
         cells: Cells along a side with the black border.
         corners: (m, 4, 2) rough corners in, refined ones out (rough ones again where that failed).
-        ideal: (m, 4, 2) out: undistorted normalised coordinates.
+        normalized: (m, 4, 2) out: undistorted normalised coordinates.
         covariance: (m, 8, 8) out, px^2.
         good: (m,) int64 out: 1 where the edges were measured.
     """
@@ -105,13 +105,13 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
         one = corners[m]
         for k in range(8):  # number by number: assigning whole arrays costs three seconds of compiling
             rough[k // 2, k % 2] = one[k // 2, k % 2]
-        unbend(lens, one, ideal[m])
+        undistort(lens, one, normalized[m])
         fine, blur, moved = sides_ok(one, gray), BLUR_START, math.inf
         for step in range(_MOST_PASSES):
             find = step == 0
             band = _FIND_BAND if find else _FIT_BAND
             for k in range(4):
-                fine = fine and bent_side(lens, one, ideal[m], k, cells, band, curve, sides[k])
+                fine = fine and distorted_side(lens, one, normalized[m], k, cells, band, curve, sides[k])
                 if not fine:
                     break
                 n = cross_columns(curve, sides[k], _FIND_COLUMNS if find else COLUMNS, table)
@@ -125,7 +125,7 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
             blur = common_blur(fits, sides)
             moved = corner_shifts(fits, sides, shift, covariance[m])
             fine = move_corners(one, rough, shift, sides, step) and sides_ok(one, gray)
-            unbend(lens, one, ideal[m])
+            undistort(lens, one, normalized[m])
             if not fine or (step + 1 >= _LEAST_PASSES and moved < _STILL):
                 break
         fine = fine and moved < _RESTLESS
@@ -136,14 +136,14 @@ def refine_corners_of(gray, lens, cells, corners, ideal, covariance, good):
         if not fine:
             for k in range(4):
                 one[k, 0], one[k, 1] = rough[k, 0], rough[k, 1]
-            unbend(lens, one, ideal[m])
+            undistort(lens, one, normalized[m])
 
 
 @outlined
-def unbend(lens, corners, ideal):
+def undistort(lens, corners, normalized):
     """Undistorted normalised coordinates (4, 2) of four corners."""
     for k in range(4):
-        ideal[k, 0], ideal[k, 1] = from_pixel(lens, corners[k, 0], corners[k, 1])
+        normalized[k, 0], normalized[k, 1] = from_pixel(lens, corners[k, 0], corners[k, 1])
 
 
 @outlined
@@ -301,7 +301,7 @@ class RefinedCorners:
 
     Attributes:
         corners: (4, 2) distorted pixels.
-        ideal: (4, 2) undistorted normalised coordinates.
+        normalized: (4, 2) undistorted normalised coordinates.
         covariance: (8, 8) of the corners in px^2, order x0 y0 x1 y1 ….  Neighbours are correlated, for
             they share an edge.
         sigma: Root mean square of the standard deviations of the eight numbers, px.
@@ -309,7 +309,7 @@ class RefinedCorners:
     """
 
     corners: Array
-    ideal: Array
+    normalized: Array
     covariance: Array
     sigma: float
     refined: bool
@@ -364,7 +364,7 @@ def refine_markers(
     announce(refine_corners_of, "the refinement of marker corners")
     gray = np.ascontiguousarray(to_gray(image))
     corners = np.array(markers, dtype=float).reshape(-1, 4, 2)
-    ideal, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
+    normalized, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
     good = np.zeros(len(corners), np.int64)
     lens = lens_vector(intrinsics)
     if origin != (0, 0):
@@ -372,15 +372,15 @@ def refine_markers(
         lens[CX] -= origin[0]
         lens[CY] -= origin[1]
         corners -= origin
-    refine_corners_of(gray, lens, cells, corners, ideal, covariance, good)
+    refine_corners_of(gray, lens, cells, corners, normalized, covariance, good)
     for k in np.flatnonzero(good == 0):
         other = _refine_in_another_size(gray, lens, cells, corners[k])
         if other is not None:
-            corners[k], ideal[k], covariance[k], good[k] = *other, 1
+            corners[k], normalized[k], covariance[k], good[k] = *other, 1
     corners += origin
     return [
         RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True) if fine else unrefined(c, intrinsics)
-        for c, i, v, fine in zip(corners, ideal, covariance, good, strict=True)
+        for c, i, v, fine in zip(corners, normalized, covariance, good, strict=True)
     ]
 
 
@@ -409,13 +409,13 @@ def _refine_in_another_size(
         small[[FX, FY]] /= reduction
         small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, reduction)
         found = to_reduced(corners - low, reduction)[None]
-        ideal, covariance = np.empty_like(found), np.empty((1, 8, 8))
+        normalized, covariance = np.empty_like(found), np.empty((1, 8, 8))
         good = np.zeros(1, np.int64)
-        refine_corners_of(_resized(part, reduction), small, cells, found, ideal, covariance, good)
+        refine_corners_of(_resized(part, reduction), small, cells, found, normalized, covariance, good)
         if good[0]:
             # Pixels between pixels know nothing new: the covariance stays that of as many as there are.
             known = max(reduction, 1.0)
-            return from_reduced(found[0], reduction) + low, ideal[0], covariance[0] * known**2
+            return from_reduced(found[0], reduction) + low, normalized[0], covariance[0] * known**2
     return None
 
 

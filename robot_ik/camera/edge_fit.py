@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from robot_ik.camera.lens import CX, CY, FX, FY, bend_point
+from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
 from robot_ik.kernels.jit import outlined
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -280,13 +280,13 @@ SIDE_NUMBERS = 9
 
 
 @outlined
-def bent_side(lens, corners, ideal, k, cells, band, curve, side):
+def distorted_side(lens, corners, normalized, k, cells, band, curve, side):
     """Fills ``curve`` and ``side``: the side from corner k to the next, straight without the lens.
 
     Args:
         lens: ``lens_vector``.
         corners: (4, 2) pixels.
-        ideal: (4, 2) the same without the lens.
+        normalized: (4, 2) the same without the lens.
         k: Which side.
         cells: Cells along a side with the black border.
         band: Half width of the band of pixels at most, px.
@@ -297,7 +297,7 @@ def bent_side(lens, corners, ideal, k, cells, band, curve, side):
         False when the lens has no inverse there.
     """
     n, last = (k + 1) % 4, STATIONS - 1
-    x0, y0, x1, y1 = ideal[k, 0], ideal[k, 1], ideal[n, 0], ideal[n, 1]
+    x0, y0, x1, y1 = normalized[k, 0], normalized[k, 1], normalized[n, 0], normalized[n, 1]
     if not abs(x0 + x1) < math.inf:
         return False
     ax, ay = corners[n, 0] - corners[k, 0], corners[n, 1] - corners[k, 1]
@@ -307,7 +307,7 @@ def bent_side(lens, corners, ideal, k, cells, band, curve, side):
     mean = 0.0
     for i in range(STATIONS):
         t = i / last if ascending else 1.0 - i / last
-        bx, by, _, _, _ = bend_point(lens, x0 + t * (x1 - x0), y0 + t * (y1 - y0))
+        bx, by, _, _, _ = distort_point(lens, x0 + t * (x1 - x0), y0 + t * (y1 - y0))
         px, py = lens[FX] * bx + lens[CX], lens[FY] * by + lens[CY]
         curve[i, 0], curve[i, 1], curve[i, 2] = (py, px, t) if steep else (px, py, t)
         mean += curve[i, 1] / STATIONS

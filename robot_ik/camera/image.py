@@ -97,12 +97,12 @@ def detect_markers(detector: Any, gray: Image) -> list[tuple[int, Array]]:
     return [(int(i), np.asarray(c, dtype=float).reshape(4, 2)) for i, c in zip(numbers, corners, strict=True)]
 
 
-def square_poses(points: Array, ideal: Array) -> list[tuple[list[float], list[float]]]:
+def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], list[float]]]:
     """Both poses of a square seen in undistorted normalised coordinates (IPPE_SQUARE).
 
     Args:
         points: (4, 3) metres, in the order (-,+) (+,+) (+,-) (-,-), z = 0.
-        ideal: (4, 2) undistorted normalised coordinates.
+        normalized: (4, 2) undistorted normalised coordinates.
 
     Returns:
         Up to two pairs of rotation vector (3,) and translation (3,), best first; empty when the four corners
@@ -110,7 +110,7 @@ def square_poses(points: Array, ideal: Array) -> list[tuple[list[float], list[fl
     """
     try:
         found, rotations, translations, _ = cv2.solvePnPGeneric(
-            points, np.ascontiguousarray(ideal), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+            points, np.ascontiguousarray(normalized), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
         )
     except cv2.error:
         return []

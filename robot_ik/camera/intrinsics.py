@@ -129,14 +129,14 @@ class CameraIntrinsics:
         p = np.asarray(points, dtype=float)
         flat = p.reshape(-1, 3)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ideal = flat[:, :2] / flat[:, 2:]
-        ideal[~(flat[:, 2] > 0)] = np.nan
-        return self.distort(ideal).reshape(*p.shape[:-1], 2)
+            normalized = flat[:, :2] / flat[:, 2:]
+        normalized[~(flat[:, 2] > 0)] = np.nan
+        return self.distort(normalized).reshape(*p.shape[:-1], 2)
 
-    def distort(self, ideal: Array) -> Array:
+    def distort(self, normalized: Array) -> Array:
         """Undistorted normalised coordinates (n, 2) -> distorted pixels (n, 2)."""
-        bent = lens.bend(self.model, self.coefficients, ideal)
-        return bent * (self.fx, self.fy) + (self.cx, self.cy)
+        distorted = lens.distort(self.model, self.coefficients, normalized)
+        return distorted * (self.fx, self.fy) + (self.cx, self.cy)
 
     def undistort(self, pixels: ArrayLike) -> Array:
         """Distorted pixels (n, 2) -> undistorted normalised coordinates (n, 2), exact to 1e-9.
@@ -144,20 +144,20 @@ class CameraIntrinsics:
         NaN where the lens model has no inverse.
         """
         p = np.asarray(pixels, dtype=float).reshape(-1, 2)
-        bent = (p - (self.cx, self.cy)) / (self.fx, self.fy)
-        return lens.unbend(self.model, self.coefficients, bent, self.radius_limit)
+        distorted = (p - (self.cx, self.cy)) / (self.fx, self.fy)
+        return lens.undistort(self.model, self.coefficients, distorted, self.radius_limit)
 
     def unproject(self, pixels: ArrayLike) -> Array:
         """Rays (n, 3) or (3,) with z = 1 in the camera frame, of pixels (n, 2) or (2,)."""
         p = np.asarray(pixels, dtype=float)
-        ideal = self.undistort(p)
-        rays = np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1)
+        normalized = self.undistort(p)
+        rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
         return rays.reshape(*p.shape[:-1], 3)
 
-    def pixel_jacobian(self, ideal: Array) -> Array:
+    def pixel_jacobian(self, normalized: Array) -> Array:
         """Derivative (n, 2, 2) of pixels with respect to undistorted normalised coordinates (n, 2)."""
-        bent = lens.bend_jacobian(self.model, self.coefficients, ideal)
-        return bent * np.array([self.fx, self.fy])[:, None]
+        distorted = lens.distort_jacobian(self.model, self.coefficients, normalized)
+        return distorted * np.array([self.fx, self.fy])[:, None]
 
     # ----------------------------------------------------------------------- size and sense
 

@@ -1,8 +1,8 @@
 """Lens distortion models as pure numpy: forward, Jacobian and inverse, vectorised over points.
 
 Coordinates are normalised: (x, y) = (X / Z, Y / Z) of a point in the camera frame (x right, y down,
-z forward).  ``ideal`` means without distortion, ``bent`` with it; pixels are ``(fx x + cx, fy y + cy)`` of
-bent coordinates.  Coefficients are in OpenCV's order:
+z forward).  ``normalized`` means without distortion, ``distorted`` with it; pixels are
+``(fx x + cx, fy y + cy)`` of distorted coordinates.  Coefficients are in OpenCV's order:
 
 * ``plumb_bob`` (0, 4 or 5): k1 k2 p1 p2 k3, Brown 1966
 * ``rational_polynomial`` (8): k1 k2 p1 p2 k3 k4 k5 k6, the second three in the denominator
@@ -46,9 +46,9 @@ def _radial(model: str, k: Array, r2: Array) -> tuple[Array, Array]:
         r = np.sqrt(np.maximum(r2, 1e-18))
         theta = np.arctan(r)
         t2 = theta * theta
-        bent = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+        distorted = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
         slope = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
-        factor = bent / r
+        factor = distorted / r
         # d(bent / r) / d(r^2) = (bent' - bent / r) / (2 r^2); its limit at r = 0 is k1 - 1/3.
         derivative = (slope / (1 + r2) - factor) / (2 * np.maximum(r2, 1e-18))
         return factor, np.where(r2 < 1e-8, k[0] - 1.0 / 3.0, derivative)
@@ -68,14 +68,14 @@ def _padded(model: str, coefficients: Array) -> Array:
     return k
 
 
-def bend(model: str, coefficients: Array, ideal: Array) -> Array:
+def distort(model: str, coefficients: Array, normalized: Array) -> Array:
     """Ideal (n, 2) -> bent (n, 2) normalised coordinates."""
     k = _padded(model, coefficients)
-    x, y = ideal[:, 0], ideal[:, 1]
+    x, y = normalized[:, 0], normalized[:, 1]
     r2 = x * x + y * y
     factor, _ = _radial(model, k, r2)
     if model == "equidistant":
-        return ideal * factor[:, None]
+        return normalized * factor[:, None]
     p1, p2 = k[2], k[3]
     return np.stack(
         [
@@ -86,12 +86,12 @@ def bend(model: str, coefficients: Array, ideal: Array) -> Array:
     )
 
 
-def bend_jacobian(model: str, coefficients: Array, ideal: Array) -> Array:
-    """Derivative of ``bend``: (n, 2, 2), rows bent, columns ideal."""
+def distort_jacobian(model: str, coefficients: Array, normalized: Array) -> Array:
+    """Derivative of ``distort``: (n, 2, 2), rows bent, columns ideal."""
     k = _padded(model, coefficients)
-    x, y = ideal[:, 0], ideal[:, 1]
+    x, y = normalized[:, 0], normalized[:, 1]
     factor, slope = _radial(model, k, x * x + y * y)
-    jacobian = np.empty((len(ideal), 2, 2))
+    jacobian = np.empty((len(normalized), 2, 2))
     jacobian[:, 0, 0] = factor + 2 * slope * x * x
     jacobian[:, 0, 1] = jacobian[:, 1, 0] = 2 * slope * x * y
     jacobian[:, 1, 1] = factor + 2 * slope * y * y
@@ -104,44 +104,48 @@ def bend_jacobian(model: str, coefficients: Array, ideal: Array) -> Array:
     return jacobian
 
 
-def unbend(model: str, coefficients: Array, bent: Array, limit: float) -> Array:
-    """Inverse of ``bend`` by Newton's method with step halving.
+def undistort(model: str, coefficients: Array, distorted: Array, limit: float) -> Array:
+    """Inverse of ``distort`` by Newton's method with step halving.
 
     Args:
         model: One of ``COEFFICIENTS``.
         coefficients: In OpenCV's order.
-        bent: (n, 2).
+        distorted: (n, 2).
         limit: ``radius_limit`` of the model.
 
     Returns:
         (n, 2) ideal coordinates, exact to about 1e-12; NaN where the lens model has no inverse
         (beyond the radius at which its polynomial folds back).
     """
-    ideal = bent.copy()
+    normalized = distorted.copy()
     if not np.any(coefficients) and model != "equidistant":
-        return ideal
-    error = bend(model, coefficients, ideal) - bent
+        return normalized
+    error = distort(model, coefficients, normalized) - distorted
     size = np.hypot(error[:, 0], error[:, 1])
     active = np.flatnonzero(~(size < _INVERSE_RESIDUAL))
-    scale = np.ones(len(bent))
+    scale = np.ones(len(distorted))
     for _ in range(_INVERSE_STEPS):
         if active.size == 0:
             break
-        step = _solve2(bend_jacobian(model, coefficients, ideal[active]), error[active])
-        trial = ideal[active] - scale[active, None] * step
-        trial_error = bend(model, coefficients, trial) - bent[active]
+        step = _solve2(distort_jacobian(model, coefficients, normalized[active]), error[active])
+        trial = normalized[active] - scale[active, None] * step
+        trial_error = distort(model, coefficients, trial) - distorted[active]
         trial_size = np.hypot(trial_error[:, 0], trial_error[:, 1])
         better = trial_size < size[active]
         chosen = active[better]
-        ideal[chosen], error[chosen], size[chosen] = trial[better], trial_error[better], trial_size[better]
+        normalized[chosen], error[chosen], size[chosen] = (
+            trial[better],
+            trial_error[better],
+            trial_size[better],
+        )
         scale[chosen] = np.minimum(1.0, 2.0 * scale[chosen])
         scale[active[~better]] *= 0.5
         active = active[~(size[active] < _INVERSE_RESIDUAL)]
     # A stall at rounding level is an answer; anything larger, or a folded sheet, is none.
     lost = ~(size < 1e3 * _INVERSE_RESIDUAL)
-    lost |= np.hypot(ideal[:, 0], ideal[:, 1]) > limit
-    ideal[lost] = np.nan
-    return ideal
+    lost |= np.hypot(normalized[:, 0], normalized[:, 1]) > limit
+    normalized[lost] = np.nan
+    return normalized
 
 
 def _solve2(matrix: Array, right: Array) -> Array:
@@ -213,7 +217,7 @@ def radial(lens, r2):
 
 
 @outlined
-def bend_point(lens, x, y):
+def distort_point(lens, x, y):
     """Bent coordinates of ideal ones, and the derivative d(bx)/dx, d(bx)/dy = d(by)/dx, d(by)/dy."""
     factor, slope = radial(lens, x * x + y * y)
     bx, by = x * factor, y * factor
@@ -243,7 +247,7 @@ def from_pixel(lens, px, py):
             determinant = 1e-12
         x1 = x - scale * (yy * ex - xy * ey) / determinant
         y1 = y - scale * (xx * ey - xy * ex) / determinant
-        tx, ty, xx1, xy1, yy1 = bend_point(lens, x1, y1)
+        tx, ty, xx1, xy1, yy1 = distort_point(lens, x1, y1)
         size1 = math.hypot(tx - bx, ty - by)
         if size1 < size:
             x, y, ex, ey, size, xx, xy, yy = x1, y1, tx - bx, ty - by, size1, xx1, xy1, yy1

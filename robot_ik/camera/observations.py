@@ -88,7 +88,7 @@ def marker_branches(seen: RefinedCorners, size: float, intrinsics: CameraIntrins
         CameraError: The size cannot be right.
     """
     points = marker_points(size)
-    if not np.isfinite(seen.ideal).all():
+    if not np.isfinite(seen.normalized).all():
         return None
     return square_branches(points, CornerData.of(points, seen, intrinsics))
 
@@ -258,7 +258,7 @@ def body_branches(
         value = observed[i]
         corners = value if isinstance(value, RefinedCorners) else unrefined(value, intrinsics)
         own = marker_points(size)
-        if not np.isfinite(corners.ideal).all():
+        if not np.isfinite(corners.normalized).all():
             continue
         found = square_branches(own, CornerData.of(own, corners, intrinsics))
         if found is None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robot_ik.camera.detection import Image
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens import CX, CY, FX, FY, bend_point, from_pixel, lens_vector
+from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel, lens_vector
 from robot_ik.camera.observations import MarkerObservation, marker_points
 from robot_ik.camera.pose_fit import SAME_ANGLE
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
@@ -104,7 +104,7 @@ def take_print(gray, lens, box, to_print, reach, pixels):
         x, y = from_pixel(lens, box[0], py)
         for px in range(box[0], box[2]):
             # One step of Newton's method from the pixel beside it is exact to 1e-9.
-            tx, ty, xx, xy, yy = bend_point(lens, x, y)
+            tx, ty, xx, xy, yy = distort_point(lens, x, y)
             area = 1.0 / (xx * yy - xy * xy)
             ex, ey = tx - (px - lens[CX]) / lens[FX], ty - by
             x, y = x - (yy * ex - xy * ey) * area, y - (xx * ey - xy * ex) * area
@@ -252,7 +252,7 @@ def _black(dictionary: str, marker_id: int) -> Array:
     return np.ascontiguousarray(marker_bits(dictionary, marker_id) == 0, dtype=float)
 
 
-def fit_print(
+def fit_photometric_pose(
     gray: Image,
     layout: Mapping[int, tuple[float, Pose]],
     ids: Sequence[int],
@@ -330,7 +330,8 @@ def seen_by_print(
     starts = [seen.pose] if seen.alternative is None else [seen.pose, seen.alternative]
     layout = {seen.id: (size, Pose())}
     found = [
-        fit_print(gray, layout, [seen.id], dictionary, intrinsics, start, look=seen.pose) for start in starts
+        fit_photometric_pose(gray, layout, [seen.id], dictionary, intrinsics, start, look=seen.pose)
+        for start in starts
     ]
     fits = sorted((one for one in found if one is not None), key=lambda one: one.squares)
     if not fits:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from robot_ik.camera.corner_refinement import RefinedCorners
 from robot_ik.camera.image import square_poses
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens import FX, FY, bend_point, lens_vector
+from robot_ik.camera.lens import FX, FY, distort_point, lens_vector
 from robot_ik.geometry import Pose
 from robot_ik.kernels.jit import announce, kernel, outlined
 
@@ -40,7 +40,7 @@ _FREEDOMS = 6
 
 
 @kernel
-def whiten(ideal, covariance, lens, blocks, to_pixels):
+def whiten(normalized, covariance, lens, blocks, to_pixels):
     """Fills the blocks (m, 8, 8) of m markers, and ``to_pixels`` (4 m, 2, 2): pixels by ideal coordinates.
 
     A block is L^-1 times the derivative of the lens mapping, with L Lᵀ = ``covariance`` (m, 8, 8) in px^2.
@@ -55,7 +55,7 @@ def whiten(ideal, covariance, lens, blocks, to_pixels):
                 lower[i, j] = total / lower[j, j] if i > j else math.sqrt(total)
         block = blocks[m]
         for k in range(4):
-            _, _, xx, xy, yy = bend_point(lens, ideal[4 * m + k, 0], ideal[4 * m + k, 1])
+            _, _, xx, xy, yy = distort_point(lens, normalized[4 * m + k, 0], normalized[4 * m + k, 1])
             slope = to_pixels[4 * m + k]
             slope[0, 0], slope[0, 1] = lens[FX] * xx, lens[FX] * xy
             slope[1, 0], slope[1, 1] = lens[FY] * xy, lens[FY] * yy
@@ -68,12 +68,12 @@ def whiten(ideal, covariance, lens, blocks, to_pixels):
 
 
 @kernel
-def fit_poses(points, ideal, blocks, poses, costs):
+def fit_poses(points, normalized, blocks, poses, costs):
     """Fits from several starts.
 
     Args:
         points: (n, 3) in the body's frame, metres.
-        ideal: (n, 2) where they were seen.
+        normalized: (n, 2) where they were seen.
         blocks: (m, b, b) with m b = 2 n.
         poses: (k, 7) position and quaternion wxyz: starts in, results out.
         costs: (k,) sums of squares out.
@@ -88,7 +88,7 @@ def fit_poses(points, ideal, blocks, poses, costs):
         for i in range(7):
             trial[i] = pose[i]
         for _ in range(_STEPS + 1):  # the first one is the start
-            trial_cost = whitened(points, ideal, blocks, trial, raw, slope, residual, jacobian)
+            trial_cost = whitened(points, normalized, blocks, trial, raw, slope, residual, jacobian)
             if trial_cost < cost:
                 done = cost - trial_cost < _DONE * (1.0 + trial_cost)
                 for i in range(7):
@@ -108,12 +108,12 @@ def fit_poses(points, ideal, blocks, poses, costs):
 
 
 @kernel
-def evaluate(points, ideal, to_pixels, blocks, pose, residual, jacobian, pixels, costs):
+def evaluate(points, normalized, to_pixels, blocks, pose, residual, jacobian, pixels, costs):
     """How well one pose (7,) fits.
 
     Args:
         points: (n, 3) in the body's frame, metres.
-        ideal: (n, 2) where they were seen.
+        normalized: (n, 2) where they were seen.
         to_pixels: (n, 2, 2) pixels by ideal coordinates.
         blocks: (m, b, b) with m b = 2 n.
         pose: (7,).
@@ -123,7 +123,7 @@ def evaluate(points, ideal, to_pixels, blocks, pose, residual, jacobian, pixels,
         costs: (m,) out: sum of squares of each block.
     """
     raw, slope = np.empty(len(residual)), np.empty((len(residual), _FREEDOMS))
-    whitened(points, ideal, blocks, pose, raw, slope, residual, jacobian)
+    whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian)
     size = blocks.shape[1]
     for m in range(len(blocks)):
         square, cost = 0.0, 0.0
@@ -137,7 +137,7 @@ def evaluate(points, ideal, to_pixels, blocks, pose, residual, jacobian, pixels,
 
 
 @outlined
-def whitened(points, ideal, blocks, pose, raw, slope, residual, jacobian):
+def whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian):
     """Residuals (2n,) and derivatives (2n, 6), as they are and in standard deviations; the sum of squares."""
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
     for p in range(len(points)):
@@ -147,7 +147,7 @@ def whitened(points, ideal, blocks, pose, raw, slope, residual, jacobian):
         tz = 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c
         depth = max(tz + pose[2], _LEAST_DEPTH)
         u, v, inverse = (tx + pose[0]) / depth, (ty + pose[1]) / depth, 1.0 / depth
-        raw[2 * p], raw[2 * p + 1] = u - ideal[p, 0], v - ideal[p, 1]
+        raw[2 * p], raw[2 * p + 1] = u - normalized[p, 0], v - normalized[p, 1]
         r, s = slope[2 * p], slope[2 * p + 1]
         # d(exp(w) r) / dw = -[r]x
         r[0], r[1], r[2] = inverse, 0.0, -u * inverse
@@ -253,14 +253,14 @@ class CornerData:
 
     Attributes:
         points: (n, 3) in the body's frame, metres.
-        ideal: (n, 2) where they were seen, undistorted normalised coordinates.
+        normalized: (n, 2) where they were seen, undistorted normalised coordinates.
         blocks: (m, b, b) with m b = 2n: maps from differences of ideal coordinates to standard deviations,
             one for each group of corners with errors of their own (a marker: b = 8).
         to_pixels: (n, 2, 2) map from differences of ideal coordinates to pixels.
     """
 
     points: Array
-    ideal: Array
+    normalized: Array
     blocks: Array
     to_pixels: Array
 
@@ -275,11 +275,11 @@ class CornerData:
     ) -> CornerData:
         """Several markers of one body; ``points`` (4 m, 3) in its frame."""
         announce(fit_poses, "the pose of markers")
-        ideal = np.concatenate([s.ideal for s in seen])
-        blocks, to_pixels = np.zeros((len(seen), 8, 8)), np.empty((len(ideal), 2, 2))
+        normalized = np.concatenate([s.normalized for s in seen])
+        blocks, to_pixels = np.zeros((len(seen), 8, 8)), np.empty((len(normalized), 2, 2))
         covariance = np.array([s.covariance for s in seen])
-        whiten(ideal, covariance, lens_vector(intrinsics), blocks, to_pixels)
-        return cls(np.ascontiguousarray(points, dtype=float), ideal, blocks, to_pixels)
+        whiten(normalized, covariance, lens_vector(intrinsics), blocks, to_pixels)
+        return cls(np.ascontiguousarray(points, dtype=float), normalized, blocks, to_pixels)
 
     def chosen(self, markers: Sequence[int] | Array, weights: Array | None = None) -> CornerData:
         """Some of the markers (numbers of blocks); ``weights`` (m,) of their squared residuals."""
@@ -288,10 +288,11 @@ class CornerData:
         if weights is not None:
             blocks = blocks * np.sqrt(weights)[:, None, None]
         of_points = [
-            a.reshape(len(self.blocks), -1, *a.shape[1:]) for a in (self.points, self.ideal, self.to_pixels)
+            a.reshape(len(self.blocks), -1, *a.shape[1:])
+            for a in (self.points, self.normalized, self.to_pixels)
         ]
-        points, ideal, to_pixels = (a[part].reshape(-1, *a.shape[2:]) for a in of_points)
-        return CornerData(points, ideal, blocks, to_pixels)
+        points, normalized, to_pixels = (a[part].reshape(-1, *a.shape[2:]) for a in of_points)
+        return CornerData(points, normalized, blocks, to_pixels)
 
     @property
     def white(self) -> Array:
@@ -307,14 +308,14 @@ class CornerData:
         p = pose.apply(self.points)
         # Behind the camera there is no picture: a large residual turns the fit back.
         z = np.where(p[:, 2:] > 1e-6, p[:, 2:], 1e-6)
-        return np.asarray(p[:, :2] / z - self.ideal)
+        return np.asarray(p[:, :2] / z - self.normalized)
 
     def fit(self, pose: Pose) -> Fit:
         """How well ``pose`` fits."""
         m, b, _ = self.blocks.shape
         result = Fit(np.empty(m * b), np.empty((m * b, 6)), np.empty(m), np.empty(m))
         evaluate(
-            self.points, self.ideal, self.to_pixels, self.blocks, pose_row(pose),
+            self.points, self.normalized, self.to_pixels, self.blocks, pose_row(pose),
             result.residual, result.jacobian, result.pixels, result.costs,
         )  # fmt: skip
         return result
@@ -340,7 +341,7 @@ def pose_row(pose: Pose) -> Array:
 def fit_rows(corners: CornerData, starts: Array) -> tuple[Array, Array]:
     """Levenberg-Marquardt from each start (k, 7): poses (k, 7) and costs (k,), not finite where it failed."""
     poses, costs = starts.copy(), np.empty(len(starts))
-    fit_poses(corners.points, corners.ideal, corners.blocks, poses, costs)
+    fit_poses(corners.points, corners.normalized, corners.blocks, poses, costs)
     return poses, costs
 
 
@@ -455,7 +456,7 @@ def _angle(one: Array, other: Array) -> float:
 
 def square_branches(points: Array, data: CornerData) -> Branches | None:
     """Both poses of one square; ``points`` (4, 3) in the square's own frame, which is that of the result."""
-    starts = [p + _quaternion(turn) for turn, p in square_poses(points, data.ideal) if p[2] > 0]
+    starts = [p + _quaternion(turn) for turn, p in square_poses(points, data.normalized) if p[2] > 0]
     return fitted(data, np.array(starts)) if starts else None
 
 

@@ -163,7 +163,7 @@ def optical_motion(before: Points, after: Points) -> Array:
 
 
 @dataclass(frozen=True)
-class Remedies:
+class LatencyOptions:
     """What is done about delay.
 
     Attributes:
@@ -203,7 +203,7 @@ class Registrar:
         artist: Draws.
         figure: What is drawn.
         intrinsics: Of the pictures.
-        remedies: What is done about delay.
+        latency_options: What is done about delay.
         pose_board_camera: Where the camera is when there is no ``watcher``.
         alpha: 1 hides what is behind the robot, 0 the robot.
     """
@@ -214,15 +214,15 @@ class Registrar:
         artist: Artist,
         figure: DrawnRobot,
         intrinsics: CameraIntrinsics,
-        remedies: Remedies | None = None,
+        latency_options: LatencyOptions | None = None,
         *,
         pose_board_camera: Pose | None = None,
         alpha: float = 1.0,
     ) -> None:
-        self.figure, self.artist, self.remedies = figure, artist, remedies or Remedies()
+        self.figure, self.artist, self.latency_options = figure, artist, latency_options or LatencyOptions()
         self._watcher, self._intrinsics, self._alpha = watcher, intrinsics, alpha
         self._fixed = None if pose_board_camera is None else pose_board_camera.inverse()
-        self._filter = MotionFilter() if self.remedies.predict else None
+        self._filter = MotionFilter() if self.latency_options.predict else None
         self._last: Seen | None = None
 
     def track(self, frame: Frame) -> Seen | None:
@@ -253,7 +253,7 @@ class Registrar:
     def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
         """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""
         pose = self._pose(seen, shown.time)
-        if pose is None or not self.remedies.shift or seen is None or not shown.time > seen.time:
+        if pose is None or not self.latency_options.shift or seen is None or not shown.time > seen.time:
             return pose, None
         now = None if self._watcher is None else self._watcher.see(shown)
         if now is None:

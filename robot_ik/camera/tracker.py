@@ -28,7 +28,7 @@ from robot_ik.camera.observations import (
     marker_observation,
     marker_points,
 )
-from robot_ik.camera.photometric_pose import doubtful, fit_print, seen_by_print
+from robot_ik.camera.photometric_pose import doubtful, fit_photometric_pose, seen_by_print
 from robot_ik.camera.pose_fit import Branches
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
@@ -256,7 +256,7 @@ class MarkerTracker:
             return None
         choice = self._choose(frozenset(layout), fitting.branches, frame.time)
         seen = fitting.observation(choice.index, choice.ambiguity, frame.time)
-        better = fit_print(
+        better = fit_photometric_pose(
             to_gray(frame.image), layout, seen.ids, self.detector.dictionary, self.intrinsics,
             seen.pose_camera_body, seen.covariance,
         )  # fmt: skip
@@ -372,7 +372,7 @@ class Sighting:
         return tuple(m.id for m in self.markers)
 
 
-class Lookout:
+class MarkerFinder:
     """Looks for markers and bodies in pictures.
 
     Args:

@@ -162,7 +162,7 @@ def make_request(options: ArOptions) -> ArRequest:
     Raises:
         ConfigError: A malformed option.
     """
-    from robot_ik.camera.registration import Remedies
+    from robot_ik.camera.registration import LatencyOptions
     from robot_ik.jobs.ar.job import ArRequest
     from robot_ik.jobs.ar.motion import robot_of
 
@@ -197,7 +197,7 @@ def make_request(options: ArOptions) -> ArRequest:
         backend=options.backend,
         phantoms=Path(options.phantoms) if options.phantoms else None,
         phantom_geoms=options.phantom_geoms,
-        remedies=Remedies(options.sync, options.predict, options.shift),
+        latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         delay=options.delay,
         alpha=options.alpha,
         shadow=options.shadow,

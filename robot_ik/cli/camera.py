@@ -24,7 +24,7 @@ from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
     from robot_ik.camera.boards.board import Board, BoardView
-    from robot_ik.camera.calibration.extrinsics import CameraPlace
+    from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
     from robot_ik.camera.device import CameraDevice
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.camera.sources import Frame
@@ -262,26 +262,26 @@ def _looked(
 ) -> Iterator[_Row]:
     """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
-    from robot_ik.camera.tracker import Lookout, as_values, drawn
+    from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
     from robot_ik.errors import CalibrationError, CameraError
 
     if not options.images:
         raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
     bodies = [] if options.bodies is None else list(load_bodies(options.bodies).values())
     asked = (options.dictionary, intrinsics, options.size, options.ids, bodies)
-    lookout = Lookout(*asked)
+    finder = MarkerFinder(*asked)
     with console.progress() as bar:
         for name in options.images:
             task = bar.add_task(name, total=None, note="")
             for file, number, frame, in_film in _pictures(name):
                 if in_film and number == 0:
-                    lookout = Lookout(*asked, film=True)
+                    finder = MarkerFinder(*asked, film=True)
                 bar.update(task, note=str(number))
                 if isinstance(frame, CameraError):
                     yield _Row(file, number, None, dict(_NOTHING), frame)
                     continue
                 try:
-                    sighting = lookout.look(frame)
+                    sighting = finder.look(frame)
                 except CalibrationError as error:  # of another size
                     yield _Row(file, number, frame.size, dict(_NOTHING), error)
                     if in_film:
@@ -293,7 +293,7 @@ def _looked(
                 if drawings is not None:
                     drawings.save(file, number if in_film else None, drawn(sighting, intrinsics))
             bar.remove_task(task)
-            lookout = Lookout(*asked)
+            finder = MarkerFinder(*asked)
 
 
 def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
@@ -511,7 +511,7 @@ def _look(
     return views, looked
 
 
-def _as_json(place: CameraPlace, options: CameraLocateOptions, used: int, looked: int) -> dict[str, Any]:
+def _as_json(place: CameraExtrinsics, options: CameraLocateOptions, used: int, looked: int) -> dict[str, Any]:
     camera = place.pose_parent_camera
     return {
         "schema": 1,
@@ -582,9 +582,9 @@ def run_print(options: CameraPrintOptions) -> int:
 
 def _print_sheet(options: CameraPrintOptions) -> int:
     from robot_ik.camera.sheets.page import write_sheet
-    from robot_ik.camera.sheets.sheets import SheetWish, make_sheet_page
+    from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 
-    wish = SheetWish(**{name: getattr(options, name) for name in SheetWish.__dataclass_fields__})
+    wish = SheetRequest(**{name: getattr(options, name) for name in SheetRequest.__dataclass_fields__})
     page = make_sheet_page(wish)
     if options.body is not None:
         from robot_ik.camera.sheets.sheets import body_file

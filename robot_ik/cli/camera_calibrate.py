@@ -84,12 +84,12 @@ def run(options: CameraCalibrateOptions) -> int:
 def _calibrate(options: CameraCalibrateOptions) -> int:
     import dataclasses
 
-    from robot_ik.camera.boards.patterns import PatternWish
+    from robot_ik.camera.boards.patterns import PatternRequest
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
-    wish = PatternWish(options.pattern, *(getattr(options, field) for field in fields))
+    wish = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
     gatherer, shelf = ViewGatherer(wish.pattern()), _Shelf(options)
     with _kept_on_interrupt(gatherer, shelf):
         for text in options.sources:

@@ -216,10 +216,10 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
         if numbers or not options.intrinsics:
             what = "a place file and a pose" if numbers else "a place file without its calibration"
             raise wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
-        from robot_ik.camera.calibration.extrinsics import CameraPlace
+        from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
         from robot_ik.camera.intrinsics import CameraIntrinsics
 
-        place = CameraPlace.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
+        place = CameraExtrinsics.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")
         return place.pose_parent_camera
     if not numbers:
@@ -291,7 +291,7 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
                 f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
             )
             rows.append(("", text))
-        elif report.eyes is not None:
+        elif report.vision is not None:
             pose = seen.observation.pose
             quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
             rows.append(("", f"in the camera's frame {_mm(pose.position)} mm, wxyz {quaternion}"))
@@ -332,7 +332,7 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
     if report.behind is not None:
         median, largest = (1e3 * metres for metres in report.behind)
         rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
-    delays = None if report.eyes is None else report.eyes.delays
+    delays = None if report.vision is None else report.vision.delays
     if delays is not None and delays[1].count:
         made, used = delays
         ready = f"goal after {made}; " if made.count else ""
@@ -356,13 +356,13 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
     rows = []
     if report.read_back is not None:
         judged = report.read_back
-        why = "servo ticks" if report.limbs.arm is not None else "tolerance of the solver"
+        why = "servo ticks" if report.setup.arm is not None else "tolerance of the solver"
         if judged.sigma.position > 0.0:
             why = f"3 σ of the goal + {why}"
         rows.append(("read back", f"{_judged(judged)} ({why})"))
     if report.by_camera is not None:
         judged = report.by_camera
-        ticks = "ticks" if report.limbs.arm is not None else "tolerance"
+        ticks = "ticks" if report.setup.arm is not None else "tolerance"
         sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
         rows.append(("camera", f"{_judged(judged)} (3 σ + {ticks}, {sigma})"))
     return rows
@@ -370,7 +370,7 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
 
 def _print_limits(report: ReachReport, screen: Any) -> None:
     rows = console.table("joint", "limits used", "narrowed by")
-    for limit in report.limbs.limits:
+    for limit in report.setup.limits:
         rows.add_row(limit.joint, _range(limit.used, limit.unit), _narrowed(limit))
     screen.print(rows)
     screen.print()

@@ -19,7 +19,7 @@ from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
-from robot_ik.camera.photometric_pose import fit_print
+from robot_ik.camera.photometric_pose import fit_photometric_pose
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
@@ -108,7 +108,7 @@ def compile_overlay() -> None:
     board, there = MarkerBoard({0: (0.05, Pose())}), camera.inverse()
     estimate_body({0: lens.project(there.apply(marker_points(0.05)))}, board.layout, lens)
     image = np.full((480, 640, 3), 128, dtype=np.uint8)
-    fit_print(image[..., 0].copy(), board.layout, [0], board.dictionary, lens, there)
+    fit_photometric_pose(image[..., 0].copy(), board.layout, [0], board.dictionary, lens, there)
     robot = load_robot("puma560")
     drawing = PainterArtist().draw(DrawnRobot(robot.model, scale=0.2), robot.qpos(robot.home), lens, camera)
     drawing.over(image)

@@ -31,7 +31,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.precompile import CompiledAhead
-from robot_ik.jobs.robot_setup import Limbs, prepare_limbs
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.jobs.verdict import (
     EXACT,
@@ -44,7 +44,7 @@ from robot_ik.jobs.verdict import (
     judge_read_back,
     quantisation,
 )
-from robot_ik.jobs.vision import Eyes, Seen, open_eyes
+from robot_ik.jobs.vision import Seen, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.problem import Problem, Tolerance
@@ -157,8 +157,8 @@ class ReachReport:
     request: ReachRequest
     robot: Robot
     frame: str
-    limbs: Limbs
-    eyes: Eyes | None
+    setup: RobotSetup
+    vision: Vision | None
     seen: Seen | None = None
     goal: Goal | None = None
     target: Pose | None = None
@@ -189,7 +189,7 @@ class ReachReport:
         return decide(
             self.read_back,
             self.by_camera,
-            servos=self.limbs.arm is not None,
+            servos=self.setup.arm is not None,
             blind=self.blind,
             seen_goal=self.request.goal is None,
             stopped_short=self._stopped_short(),
@@ -212,7 +212,7 @@ class ReachReport:
         if off is None or self.following is not None:
             return ""
         worst = int(abs(off).argmax())
-        if abs(off[worst]) <= self.limbs.resolution[worst]:
+        if abs(off[worst]) <= self.setup.resolution[worst]:
             return ""
         joint = self.execution.joints[worst]  # type: ignore[union-attr]
         return (
@@ -261,67 +261,69 @@ def run_reach(
     method = request.solver or find_robot(request.robot)[1].solver or "auto"
     with contextlib.ExitStack() as stack:
         ahead = stack.enter_context(CompiledAhead.solver(request.robot, method))
-        limbs = prepare_limbs(request)
-        frame = limbs.frame
-        eyes = open_eyes(request, limbs, frame, stack)
-        window = _window(request, limbs, eyes, stack)
-        report = ReachReport(request, limbs.robot, frame, limbs, eyes)
-        with limbs.connected():
+        setup = prepare_robot(request)
+        frame = setup.frame
+        vision = open_vision(request, setup, frame, stack)
+        window = _window(request, setup, vision, stack)
+        report = ReachReport(request, setup.robot, frame, setup, vision)
+        with setup.connected():
             try:
                 _look(report, progress)
                 ahead.wait()
                 if window is not None and report.target is not None:
                     window.show_goal(report.target)
                 _solve(report, method, progress)
-                limbs.energise()
+                setup.energise()
                 _reach(report, window, progress)
             except _NOT_ACHIEVED as problem:
                 report.problem = problem
-            report.counters = limbs.counters()
+            report.counters = setup.counters()
         done(report)
         if window is not None:
             window.wait()
     return report
 
 
-def _window(request: ReachRequest, limbs: Limbs, eyes: Eyes | None, stack: contextlib.ExitStack) -> Any:
+def _window(
+    request: ReachRequest, setup: RobotSetup, vision: Vision | None, stack: contextlib.ExitStack
+) -> Any:
     if not request.view:
         return None
     from robot_ik.testbed.frontends.window import WindowSink
 
-    stage = window_stage(limbs.robot, limbs.frame, None if eyes is None else eyes.stage)
+    stage = window_stage(setup.robot, setup.frame, None if vision is None else vision.stage)
     view: dict[str, Any] = {"solids": stage_solids(stage)}
     if stage is not None:
         marker = stage.pose_world_marker
         view["see"] = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
         view["eye"] = stage.pose_world_camera.position
-    return stack.enter_context(WindowSink(limbs.robot, start=limbs.q, **view))
+    return stack.enter_context(WindowSink(setup.robot, start=setup.q, **view))
 
 
 def _look(report: ReachReport, progress: Progress) -> None:
     """Finds the goal, by eye or as given."""
-    request, eyes = report.request, report.eyes
+    request, vision = report.request, report.vision
     if request.goal is not None:
         report.goal = request.goal
-        if eyes is not None:
-            report.before = eyes.picture()
+        if vision is not None:
+            report.before = vision.picture()
     else:
-        assert eyes is not None  # open_eyes made some, because there is no other goal
+        assert vision is not None  # open_vision made some, because there is no other goal
         progress("looking", 0.0)
         try:
-            report.seen = eyes.find_target()
+            report.seen = vision.find_target()
         finally:
-            report.before = eyes.last_image
+            report.before = vision.last_image
         report.goal = report.seen.goal
         if request.follow > 0.0:
-            eyes.get_ready_to_follow()
+            vision.get_ready_to_follow()
     report.target = report.goal.target
 
 
 def _solve(report: ReachReport, method: str, progress: Progress) -> None:
     """Finds joint angles for the goal.  Nothing moves."""
     assert report.goal is not None
-    report.q_start = report.limbs.q.copy()
+    report.q_start = report.setup.q.copy()
     progress("solving", 0.0)
     solver = make_solver(method)
     problem = Problem(report.robot, report.goal, tolerance=SOLVE_TOLERANCE, seed=report.request.seed)
@@ -354,36 +356,36 @@ def _accept(report: ReachReport) -> None:
 
 def _known(report: ReachReport) -> Bound:
     """Standard deviation of the goal as the last look at the marker tells it."""
-    assert report.seen is not None and report.eyes is not None  # eyes have seen it
-    return report.seen.uncertainty(report.eyes.stage.pose_marker_tool.position)
+    assert report.seen is not None and report.vision is not None  # eyes have seen it
+    return report.seen.uncertainty(report.vision.stage.pose_marker_tool.position)
 
 
 def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
     """Moves there, follows if asked to, and judges."""
-    request, robot, limbs = report.request, report.robot, report.limbs
+    request, robot, setup = report.request, report.robot, report.setup
     assert report.solution is not None and report.goal is not None and report.target is not None
-    report.q_start = limbs.q.copy()
+    report.q_start = setup.q.copy()
     report.trajectory = _plan(report)
     count = len(report.trajectory)
 
     def show(tick: Any) -> None:
-        limbs.scene.send(tick.commanded if tick.measured is None else tick.measured, tick.time)
+        setup.scene.send(tick.commanded if tick.measured is None else tick.measured, tick.time)
         if window is not None:
-            window.send(limbs.scene.q, tick.time)
+            window.send(setup.scene.q, tick.time)
         progress("moving", min(1.0, tick.index / max(1, count)))
 
     report.execution = execute(
         report.trajectory,
-        limbs.sinks,
-        source=limbs.source,
-        clock=limbs.clock,
+        setup.sinks,
+        source=setup.source,
+        clock=setup.clock,
         on_tick=show,
-        settle=_SETTLE_SECONDS if limbs.source is not None else 0.0,
+        settle=_SETTLE_SECONDS if setup.source is not None else 0.0,
     )
     if request.follow > 0.0:
         _follow(report, window, progress)
-    report.q_end = limbs.q.copy()
-    report.bound = quantisation(robot, report.q_end, limbs.resolution, report.frame, report.tolerance)
+    report.q_end = setup.q.copy()
+    report.bound = quantisation(robot, report.q_end, setup.resolution, report.frame, report.tolerance)
     report.read_back = judge_read_back(
         robot, report.q_end, report.goal, report.target, report.frame, report.bound, report.goal_sigma
     )
@@ -392,12 +394,12 @@ def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
 
 
 def _plan(report: ReachReport) -> Trajectory:
-    request, limbs = report.request, report.limbs
+    request, setup = report.request, report.setup
     assert report.solution is not None and report.target is not None and report.q_start is not None
     caps: dict[str, Any] = {
-        "velocity": limbs.velocity,
-        "acceleration": limbs.acceleration,
-        "rate": limbs.rate,
+        "velocity": setup.velocity,
+        "acceleration": setup.acceleration,
+        "rate": setup.rate,
         "speed": request.speed,
     }
     if not request.line:
@@ -414,41 +416,41 @@ def _plan(report: ReachReport) -> Trajectory:
 def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
     from robot_ik.execution import follow
 
-    request, limbs, eyes = report.request, report.limbs, report.eyes
-    assert eyes is not None  # without a goal there are eyes
+    request, setup, vision = report.request, report.setup, report.vision
+    assert vision is not None  # without a goal there are eyes
 
     behind: list[float] = []
 
     def show(tick: Any) -> None:
         q = tick.q if tick.measured is None else tick.measured
-        limbs.scene.send(q, tick.time)
+        setup.scene.send(q, tick.time)
         if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
             place = report.robot.forward(q, report.frame).position
             behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
         if window is not None:
-            window.send(limbs.scene.q, tick.time)
+            window.send(setup.scene.q, tick.time)
         progress("following", min(1.0, tick.time / request.follow))
 
-    with eyes.following(limbs.clock, request.follow) as goals:
+    with vision.following(setup.clock, request.follow) as goals:
         report.following = follow(
             goals,
             report.robot,
             request.solver or report.robot.file.solver or "auto",
-            limbs.sinks,
-            rate=limbs.rate,
-            clock=limbs.clock,
+            setup.sinks,
+            rate=setup.rate,
+            clock=setup.clock,
             duration=request.follow,
-            start=limbs.commanded,
+            start=setup.commanded,
             tolerance=SOLVE_TOLERANCE,
             speed=request.speed,
-            source=limbs.source,
+            source=setup.source,
             on_tick=show,
         )
     if behind:
         report.behind = float(np.median(behind)), float(np.max(behind))
-    limbs.settle(_SETTLE_SECONDS)
+    setup.settle(_SETTLE_SECONDS)
     # What counts in the end is where the marker is now.
-    report.seen = eyes.find_target_again()
+    report.seen = vision.find_target_again()
     report.goal, report.target = report.seen.goal, report.seen.goal.target
     # Two measurements of the marker: the one that was followed last, no better than this, and this one.
     report.goal_sigma = _known(report).combined(_known(report))
@@ -456,17 +458,17 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
 
 def _judge(report: ReachReport) -> None:
     """The camera's look at the gripper."""
-    eyes, limbs = report.eyes, report.limbs
-    if eyes is None or not eyes.sees_arm:
-        report.blind = "no camera watched the arm" if eyes is None else eyes.why_blind
+    vision, setup = report.vision, report.setup
+    if vision is None or not vision.sees_arm:
+        report.blind = "no camera watched the arm" if vision is None else vision.why_blind
         return
-    body = eyes.find_gripper()
-    report.after = eyes.last_image
+    body = vision.find_gripper()
+    report.after = vision.last_image
     if body is None:
         return
     assert report.goal is not None and report.target is not None and report.bound is not None
     report.by_camera = judge_by_camera(
-        body, eyes.pose_world_camera, eyes.pose_body_tool(limbs.scene.q), report.goal, report.target,
+        body, vision.pose_world_camera, vision.pose_body_tool(setup.scene.q), report.goal, report.target,
         report.bound, report.goal_sigma,
     )  # fmt: skip
 
@@ -535,7 +537,7 @@ def save_film(report: ReachReport, path: Path) -> Path | None:
         OutputError: It cannot be written.
     """
     run = report.execution
-    stage = window_stage(report.robot, report.frame, None if report.eyes is None else report.eyes.stage)
+    stage = window_stage(report.robot, report.frame, None if report.vision is None else report.vision.stage)
     if run is None or stage is None:
         return None
     q = run.commanded if run.measured is None else run.measured

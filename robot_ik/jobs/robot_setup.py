@@ -75,7 +75,7 @@ class JointLimits:
     used: tuple[float, float]
 
 
-class Limbs:
+class RobotSetup:
     """A robot and, with a bus, its servos.
 
     Attributes:
@@ -190,7 +190,7 @@ class Limbs:
         return found
 
 
-def prepare_limbs(request: ReachRequest) -> Limbs:
+def prepare_robot(request: ReachRequest) -> RobotSetup:
     """Robot and arm of a request; nothing is opened yet.
 
     Raises:
@@ -203,7 +203,7 @@ def prepare_limbs(request: ReachRequest) -> Limbs:
         clock: Clock = RealClock() if request.view else VirtualClock()
         robot = _only_what_moves(robot, request.robot, frame)
         limits = [JointLimits(n, unit, r, None, r) for n, unit, r in _ranges(robot)]
-        return Limbs(robot, frame, limits, None, None, clock)
+        return RobotSetup(robot, frame, limits, None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -221,12 +221,14 @@ def prepare_limbs(request: ReachRequest) -> Limbs:
         _refuse_servo_faults(request.rehearsal)
         check_model(config, before)
         arm = open_arm(config, request.bus)
-        return Limbs(limited, frame, limits, config, arm, arm.clock)
+        return RobotSetup(limited, frame, limits, config, arm, arm.clock)
     rehearsal = request.rehearsal
     faults = Faults.for_joints(config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck)
     clock = row.clock()
     servos = VirtualBus.from_config(config, clock, limited.home, faults)
-    return Limbs(limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock)
+    return RobotSetup(
+        limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock
+    )
 
 
 def _refuse_servo_faults(rehearsal: Rehearsal) -> None:

@@ -28,7 +28,7 @@ from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
     from robot_ik.jobs.reach import ReachRequest
-    from robot_ik.jobs.robot_setup import Limbs
+    from robot_ik.jobs.robot_setup import RobotSetup
 
 
 # ------------------------------------------------------------------------------------------
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 REST_SECONDS = 1.5
 
 
-class Blindfold(ClosingSource):
+class WithoutTruth(ClosingSource):
     """A source whose pictures come without their truth; the truth is kept aside for the report."""
 
     def __init__(self, source: FrameSource) -> None:
@@ -120,7 +120,7 @@ class Seen:
         return sigma_at(self.observation.covariance, pose.rotation @ place)
 
 
-class Eyes:
+class Vision:
     """A camera and what it is for in a reach.
 
     Attributes:
@@ -138,7 +138,7 @@ class Eyes:
         source: FrameSource,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        limbs: Limbs,
+        setup: RobotSetup,
         frame: str,
         *,
         why_blind: str = "",
@@ -156,8 +156,8 @@ class Eyes:
         self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
         self._seed = seed
         self.sees_arm, self.why_blind = not why_blind, why_blind
-        self._limbs, self._frame, self._synthetic = limbs, frame, synthetic
-        self._source = Blindfold(source)
+        self._setup, self._frame, self._synthetic = setup, frame, synthetic
+        self._source = WithoutTruth(source)
         sides = {id: side for id, (side, _) in stage.cube.items()}
         self._cubes = MarkerTracker(intrinsics, stage.dictionary, sides)
         self._goals = self.goal_source(self._source)
@@ -188,7 +188,7 @@ class Eyes:
         # A recording is searched to its end: there is no hurry, and nothing else to see.
         while tries > 0 or not self.live:
             try:
-                goal = self._goals.poll(self._limbs.clock.now())
+                goal = self._goals.poll(self._setup.clock.now())
             except FrameTimeoutError:
                 break
             last = self._goals.last
@@ -217,7 +217,7 @@ class Eyes:
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
-        robot = self._limbs.robot
+        robot = self._setup.robot
         body = robot.forward(q, self.stage.cube_frame).compose(self.stage.cube_offset)
         return body.inverse().compose(robot.forward(q, self._frame))
 
@@ -227,9 +227,9 @@ class Eyes:
             return
         self._moving = SyntheticSource(
             self._synthetic.scene,
-            self._limbs.true_q,
+            self._setup.true_q,
             seed=self._seed,
-            clock=self._limbs.clock,
+            clock=self._setup.clock,
             quality="fast",
         )
         self._moving.read()
@@ -252,13 +252,13 @@ class Eyes:
         begin, size = clock.now() + REST_SECONDS, _WANDER * self.stage.hover
         self.path = path = Wandering(home, begin, seconds - REST_SECONDS, size)
         moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
-        aimed = _Aimed(self, Blindfold(moving))
+        aimed = _Aimed(self, WithoutTruth(moving))
         with LatestGoals(aimed, clock, self._rate) as latest:
             yield latest
         self.delays = aimed.delays
         self._synthetic.scene = scene.with_marker(self.stage.marker_id, pose=path(clock.now()))
 
-    def goal_source(self, source: Blindfold, *, follow: bool = False) -> MarkerGoalSource:
+    def goal_source(self, source: WithoutTruth, *, follow: bool = False) -> MarkerGoalSource:
         """Goals from the target marker; each picture of ``source`` for itself, unless to ``follow``."""
         return MarkerGoalSource(
             source,
@@ -271,7 +271,7 @@ class Eyes:
             predict=follow and self.live,
             lead=self._lead if follow else 0.0,
             when_lost=self._when_lost if follow else WhenLost(),
-            clock=self._limbs.clock,
+            clock=self._setup.clock,
         )
 
     def _tracker(self, window: bool) -> MarkerTracker:
@@ -292,9 +292,9 @@ class Eyes:
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
-        if not isinstance(goal, PoseGoal) or self._limbs.freedoms >= FREEDOMS_OF_A_POSE:
+        if not isinstance(goal, PoseGoal) or self._setup.freedoms >= FREEDOMS_OF_A_POSE:
             return goal
-        if self._limbs.freedoms >= FREEDOMS_OF_AN_AXIS:
+        if self._setup.freedoms >= FREEDOMS_OF_AN_AXIS:
             return replace(goal, free_axis="z")
         return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
 
@@ -318,9 +318,9 @@ class Eyes:
 class _Aimed:
     """Goals for following one arm; remembers what was seen last."""
 
-    def __init__(self, eyes: Eyes, source: Blindfold) -> None:
-        self._eyes, self._source = eyes, source
-        self._goals = eyes.goal_source(source, follow=True)
+    def __init__(self, vision: Vision, source: WithoutTruth) -> None:
+        self._vision, self._source = vision, source
+        self._goals = vision.goal_source(source, follow=True)
         self.seen: Seen | None = None
 
     @property
@@ -333,11 +333,11 @@ class _Aimed:
         self._goals.look(now, wait=wait)
         goal, last = self._goals.measured, self._goals.last
         if goal is not None and isinstance(last, MarkerObservation):
-            self.seen = self._eyes.seen(goal, last, self._source.truth)
+            self.seen = self._vision.seen(goal, last, self._source.truth)
 
     def goal_at(self, now: float) -> Any:
         """The goal at ``now``, or None."""
-        return self._eyes.for_arm(self._goals.goal_at(now))
+        return self._vision.for_arm(self._goals.goal_at(now))
 
     def poll(self, now: float) -> Any:
         """Looks, and gives the goal at ``now``, or None."""
@@ -349,7 +349,9 @@ class _Aimed:
 # Opens the camera that a request asks for, with its calibration.
 
 
-def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib.ExitStack) -> Eyes | None:
+def open_vision(
+    request: ReachRequest, setup: RobotSetup, frame: str, stack: contextlib.ExitStack
+) -> Vision | None:
     """Opens the camera of a request; None when a goal was given and no camera can watch.
 
     Raises:
@@ -357,29 +359,29 @@ def open_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib
     """
     synthetic = request.camera == "synthetic"
     if not synthetic:
-        return None if request.goal is not None else _real_eyes(request, limbs, frame, stack)
+        return None if request.goal is not None else _real_vision(request, setup, frame, stack)
     try:
-        stage = _stage(request, limbs, frame)
+        stage = _stage(request, setup, frame)
     except CameraError:
         if request.goal is None:
             raise
         return None  # a goal was given, and nothing can be seen: the read-back must do
-    scene = stage.scene(limbs.robot)
+    scene = stage.scene(setup.robot)
     if request.rehearsal.blank_marker:
         scene = scene.blank(stage.marker_id)
-    source = stack.enter_context(SyntheticSource(scene, limbs.true_q, seed=request.seed, clock=limbs.clock))
-    metal = limbs.arm is not None and limbs.arm.virtual_bus is None
-    eyes = Eyes(
-        stage, source, stage.intrinsics, stage.pose_world_camera, limbs, frame, synthetic=source,
+    source = stack.enter_context(SyntheticSource(scene, setup.true_q, seed=request.seed, clock=setup.clock))
+    metal = setup.arm is not None and setup.arm.virtual_bus is None
+    vision = Vision(
+        stage, source, stage.intrinsics, stage.pose_world_camera, setup, frame, synthetic=source,
         why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
-        when_lost=_when_lost(request, limbs), lead=request.lead,
+        when_lost=_when_lost(request, setup), lead=request.lead,
     )  # fmt: skip
     if request.rehearsal.cover_gripper:
-        eyes.cover_gripper_later()
-    return eyes
+        vision.cover_gripper_later()
+    return vision
 
 
-def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextlib.ExitStack) -> Eyes:
+def _real_vision(request: ReachRequest, setup: RobotSetup, frame: str, stack: contextlib.ExitStack) -> Vision:
     rehearsal = request.rehearsal
     if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
         raise ConfigError(
@@ -393,7 +395,7 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
             hint="give the side of its black square in metres: --marker-size 0.05",
         )
     source, intrinsics = open_calibrated(request.camera, calibration, stack)
-    stage = _stage(request, limbs, frame)
+    stage = _stage(request, setup, frame)
     if request.follow > 0.0 and isinstance(source, ImageSource):
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
@@ -403,24 +405,24 @@ def _real_eyes(request: ReachRequest, limbs: Limbs, frame: str, stack: contextli
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
-    elif limbs.arm is None or limbs.arm.virtual_bus is not None:
+    elif setup.arm is None or setup.arm.virtual_bus is not None:
         why = "the arm is simulated, so a real camera cannot see it"
     elif stage.made_up:
         why = "robot.toml says of no marker on this robot's gripper"
-    return Eyes(
-        stage, source, intrinsics, pose, limbs, frame, why_blind=why,
-        when_lost=_when_lost(request, limbs), lead=request.lead,
+    return Vision(
+        stage, source, intrinsics, pose, setup, frame, why_blind=why,
+        when_lost=_when_lost(request, setup), lead=request.lead,
     )  # fmt: skip
 
 
-def _when_lost(request: ReachRequest, limbs: Limbs) -> WhenLost:
-    park = PostureGoal(q=limbs.robot.home) if request.when_lost == "park" else None
+def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
+    park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return WhenLost(request.when_lost, request.lost_after, park)
 
 
-def _stage(request: ReachRequest, limbs: Limbs, frame: str) -> Stage:
+def _stage(request: ReachRequest, setup: RobotSetup, frame: str) -> Stage:
     """The robot's stage, with what the request says about the target marker."""
-    stage = stage_for(limbs.robot, frame, upright=limbs.freedoms < FREEDOMS_OF_AN_AXIS)
+    stage = stage_for(setup.robot, frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
     changes: dict[str, Any] = {}
     if request.marker_id is not None:
         changes["marker_id"] = request.marker_id

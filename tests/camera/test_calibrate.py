@@ -131,8 +131,8 @@ def test_noise_is_no_calibration() -> None:
 def test_a_view_that_does_not_fit_is_named_and_left_out() -> None:
     good = views(STANDARD_CAMERA, 12, seed=6)
     # A board that was bent between two pictures, and one that moved during its picture.
-    bent = good[4].pixels + 0.004 * (good[4].pixels - good[4].pixels.mean(axis=0)) ** 2 / 20.0
-    wrong = dataclasses.replace(good[4], pixels=bent)
+    distorted = good[4].pixels + 0.004 * (good[4].pixels - good[4].pixels.mean(axis=0)) ** 2 / 20.0
+    wrong = dataclasses.replace(good[4], pixels=distorted)
     moved = dataclasses.replace(good[7], blur=3.1)
     named = [View(f"photo{k}.png", {4: wrong, 7: moved}.get(k, v)) for k, v in enumerate(good)]
     result = calibrate(named, SIZE)
@@ -231,9 +231,9 @@ def test_the_digest_is_of_all_that_maps_points_to_pixels(name: str, change: floa
     value = getattr(camera, name) + step
     other = dataclasses.replace(camera, **{name: value})
     assert (other.digest == camera.digest) == (value == getattr(camera, name))
-    bent = list(camera.distortion)
-    bent[lens] += change
-    assert dataclasses.replace(camera, distortion=tuple(bent)).digest != camera.digest
+    distorted = list(camera.distortion)
+    distorted[lens] += change
+    assert dataclasses.replace(camera, distortion=tuple(distorted)).digest != camera.digest
     # What is known of the calibration, or what the camera is called, is not the camera.
     same = dataclasses.replace(camera, rms=1.0, std=(1.0,) * 9, views=3, name="other", date="2026-01-01")
     assert same.digest == camera.digest

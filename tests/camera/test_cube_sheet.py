@@ -14,7 +14,7 @@ from robot_ik.camera.image import marker_bits
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sheets.cube import cube_paper, unfold
 from robot_ik.camera.sheets.page import pdf_bytes, rasterize
-from robot_ik.camera.sheets.sheets import SheetWish, body_of, make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetRequest, body_of, make_sheet_page
 from robot_ik.geometry import Pose, rotation_exp
 
 DPI, EDGE = 150.0, 50.0
@@ -22,7 +22,7 @@ DPI, EDGE = 150.0, 50.0
 PLACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
 
 
-def found(wish: SheetWish) -> dict[int, np.ndarray]:
+def found(wish: SheetRequest) -> dict[int, np.ndarray]:
     """Id -> corners (4, 2) in mm of paper, by a detector."""
     image = rasterize(make_sheet_page(wish), DPI)
     return {m.id: (m.corners + 0.5) * 25.4 / DPI for m in MarkerDetector("DICT_5X5_50").detect(image)}
@@ -64,7 +64,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("ids", [(20, 21, 22, 23, 24, 25), (7, 3, 11)])
 def test_the_folded_sheet_is_the_body_that_is_tracked(ids: tuple[int, ...]) -> None:
     """Folded here along the net's lines alone, with the markers where a detector sees them."""
-    wish = SheetWish("cube", ids=ids)
+    wish = SheetRequest("cube", ids=ids)
     corners = found(wish)
     middle = corners[ids[0]].mean(axis=0)
     assert set(corners) == set(ids)
@@ -111,7 +111,7 @@ def test_tabs_hold_the_cube_and_are_in_nobodys_way(edge: float) -> None:
 
 
 def test_the_lines_are_in_the_pdf_at_true_scale() -> None:
-    wish = SheetWish("cube")
+    wish = SheetRequest("cube")
     text = pdf_bytes(make_sheet_page(wish)).decode("latin-1")
     strokes = re.findall(r"^([\d.]+) ([\d.]+) m ([\d.]+) ([\d.]+) l S$", text, re.MULTILINE)
     drawn = np.array(strokes, dtype=float)
@@ -122,7 +122,7 @@ def test_the_lines_are_in_the_pdf_at_true_scale() -> None:
 
 
 def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
-    wish = SheetWish("cube", ids=(20, 21, 22, 23, 24, 25))
+    wish = SheetRequest("cube", ids=(20, 21, 22, 23, 24, 25))
     net = {f.marker: f for f in unfold({i: p for i, (_, p) in body_of(wish).markers.items()}, 50.0)}
     # Front in the middle, its neighbours round it, the back beyond the right side; all prints upright.
     places = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}

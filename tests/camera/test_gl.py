@@ -64,8 +64,8 @@ def test_an_unknown_back_end_is_refused() -> None:
 
 def test_the_pinhole_picture_holds_all_that_the_lens_sees() -> None:
     pinhole = gl.pinhole_for(BENT, 1.5)
-    ideal = ray_field(BENT).box(0, 0, *BENT.size).reshape(-1, 2)
-    pixels = pinhole.distort(ideal)
+    normalized = ray_field(BENT).box(0, 0, *BENT.size).reshape(-1, 2)
+    pixels = pinhole.distort(normalized)
     assert pixels.min() > 0
     assert (pixels < np.array(pinhole.size) - 1).all()
 

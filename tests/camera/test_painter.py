@@ -43,12 +43,12 @@ def _rays_through(lens: CameraIntrinsics) -> np.ndarray:
     )
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
     coefficients = np.array(lens.distortion) if lens.distortion else None
-    ideal = (
+    normalized = (
         cv2.undistortPointsIter(pixels, lens.matrix, coefficients, None, None, stop)
         if hasattr(cv2, "undistortPointsIter")
         else cv2.undistortPoints(pixels, lens.matrix, coefficients, criteria=stop)
     )
-    return np.concatenate([ideal.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
+    return np.concatenate([normalized.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
 
 
 def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.boards.board import BoardView, MarkerBoard, PatternBoard, parse_board
 from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.calibration.extrinsics import CameraPlace, locate_camera, today
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera, today
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
@@ -31,8 +31,8 @@ def looked(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
     return BoardView(POINTS, pixels, SEEN.compose(Pose.exp(rng.normal(0, 2e-3, 6))), 0.1)
 
 
-def place_of(pose: Pose, covariance: np.ndarray) -> CameraPlace:
-    return CameraPlace(pose, "world", covariance, 0.12, 0.2, today(), STANDARD_CAMERA.digest)
+def place_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
+    return CameraExtrinsics(pose, "world", covariance, 0.12, 0.2, today(), STANDARD_CAMERA.digest)
 
 
 @settings(max_examples=10)
@@ -46,7 +46,7 @@ def test_the_file_gives_back_what_was_written(
     path = tmp_path_factory.mktemp("place") / "place.toml"
     place = dataclasses.replace(place_of(Pose.exp(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent)
     place.save(path)
-    read = CameraPlace.load(path, STANDARD_CAMERA)
+    read = CameraExtrinsics.load(path, STANDARD_CAMERA)
     np.testing.assert_array_equal(read.pose_parent_camera.position, place.pose_parent_camera.position)
     assert max(read.pose_parent_camera.distance(place.pose_parent_camera)) < 1e-15
     np.testing.assert_array_equal(read.covariance, place.covariance)
@@ -59,10 +59,10 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
     place_of(Pose(), np.eye(6)).save(path)
     other = dataclasses.replace(STANDARD_CAMERA, fx=801.0)
     with pytest.raises(CalibrationError, match="another calibration") as refused:
-        CameraPlace.load(path, other)
+        CameraExtrinsics.load(path, other)
     assert STANDARD_CAMERA.digest in str(refused.value) and other.digest in str(refused.value)
     with pytest.raises(CalibrationError, match="'world'"):
-        CameraPlace.load(path).require_parent("gripper")
+        CameraExtrinsics.load(path).require_parent("gripper")
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_a_wrong_file_is_told_in_one_sentence(tmp_path: Path, text: str | None, 
     else:
         path.write_text(text)
     with pytest.raises(CalibrationError, match=words):
-        CameraPlace.load(path)
+        CameraExtrinsics.load(path)
 
 
 def test_a_camera_is_located_with_an_honest_uncertainty() -> None:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.board import PatternBoard, parse_board
-from robot_ik.camera.boards.patterns import PatternKind, PatternWish
+from robot_ik.camera.boards.patterns import PatternKind, PatternRequest
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
-from robot_ik.camera.sheets.sheets import SheetKind, SheetWish, body_file, body_of, make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetKind, SheetRequest, body_file, body_of, make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 
 DPI = 150.0
@@ -51,7 +51,7 @@ def found(page_image: np.ndarray, dictionary: str = "DICT_5X5_50") -> dict[int, 
 @pytest.mark.parametrize("page", ["a4", "letter"])
 @pytest.mark.parametrize("kind", ["marker", "board", "charuco", "chessboard"])
 def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKind, page: str) -> None:
-    wish = SheetWish(kind, ids=(3, 4) if kind == "marker" else (), page=page)
+    wish = SheetRequest(kind, ids=(3, 4) if kind == "marker" else (), page=page)
     sheet = make_sheet_page(wish)
     data = pdf_bytes(sheet)
     size, boxes = pdf_boxes(data)
@@ -81,7 +81,7 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
 
 
 def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> None:
-    wish = SheetWish("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
+    wish = SheetRequest("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
     path = tmp_path / "board.png"
     write_sheet(make_sheet_page(wish), path, dpi=int(DPI))
     data = path.read_bytes()
@@ -105,7 +105,7 @@ def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> N
 
 def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
     """To 0.1 mm, from the grey of the pixels that an edge cuts."""
-    wish = SheetWish("marker", size_mm=50.0)
+    wish = SheetRequest("marker", size_mm=50.0)
     sheet = make_sheet_page(wish)
     image = rasterize(sheet, DPI).astype(float)
     cells = sheet.boxes[np.isclose(sheet.boxes[:, 2], 50.0 / 7.0)]
@@ -118,15 +118,15 @@ def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
 
 def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
     for kind in ("charuco", "chessboard"):
-        pattern = PatternWish(kind).pattern()
-        seen = pattern.find(rasterize(make_sheet_page(SheetWish(kind)), 75.0))
+        pattern = PatternRequest(kind).pattern()
+        seen = pattern.find(rasterize(make_sheet_page(SheetRequest(kind)), 75.0))
         assert seen is not None and len(seen.ids) == pattern.corners[0] * pattern.corners[1]
         scale = np.ptp(seen.pixels[:, 0]) * 25.4 / 75.0 / np.ptp(seen.points_board[:, 0])
         assert scale == pytest.approx(1000.0, rel=1e-3)
 
 
 def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
-    text = " ".join(w.text for w in make_sheet_page(SheetWish("charuco", size_mm=25.0, columns=9)).words)
+    text = " ".join(w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).words)
     for words in (
         "9x6 squares",
         "25 mm",
@@ -136,21 +136,25 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
     ):
         assert words in text
     assert "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18" in text
-    labels = [w.text for w in make_sheet_page(SheetWish("marker", ids=(4, 9), size_mm=33.5)).words]
+    labels = [w.text for w in make_sheet_page(SheetRequest("marker", ids=(4, 9), size_mm=33.5)).words]
     assert "4  33.5 mm" in labels and "9  33.5 mm" in labels
 
 
 @pytest.mark.parametrize(
     "wish",
-    [SheetWish("board", 36.0, 3, 2), SheetWish("charuco", 22.0, 7, 6), SheetWish("chessboard", 18.0, 7, 5)],
+    [
+        SheetRequest("board", 36.0, 3, 2),
+        SheetRequest("charuco", 22.0, 7, 6),
+        SheetRequest("chessboard", 18.0, 7, 5),
+    ],
 )
-def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetWish) -> None:
+def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetRequest) -> None:
     page = make_sheet_page(wish)
     (text,) = [w.text for w in page.words if "--board" in w.text]
     board = parse_board(text.split("--board ")[1], wish.dictionary)
     if isinstance(board, PatternBoard):
         kind: PatternKind = "charuco" if wish.kind == "charuco" else "chessboard"
-        true = PatternWish(kind, wish.columns, wish.rows, wish.size).pattern()
+        true = PatternRequest(kind, wish.columns, wish.rows, wish.size).pattern()
         assert type(board.pattern) is type(true) and board.pattern.corners == true.corners
         assert board.pattern.black() == pytest.approx(true.black())
     else:
@@ -165,8 +169,8 @@ def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetWish) -> N
 # ------------------------------------------------------------------------------ its file
 
 
-@pytest.mark.parametrize("wish", [SheetWish("board", columns=3, ids=(5,)), SheetWish("cube")])
-def test_the_body_file_is_read_back(wish: SheetWish, tmp_path: Path) -> None:
+@pytest.mark.parametrize("wish", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")])
+def test_the_body_file_is_read_back(wish: SheetRequest, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(body_file(wish, "mine"))
     body, true = load_bodies(path)["mine"], body_of(wish)
@@ -183,36 +187,36 @@ def test_the_body_file_is_read_back(wish: SheetWish, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wish", "message", "hint"),
     [
-        (SheetWish("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
-        (SheetWish("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
-        (SheetWish("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
-        (SheetWish("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
-        (SheetWish("cube", size_mm=40.0, edge_mm=42.0), "1 mm of white", "--edge-mm 48"),
-        (SheetWish("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
-        (SheetWish("marker", size_mm=0.05), "0.05 mm cannot be meant", "50 mm"),
-        (SheetWish("marker", ids=(50,)), "marker id 50 is not in DICT_5X5_50", "0 to 49"),
-        (SheetWish("marker", dictionary="DICT_5X5_51"), "unknown marker dictionary", ""),
-        (SheetWish("marker", page="a7"), "unknown paper 'a7'", "a4"),
+        (SheetRequest("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
+        (SheetRequest("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
+        (SheetRequest("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
+        (SheetRequest("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
+        (SheetRequest("cube", size_mm=40.0, edge_mm=42.0), "1 mm of white", "--edge-mm 48"),
+        (SheetRequest("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
+        (SheetRequest("marker", size_mm=0.05), "0.05 mm cannot be meant", "50 mm"),
+        (SheetRequest("marker", ids=(50,)), "marker id 50 is not in DICT_5X5_50", "0 to 49"),
+        (SheetRequest("marker", dictionary="DICT_5X5_51"), "unknown marker dictionary", ""),
+        (SheetRequest("marker", page="a7"), "unknown paper 'a7'", "a4"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(wish: SheetWish, message: str, hint: str) -> None:
+def test_what_cannot_be_printed_is_refused(wish: SheetRequest, message: str, hint: str) -> None:
     with pytest.raises((CameraError, CalibrationError), match=message) as caught:
         make_sheet_page(wish)
     assert hint in caught.value.hint
 
 
 def test_the_size_that_is_said_to_fit_fits() -> None:
-    wish = SheetWish("charuco", size_mm=55.0)
+    wish = SheetRequest("charuco", size_mm=55.0)
     with pytest.raises(CameraError) as caught:
         make_sheet_page(wish)
     size = float(caught.value.hint.split()[1])
-    make_sheet_page(SheetWish("charuco", size_mm=size))
+    make_sheet_page(SheetRequest("charuco", size_mm=size))
     with pytest.raises(CameraError):
-        make_sheet_page(SheetWish("charuco", size_mm=size + 0.5))
+        make_sheet_page(SheetRequest("charuco", size_mm=size + 0.5))
 
 
 @pytest.mark.parametrize(("name", "dpi"), [("sheet.svg", 300), ("sheet", 300), ("sheet.png", 7)])
 def test_other_files_are_refused(name: str, dpi: int, tmp_path: Path) -> None:
     with pytest.raises(OutputError):
-        write_sheet(make_sheet_page(SheetWish("marker")), tmp_path / name, dpi=dpi)
+        write_sheet(make_sheet_page(SheetRequest("marker")), tmp_path / name, dpi=dpi)
     assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from robot_ik.cli.reach import ReachOptions, make_request
-from robot_ik.jobs import vision
+from robot_ik.jobs import vision as vision_module
 from robot_ik.robot import load_robot
 
 GOAL = ("--goal", "-0.42", "-0.08", "0.80")
@@ -28,8 +28,9 @@ SIM = ("--bus", "sim")
 def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs start in an empty folder; in this process the robot is painted coarsely (markers stay exact)."""
     monkeypatch.chdir(tmp_path)
-    for module in (vision, vision):
-        monkeypatch.setattr(module, "SyntheticSource", partial(module.SyntheticSource, quality="fast"))
+    monkeypatch.setattr(
+        vision_module, "SyntheticSource", partial(vision_module.SyntheticSource, quality="fast")
+    )
 
 
 def left(folder: Path) -> list[str]:

@@ -215,7 +215,7 @@ QUESTIONS: tuple[Callable[[ScanBus], list[tuple[int, int, int]]], ...] = (
     lambda bus: _exchange(bus, ()),
     lambda bus: _exchange(bus, (1, 2, 3)),
     lambda bus: [(id, 2, number) for id, number in bus.broadcast_ping().items()],
-    lambda bus: [(id, 2, who[0]) for id, who in bus.shout(0.0)[0].items()],
+    lambda bus: [(id, 2, who[0]) for id, who in bus.collect_pings(0.0)[0].items()],
 )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.renderers import DrawnRobot
-from robot_ik.camera.registration import Registrar, Remedies, Shown
+from robot_ik.camera.registration import LatencyOptions, Registrar, Shown
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
@@ -117,18 +117,24 @@ def test_without_the_extra_a_film_says_how_to_get_it(
 def test_latest_shows_the_next_picture_and_remedies_bring_the_robot_there(
     request_for: ArRequest, tmp_path: Path
 ) -> None:
-    def middle(name: str, remedies: Remedies) -> float:
+    def middle(name: str, latency_options: LatencyOptions) -> float:
         report = run_ar(
-            replace(request_for, out=tmp_path / f"{name}.png", remedies=remedies, motion="home", shadow=False)
+            replace(
+                request_for,
+                out=tmp_path / f"{name}.png",
+                latency_options=latency_options,
+                motion="home",
+                shadow=False,
+            )
         )
-        assert report.pictures == (COUNT if remedies.sync == "tracked" else COUNT - 1)
+        assert report.pictures == (COUNT if latency_options.sync == "tracked" else COUNT - 1)
         before = cv2.imread(str(Path(request_for.camera) / f"{COUNT - 1}.png"))
         changed = np.abs(cv2.imread(str(tmp_path / f"{name}.png")).astype(int) - before).max(axis=2) > 0
         return float(np.argwhere(changed).mean(axis=0)[1])
 
-    right = middle("tracked", Remedies())
-    late = middle("latest", Remedies("latest"))
-    shifted = middle("shifted", Remedies("latest", shift=True))
+    right = middle("tracked", LatencyOptions())
+    late = middle("latest", LatencyOptions("latest"))
+    shifted = middle("shifted", LatencyOptions("latest", shift=True))
     assert right - late > 12
     assert abs(right - shifted) < 0.5 * (right - late), "what stands above the board moves a little otherwise"
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, parse_board
-from robot_ik.camera.calibration.extrinsics import CameraPlace
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.camera import SyntheticScene
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
@@ -89,7 +89,7 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
     )
     # the place and the samples on file say the same
     report.place().save(tmp_path / "place.toml")
-    place = CameraPlace.load(tmp_path / "place.toml", report.samples.intrinsics)
+    place = CameraExtrinsics.load(tmp_path / "place.toml", report.samples.intrinsics)
     assert place.parent == "world" and place.views == 5
     path = samples_path(tmp_path / "place.toml")
     report.samples.save(path)

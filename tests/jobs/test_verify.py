@@ -12,7 +12,7 @@ import pytest
 
 from robot_ik.bench.camera import Effort, arm
 from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.calibration.extrinsics import CameraPlace
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.calibration.kinematic import PoseError
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.camera import SyntheticScene
@@ -97,7 +97,7 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
 
 
 def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_path: Path) -> None:
-    place = CameraPlace(
+    place = CameraExtrinsics(
         report.camera.pose, "world", report.camera.covariance, 0.1, 0.1, "2026-01-01",
         STANDARD_CAMERA.digest, method="handeye, eye to hand",
     )  # fmt: skip
@@ -118,17 +118,17 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     report: VerifyReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Any] = []
-    prepare = verify.prepare_limbs
-    monkeypatch.setattr(verify, "prepare_limbs", lambda request: made.append(prepare(request)) or made[0])
+    prepare = verify.prepare_robot
+    monkeypatch.setattr(verify, "prepare_robot", lambda request: made.append(prepare(request)) or made[0])
 
     def opened(name: str, **rest: Any) -> Drawn:
-        limbs = made[0]
-        return Drawn(handeye.stage_for(limbs.robot, limbs.frame).scene(limbs.robot), limbs.true_q)
+        setup = made[0]
+        return Drawn(handeye.stage_for(setup.robot, setup.frame).scene(setup.robot), setup.true_q)
 
     monkeypatch.setattr(measuring, "open_source", opened)
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
-    CameraPlace(
+    CameraExtrinsics(
         report.camera.pose, "world", report.camera.covariance, 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
     ).save(place)
     stage = handeye.stage_for(report.robot, "gripper")

@@ -98,15 +98,15 @@ def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
     parts = list(told()["groups"].items())[:9]
     freedoms = {name: len([joint for joint in joints if joint != "root"]) for name, joints in parts}
     one_segment = ("torso", "head", "pelvis", "left_shoulder", "right_shoulder")
-    limbs = ("left_arm", "right_arm", "left_leg", "right_leg")
-    assert freedoms == dict.fromkeys(one_segment, 2) | dict.fromkeys(limbs, 6)
+    setup = ("left_arm", "right_arm", "left_leg", "right_leg")
+    assert freedoms == dict.fromkeys(one_segment, 2) | dict.fromkeys(setup, 6)
     assert sorted(joint for _, joints in parts for joint in joints) == sorted(["root", *RANGE])
     model = load()
     assert model.nv == 6 + 5 * 2 + 4 * 6
     assert model.joint("root").type[0] == mujoco.mjtJoint.mjJNT_FREE
     assert model.jnt_bodyid[model.joint("root").id] == model.body("torso").id
     for limb, joints in parts:
-        if limb in limbs:
+        if limb in setup:
             bodies = [int(model.jnt_bodyid[model.joint(joint).id]) for joint in joints]
             assert [bodies.count(body) for body in dict.fromkeys(bodies)] == [3, 1, 2], limb
             assert [joint.rsplit("_", 1)[1] for joint in joints[3:]] == ["pitch", "pitch", "yaw"]
@@ -202,9 +202,9 @@ def test_frames_are_where_they_are_said_to_be() -> None:
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-15), name
     hips = [data.body(f"{side}_thigh").xpos for side in SIDES]
     assert data.site("pelvis").xpos == pytest.approx((hips[0] + hips[1]) / 2)
-    eyes = [data.geom(f"{side}_eye").xpos for side in SIDES]
-    assert data.site("gaze").xpos[1:] == pytest.approx(((eyes[0] + eyes[1]) / 2)[1:])
-    assert 0 < data.site("gaze").xpos[0] - eyes[0][0] < 0.015
+    vision = [data.geom(f"{side}_eye").xpos for side in SIDES]
+    assert data.site("gaze").xpos[1:] == pytest.approx(((vision[0] + vision[1]) / 2)[1:])
+    assert 0 < data.site("gaze").xpos[0] - vision[0][0] < 0.015
     assert data.site("head").xpos == pytest.approx(data.xipos[load().body("head").id])
     for side in SIDES:
         foot = data.site(f"{side}_foot").xpos

@@ -328,7 +328,7 @@ def test_reach_on_simulated_servos_without_a_contact(name: str, place: tuple[flo
     arm = ARMS[name]
     report = run_reach(ReachRequest(robot=name, bus="sim", rehearsal=Rehearsal(marker_at=place)))  # type: ignore[arg-type]
     assert report.reached, report.problem or report.verdict
-    assert report.limbs.config is not None and report.limbs.config.robot == name
+    assert report.setup.config is not None and report.setup.config.robot == name
     assert isinstance(report.goal, rik.PoseGoal) and report.by_camera is not None
     assert report.goal.free_axis == ("z" if name in FIVE else None)
     assert report.q_end is not None and report.trajectory is not None

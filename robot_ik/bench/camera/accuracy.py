@@ -21,7 +21,7 @@ from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
-from robot_ik.camera.registration import BoardWatcher, Registrar, Remedies, Seen
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
@@ -369,13 +369,13 @@ def hand_motion(t: float) -> Pose:
     return Pose(place, facing.compose(Pose(wxyz=lean)).wxyz)
 
 
-REMEDIES: dict[str, tuple[float, Remedies]] = {
-    "nothing": (1.0, Remedies("latest")),
-    "less delay (half)": (0.5, Remedies("latest")),
-    "image shifting": (1.0, Remedies("latest", shift=True)),
-    "prediction": (1.0, Remedies("latest", predict=True)),
-    "prediction and shifting": (1.0, Remedies("latest", predict=True, shift=True)),
-    "delayed video": (0.0, Remedies("tracked")),
+REMEDIES: dict[str, tuple[float, LatencyOptions]] = {
+    "nothing": (1.0, LatencyOptions("latest")),
+    "less delay (half)": (0.5, LatencyOptions("latest")),
+    "image shifting": (1.0, LatencyOptions("latest", shift=True)),
+    "prediction": (1.0, LatencyOptions("latest", predict=True)),
+    "prediction and shifting": (1.0, LatencyOptions("latest", predict=True, shift=True)),
+    "delayed video": (0.0, LatencyOptions("tracked")),
 }
 """Azuma's remedies: what part of the delay is left, and what is done about it."""
 
@@ -395,16 +395,20 @@ def remedy_errors(
     watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
     looks = [watcher.see(frame) for frame in frames]
     return {
-        name: _remedy_error(remedies, round(share * steps), frames, looks, robot_points(seed))
-        for name, (share, remedies) in REMEDIES.items()
+        name: _remedy_error(latency_options, round(share * steps), frames, looks, robot_points(seed))
+        for name, (share, latency_options) in REMEDIES.items()
     }
 
 
 def _remedy_error(
-    remedies: Remedies, steps: int, frames: list[Frame], looks: list[Seen | None], points: Array
+    latency_options: LatencyOptions, steps: int, frames: list[Frame], looks: list[Seen | None], points: Array
 ) -> Misses:
     registrar = Registrar(
-        _Remembering(looks), PainterArtist(), DrawnRobot(mujoco.MjSpec().compile()), STANDARD_CAMERA, remedies
+        _Remembering(looks),
+        PainterArtist(),
+        DrawnRobot(mujoco.MjSpec().compile()),
+        STANDARD_CAMERA,
+        latency_options,
     )
     offsets = []
     for k in range(len(frames)):

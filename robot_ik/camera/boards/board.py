@@ -165,12 +165,12 @@ class PatternBoard:
         found = self.pattern.find(frame.image)
         if found is None:
             return None
-        ideal = intrinsics.undistort(found.pixels)
-        if not np.isfinite(ideal).all():
+        normalized = intrinsics.undistort(found.pixels)
+        if not np.isfinite(normalized).all():
             return None
         with quiet():
             count, turns, places, _ = cv2.solvePnPGeneric(
-                found.points_board, ideal.reshape(-1, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+                found.points_board, normalized.reshape(-1, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
             )
         if not count:
             return None

@@ -427,7 +427,7 @@ MARKER_SHARE = 0.73
 
 
 @dataclass(frozen=True)
-class PatternWish:
+class PatternRequest:
     """What somebody said of a pattern; None where the usual will do.
 
     Attributes:

@@ -39,7 +39,7 @@ _PRIOR = 6.0
 
 
 @dataclass(frozen=True, eq=False)
-class CameraPlace:
+class CameraExtrinsics:
     """A camera's pose and how it was found.
 
     Attributes:
@@ -110,7 +110,7 @@ class CameraPlace:
         write_atomically(Path(path), _text(self))
 
     @classmethod
-    def load(cls, path: Path | str, intrinsics: CameraIntrinsics | None = None) -> CameraPlace:
+    def load(cls, path: Path | str, intrinsics: CameraIntrinsics | None = None) -> CameraExtrinsics:
         """Reads the file; with ``intrinsics``, only if it was found with them.
 
         Raises:
@@ -137,7 +137,7 @@ def locate_camera(
     intrinsics: CameraIntrinsics,
     *,
     parent: str = "world",
-) -> CameraPlace:
+) -> CameraExtrinsics:
     """Where a camera stands that sees a board at a known place; camera and board rest.
 
     The frames are averaged point by point (median, then Cauchy weights), then one pose is fitted to all
@@ -175,7 +175,7 @@ def locate_camera(
             hint="check the sizes of the board and that the whole of it is flat and in the picture",
         )
     millimetres = 1e3 * pixels * depth / (0.5 * (intrinsics.fx + intrinsics.fy))
-    return CameraPlace(
+    return CameraExtrinsics(
         mount.pose_parent_camera, parent, covariance, pixels, millimetres, today(), intrinsics.digest,
         views=len(views),
     )  # fmt: skip
@@ -229,7 +229,7 @@ def _words(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _text(place: CameraPlace) -> str:
+def _text(place: CameraExtrinsics) -> str:
     pose, covariance = place.pose_parent_camera, place.covariance
     rows = "".join(f"  {_numbers(row)},\n" for row in covariance)
     return (
@@ -275,7 +275,7 @@ class _File(BaseModel):
     views: int = 1
 
 
-def _from_data(data: Mapping[str, Any], path: Path) -> CameraPlace:
+def _from_data(data: Mapping[str, Any], path: Path) -> CameraExtrinsics:
     missing = [key for key in _KEYS if key not in data]
     if missing:
         raise CalibrationError(
@@ -286,7 +286,7 @@ def _from_data(data: Mapping[str, Any], path: Path) -> CameraPlace:
         raise CalibrationError(f"{path} is of schema {data['schema']}; this version reads {_SCHEMA}")
     try:
         found = _File.model_validate(data)
-        return CameraPlace(
+        return CameraExtrinsics(
             Pose(found.position, found.wxyz),
             found.parent,
             np.array(found.covariance, dtype=float),

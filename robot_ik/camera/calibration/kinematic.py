@@ -53,7 +53,7 @@ class KnownPose:
     Attributes:
         pose: Best guess.
         covariance: (6, 6) translation (m) over rotation (rad), along the axes it is seen from, rotation about
-            its own origin; as ``CameraPlace.covariance``.
+            its own origin; as ``CameraExtrinsics.covariance``.
 
     Raises:
         CalibrationError: The covariance is no positive definite (6, 6).

@@ -195,8 +195,8 @@ class GlArtist:
     def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
         if intrinsics not in self._maps:
             pinhole = pinhole_for(intrinsics, self._finer)
-            ideal = ray_field(intrinsics).box(0, 0, *intrinsics.size)
-            maps = pinhole.fx * ideal[..., 0] + pinhole.cx, pinhole.fy * ideal[..., 1] + pinhole.cy
+            normalized = ray_field(intrinsics).box(0, 0, *intrinsics.size)
+            maps = pinhole.fx * normalized[..., 0] + pinhole.cx, pinhole.fy * normalized[..., 1] + pinhole.cy
             self._maps[intrinsics] = pinhole, tuple(part.astype(np.float32) for part in maps)
         return self._maps[intrinsics]
 

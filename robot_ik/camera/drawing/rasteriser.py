@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens import CX, CY, FX, FY, bend_point
+from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
 from robot_ik.kernels.jit import kernel, pure
 
 # Samples are looked at so many at a time: what fits into the registers of common processors.
@@ -273,7 +273,7 @@ def through_lens(
             if r2 > limit * limit:
                 shrink = limit / math.sqrt(r2)
                 x, y = x * shrink, y * shrink
-        u, v, _, _, _ = bend_point(lens, x, y)
+        u, v, _, _, _ = distort_point(lens, x, y)
         pixels[k, 0], pixels[k, 1], inverse[k] = lens[FX] * u + lens[CX], lens[FY] * v + lens[CY], w
     return all_within
 

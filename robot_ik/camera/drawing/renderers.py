@@ -160,9 +160,9 @@ def _extent(values: Array) -> float:
 
 def _plane_inverse(box: Box, intrinsics: CameraIntrinsics, pose_camera_board: Pose) -> Array:
     """One over the depth (h, w) at which pixels of the box see the board's plane; 0 where they do not."""
-    ideal = ray_field(intrinsics).box(*box)
+    normalized = ray_field(intrinsics).box(*box)
     normal = pose_camera_board.rotation[:, 2]
-    return np.maximum((ideal @ normal[:2] + normal[2]) / (pose_camera_board.position @ normal), 0.0)
+    return np.maximum((normalized @ normal[:2] + normal[2]) / (pose_camera_board.position @ normal), 0.0)
 
 
 class PainterArtist:
@@ -268,8 +268,8 @@ class RayArtist:
         pixels: Array,
     ) -> tuple[NDArray[np.int32], Array, Array]:
         """Geoms (n,), depths (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
-        ideal = ray_field(intrinsics).points(pixels)
-        rays = np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1)
+        normalized = ray_field(intrinsics).points(pixels)
+        rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
         caster = self._caster(figure.model)
         caster.place(qpos)
         camera = figure.camera(pose_board_camera)

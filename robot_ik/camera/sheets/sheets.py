@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternWish, describe
+from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequest, describe
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
@@ -35,13 +35,13 @@ _LABEL = 2.1
 
 
 @dataclass(frozen=True)
-class SheetWish:
+class SheetRequest:
     """What is to be printed; None where the usual will do.
 
     Attributes:
         kind: What it is.
         size_mm: Side of a marker's black square (50; cube 40), or of a square of a pattern (30; 25).
-        columns, rows: Board: markers (2 x 2).  Patterns: as ``PatternWish``.
+        columns, rows: Board: markers (2 x 2).  Patterns: as ``PatternRequest``.
         ids: Of the markers; board: the first one counts on.
         dictionary: Of the markers.
         gap_mm: White between markers.
@@ -135,83 +135,89 @@ def _names(ids: Sequence[int]) -> str:
     return ", ".join(map(str, ids))
 
 
-def _markers(wish: SheetWish, room: Room) -> Block:
-    ids = wish.marker_ids
-    quiet, pitch = wish.size * QUIET, wish.size + wish.gap
-    columns = int(np.clip((room[0] - 2 * quiet + wish.gap) // pitch, 1, len(ids)))
+def _markers(request: SheetRequest, room: Room) -> Block:
+    ids = request.marker_ids
+    quiet, pitch = request.size * QUIET, request.size + request.gap
+    columns = int(np.clip((room[0] - 2 * quiet + request.gap) // pitch, 1, len(ids)))
     rows = -(-len(ids) // columns)
     step = pitch + _LABEL + 1.0
     boxes, words = [], []
     for k, marker in enumerate(ids):
         x, y = quiet + k % columns * pitch, quiet + k // columns * step
-        boxes.append(moved(marker_boxes(wish.dictionary, marker, wish.size), x, y))
-        words.append(Words(x, y + wish.size + quiet + _LABEL, _LABEL, f"{marker}  {wish.size:g} mm"))
-    width = columns * pitch - wish.gap + 2 * quiet
-    height = rows * step - wish.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
+        boxes.append(moved(marker_boxes(request.dictionary, marker, request.size), x, y))
+        words.append(Words(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm"))
+    width = columns * pitch - request.gap + 2 * quiet
+    height = rows * step - request.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
     what = "marker" if len(ids) == 1 else "markers"
-    about = f"{what} {_names(ids)} of {wish.dictionary}, {wish.size:g} mm"
-    options = f"--dictionary {wish.dictionary} --size {wish.size / 1e3:g} --ids {' '.join(map(str, ids))}"
+    about = f"{what} {_names(ids)} of {request.dictionary}, {request.size:g} mm"
+    options = (
+        f"--dictionary {request.dictionary} --size {request.size / 1e3:g} --ids {' '.join(map(str, ids))}"
+    )
     use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
     return Block(width, height, np.concatenate(boxes), tuple(words), about, use)
 
 
-def _board(wish: SheetWish, room: Room) -> Block:
-    (columns, rows), ids = wish.counts, wish.marker_ids
-    quiet, pitch = wish.size * QUIET, wish.size + wish.gap
+def _board(request: SheetRequest, room: Room) -> Block:
+    (columns, rows), ids = request.counts, request.marker_ids
+    quiet, pitch = request.size * QUIET, request.size + request.gap
     boxes = [
         moved(
-            marker_boxes(wish.dictionary, marker, wish.size),
+            marker_boxes(request.dictionary, marker, request.size),
             quiet + k % columns * pitch,
             quiet + k // columns * pitch,
         )
         for k, marker in enumerate(ids)
     ]
     about = (
-        f"board of {columns}x{rows} markers {_names(ids)} of {wish.dictionary}, {wish.size:g} mm, "
-        f"gap {wish.gap:g} mm"
+        f"board of {columns}x{rows} markers {_names(ids)} of {request.dictionary}, {request.size:g} mm, "
+        f"gap {request.gap:g} mm"
     )
     # That name says nothing of the ids: they count from 0.
-    board = "" if ids[0] else f"grid:{columns}x{rows}:{wish.size:g}:{wish.gap:g}"
-    size = [n * pitch - wish.gap + 2 * quiet for n in (columns, rows)]
+    board = "" if ids[0] else f"grid:{columns}x{rows}:{request.size:g}:{request.gap:g}"
+    size = [n * pitch - request.gap + 2 * quiet for n in (columns, rows)]
     return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE, board)
 
 
-def _cube(wish: SheetWish, room: Room) -> Block:
-    ids = wish.marker_ids
-    white = (wish.edge - wish.size) / 2
-    if white < _LEAST_WHITE * wish.size - 1e-9:
+def _cube(request: SheetRequest, room: Room) -> Block:
+    ids = request.marker_ids
+    white = (request.edge - request.size) / 2
+    if white < _LEAST_WHITE * request.size - 1e-9:
         raise CameraError(
-            f"a cube of {wish.edge:g} mm leaves {white:g} mm of white round markers of {wish.size:g} mm",
-            hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * wish.size:g} at least",
+            f"a cube of {request.edge:g} mm leaves {white:g} mm of white round "
+            f"markers of {request.size:g} mm",
+            hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * request.size:g} at least",
         )
-    faces, net = cube_net(ids, wish.size, wish.edge), cube_paper(wish.edge)
+    faces, net = cube_net(ids, request.size, request.edge), cube_paper(request.edge)
     corners = np.vstack([net.cuts.reshape(-1, 2), net.folds.reshape(-1, 2)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     boxes = [
         moved(
-            marker_boxes(wish.dictionary, face.marker, wish.size, face.turns),
-            *(face.centre - low - wish.size / 2),
+            marker_boxes(request.dictionary, face.marker, request.size, face.turns),
+            *(face.centre - low - request.size / 2),
         )
         for face in faces
     ]
     lines = np.vstack([net.cuts, dashed(net.folds)]) - np.tile(low, 2)
     about = (
-        f"cube of {wish.edge:g} mm with markers {_names(ids)} of {wish.dictionary}, {wish.size:g} mm "
+        f"cube of {request.edge:g} mm with markers {_names(ids)} of {request.dictionary}, "
+        f"{request.size:g} mm "
         "(cut along the lines, fold the dashed ones back, glue the tabs inside)"
     )
     width, height = (float(v) for v in high - low)
     return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE, lines=lines)
 
 
-def _pattern(wish: SheetWish, room: Room) -> Block:
-    kind: Literal["charuco", "chessboard"] = "charuco" if wish.kind == "charuco" else "chessboard"
-    pattern: Pattern = PatternWish(
-        kind, wish.columns, wish.rows, wish.size, wish.marker_mm, wish.dictionary
+def _pattern(request: SheetRequest, room: Room) -> Block:
+    kind: Literal["charuco", "chessboard"] = "charuco" if request.kind == "charuco" else "chessboard"
+    pattern: Pattern = PatternRequest(
+        kind, request.columns, request.rows, request.size, request.marker_mm, request.dictionary
     ).pattern()
     boxes = pattern.black() * 1e3
     boxes[:, :2] -= 1e3 * np.array(pattern.origin)
-    options = f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows} --square-mm {wish.size:g}"
-    board = f"{kind}:{pattern.columns}x{pattern.rows}:{wish.size:g}"
+    options = (
+        f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows} --square-mm {request.size:g}"
+    )
+    board = f"{kind}:{pattern.columns}x{pattern.rows}:{request.size:g}"
     if isinstance(pattern, CharucoPattern):
         board += f":{1e3 * pattern.marker:g}"
         options += f" --marker-mm {1e3 * pattern.marker:g} --dictionary {pattern.dictionary}"
@@ -220,7 +226,7 @@ def _pattern(wish: SheetWish, room: Room) -> Block:
     return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}", board)
 
 
-Maker = Callable[[SheetWish, Room], Block]
+Maker = Callable[[SheetRequest, Room], Block]
 #: One row a kind of sheet: lays it out for the room (width, height) that a page has, mm.
 MAKERS: dict[str, Maker] = {
     "marker": _markers, "board": _board, "cube": _cube, "charuco": _pattern, "chessboard": _pattern,
@@ -241,27 +247,29 @@ _TEXT, _LINE = 2.1, 2.8
 _NAMED = ("size_mm", "columns", "rows", "ids", "dictionary", "gap_mm", "edge_mm", "marker_mm", "page")
 
 
-def make_sheet_page(wish: SheetWish) -> Page:
+def make_sheet_page(request: SheetRequest) -> Page:
     """Lays the sheet out.
 
     Raises:
         CameraError: It does not fit (the hint says what would), or there is no such marker or dictionary.
     """
-    if wish.page not in PAPERS:
-        raise CameraError(f"unknown paper {wish.page!r}", hint=f"known: {', '.join(PAPERS)}")
-    if not 3.0 <= wish.size <= 1000.0:
-        raise CameraError(f"a size of {wish.size:g} mm cannot be meant", hint="50 mm is usual for a marker")
-    if wish.gap < wish.size * QUIET and wish.kind in ("marker", "board"):
+    if request.page not in PAPERS:
+        raise CameraError(f"unknown paper {request.page!r}", hint=f"known: {', '.join(PAPERS)}")
+    if not 3.0 <= request.size <= 1000.0:
         raise CameraError(
-            f"a gap of {wish.gap:g} mm is too small for markers of {wish.size:g} mm",
-            hint=f"the white round a marker must be a cell wide: at least {wish.size * QUIET:.1f} mm",
+            f"a size of {request.size:g} mm cannot be meant", hint="50 mm is usual for a marker"
         )
-    make = MAKERS[wish.kind]
-    for paper in _both_ways(wish.page):
-        block = make(wish, _room(paper))
+    if request.gap < request.size * QUIET and request.kind in ("marker", "board"):
+        raise CameraError(
+            f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",
+            hint=f"the white round a marker must be a cell wide: at least {request.size * QUIET:.1f} mm",
+        )
+    make = MAKERS[request.kind]
+    for paper in _both_ways(request.page):
+        block = make(request, _room(paper))
         if _fits(block, paper):
-            return _on_page(block, paper, wish)
-    raise _does_not_fit(wish, make)
+            return _on_page(block, paper, request)
+    raise _does_not_fit(request, make)
 
 
 def _both_ways(page: str) -> list[Room]:
@@ -278,31 +286,32 @@ def _fits(block: Block, paper: Room) -> bool:
     return block.width <= room[0] + 1e-9 and block.height <= room[1] + 1e-9
 
 
-def _does_not_fit(wish: SheetWish, make: Maker) -> CameraError:
-    block = make(wish, _room(PAPERS[wish.page]))
-    rooms = " or ".join("{:.0f}x{:.0f}".format(*_room(paper)) for paper in _both_ways(wish.page))
+def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
+    block = make(request, _room(PAPERS[request.page]))
+    rooms = " or ".join("{:.0f}x{:.0f}".format(*_room(paper)) for paper in _both_ways(request.page))
     hints = []
-    for size in np.arange(np.floor(wish.size * 2 - 1e-6) / 2, 5.0, -0.5):
-        share = float(size) / wish.size
+    for size in np.arange(np.floor(request.size * 2 - 1e-6) / 2, 5.0, -0.5):
+        share = float(size) / request.size
         less = replace(
-            wish,
+            request,
             size_mm=float(size),
-            gap_mm=None if wish.gap_mm is None else wish.gap_mm * share,
-            edge_mm=None if wish.edge_mm is None else wish.edge_mm * share,
-            marker_mm=None if wish.marker_mm is None else wish.marker_mm * share,
+            gap_mm=None if request.gap_mm is None else request.gap_mm * share,
+            edge_mm=None if request.edge_mm is None else request.edge_mm * share,
+            marker_mm=None if request.marker_mm is None else request.marker_mm * share,
         )
-        if any(_fits(make(less, _room(paper)), paper) for paper in _both_ways(wish.page)):
+        if any(_fits(make(less, _room(paper)), paper) for paper in _both_ways(request.page)):
             hints.append(f"--size-mm {size:g} fits")
             break
-    larger = [p for p in PAPERS if any(_fits(make(wish, _room(paper)), paper) for paper in _both_ways(p))]
+    larger = [p for p in PAPERS if any(_fits(make(request, _room(paper)), paper) for paper in _both_ways(p))]
     hints += [f"it fits --page {name}" for name in larger[:1]]
     return CameraError(
-        f"{block.about} needs {block.width:.0f}x{block.height:.0f} mm; {wish.page} has room for {rooms} mm",
+        f"{block.about} needs {block.width:.0f}x{block.height:.0f} mm; "
+        f"{request.page} has room for {rooms} mm",
         hint=", or ".join(hints) or "take fewer or smaller ones",
     )
 
 
-def _on_page(block: Block, paper: Room, wish: SheetWish) -> Page:
+def _on_page(block: Block, paper: Room, request: SheetRequest) -> Page:
     """The block in the middle of the room, the bars and the words at the rim."""
     room = _room(paper)
     x, y = _MARGIN + (room[0] - block.width) / 2, _MARGIN + (room[1] - block.height) / 2
@@ -313,10 +322,10 @@ def _on_page(block: Block, paper: Room, wish: SheetWish) -> Page:
     scale += f"  --board {block.board}" if block.board else ""
     beside = _MARGIN + _BAR + 3.0
     words.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
-    for k, text in enumerate([block.about, _command(wish), *([block.use] if block.use else [])]):
+    for k, text in enumerate([block.about, _command(request), *([block.use] if block.use else [])]):
         words.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
     lines = block.lines + np.array([x, y, x, y])
-    about = f"{block.about} on {wish.page}"
+    about = f"{block.about} on {request.page}"
     return Page(paper[0], paper[1], np.concatenate(boxes), tuple(words), about, lines)
 
 
@@ -340,11 +349,11 @@ def _bar(x: float, y: float, *, upright: bool = False) -> Array:
     return moved(bar, x, y)
 
 
-def _command(wish: SheetWish) -> str:
-    text = f"robot-ik camera print {wish.kind}"
+def _command(request: SheetRequest) -> str:
+    text = f"robot-ik camera print {request.kind}"
     for name in _NAMED:
-        value = getattr(wish, name)
-        if value != SheetWish.__dataclass_fields__[name].default:
+        value = getattr(request, name)
+        if value != SheetRequest.__dataclass_fields__[name].default:
             values = value if isinstance(value, tuple) else (value,)
             shown = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
             text += f" --{name.replace('_', '-')} {shown}"
@@ -355,31 +364,33 @@ def _command(wish: SheetWish) -> str:
 # What a printed board or cube is to a tracker: a body, and the file that describes it.
 
 
-def body_of(wish: SheetWish) -> MarkerBody:
+def body_of(request: SheetRequest) -> MarkerBody:
     """The body on a sheet.
 
     Raises:
         CameraError: The sheet shows neither a board nor a cube.
     """
-    size = wish.size / 1e3
-    if wish.kind == "board":
-        columns, rows = wish.counts
-        return grid_body(columns, rows, size, wish.gap / 1e3, wish.marker_ids[0])
-    if wish.kind == "cube":
-        return cube_body(wish.marker_ids, size, wish.edge / 1e3)
-    raise CameraError(f"a sheet of kind {wish.kind!r} is no body", hint="bodies are printed as board or cube")
+    size = request.size / 1e3
+    if request.kind == "board":
+        columns, rows = request.counts
+        return grid_body(columns, rows, size, request.gap / 1e3, request.marker_ids[0])
+    if request.kind == "cube":
+        return cube_body(request.marker_ids, size, request.edge / 1e3)
+    raise CameraError(
+        f"a sheet of kind {request.kind!r} is no body", hint="bodies are printed as board or cube"
+    )
 
 
-def body_file(wish: SheetWish, name: str) -> str:
+def body_file(request: SheetRequest, name: str) -> str:
     """The text of a file for ``robot_ik.camera.bodies.load_bodies``.
 
     Args:
-        wish: The sheet.
+        request: The sheet.
         name: Of the body.
     """
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
-    lines += [f'name = "{name}"', f'dictionary = "{wish.dictionary}"', "markers = ["]
-    for marker, (size, pose) in body_of(wish).markers.items():
+    lines += [f'name = "{name}"', f'dictionary = "{request.dictionary}"', "markers = ["]
+    for marker, (size, pose) in body_of(request).markers.items():
         position, wxyz = (", ".join(_number(v) for v in part) for part in (pose.position, pose.wxyz))
         lines.append(f"  {{id = {marker}, size = {size:.9g}, position = [{position}], wxyz = [{wxyz}]}},")
     return "\n".join([*lines, "]", ""])

@@ -46,7 +46,7 @@ _TOGETHER = 16
 
 
 @dataclass(frozen=True)
-class Look:
+class SensorModel:
     """How a picture is spoiled.
 
     Attributes:
@@ -84,9 +84,9 @@ class MarkerView:
 def undistorted_grid(camera: CameraIntrinsics) -> tuple[Array, Array]:
     """Undistorted coordinates (h, w, 2) of all pixel centres and their derivative (h, w, 2, 2) by pixels."""
     x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
-    ideal = camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
-    slope = np.asarray(np.linalg.inv(camera.pixel_jacobian(ideal)), dtype=float)
-    return ideal.reshape(*x.shape, 2), slope.reshape(*x.shape, 2, 2)
+    normalized = camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
+    slope = np.asarray(np.linalg.inv(camera.pixel_jacobian(normalized)), dtype=float)
+    return normalized.reshape(*x.shape, 2), slope.reshape(*x.shape, 2, 2)
 
 
 def render_marker(
@@ -97,7 +97,7 @@ def render_marker(
     size: float = STANDARD_SIZE,
     dictionary: str = "DICT_4X4_50",
     marker_id: int = 0,
-    look: Look | None = None,
+    look: SensorModel | None = None,
 ) -> Image:
     """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
     return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, look=look)
@@ -109,7 +109,7 @@ def render_markers(
     rng: np.random.Generator,
     *,
     dictionary: str = "DICT_4X4_50",
-    look: Look | None = None,
+    look: SensorModel | None = None,
     margin: float = _PAPER_MARGIN,
     cover: Array | None = None,
 ) -> Image:
@@ -124,7 +124,7 @@ def render_markers(
         margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
         cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
     """
-    look = look or Look()
+    look = look or SensorModel()
     canvas = _wall(camera, rng, look)
     prints = {i: marker_bits(dictionary, i) for i in markers}
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
@@ -155,7 +155,7 @@ class _Paper:
     margin: float
 
 
-def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: Look) -> Array:
+def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: SensorModel) -> Array:
     """Background of soft blotches, so that the paper has an edge of its own and the threshold some work."""
     coarse = rng.uniform(0.25, 0.75, (camera.height // 24 + 2, camera.width // 24 + 2))
     blotches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
@@ -175,7 +175,7 @@ def _paint_paper(
     camera: CameraIntrinsics,
     pose: Pose,
     paper: _Paper,
-    look: Look,
+    look: SensorModel,
 ) -> None:
     x0, y0, x1, y1 = box
     centres, slopes = (grid[y0:y1, x0:x1] for grid in undistorted_grid(camera))
@@ -193,17 +193,17 @@ def _paint_paper(
     total = np.zeros(len(some_wall))
     for k in range(0, _RAYS, _TOGETHER):
         # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
-        ideal = some_centres + np.einsum("mij,kj->kmi", some_slopes, _LATTICE[k : k + _TOGETHER])
-        total += _paper_value(ideal, some_wall, to_paper, levels, look.white, paper.margin).sum(axis=0)
+        normalized = some_centres + np.einsum("mij,kj->kmi", some_slopes, _LATTICE[k : k + _TOGETHER])
+        total += _paper_value(normalized, some_wall, to_paper, levels, look.white, paper.margin).sum(axis=0)
     one_ray[mixed] = total / _RAYS
     canvas[y0:y1, x0:x1] = one_ray
 
 
 def _paper_value(
-    ideal: Array, wall: Array, to_paper: Array, levels: Array, white: float, margin: float
+    normalized: Array, wall: Array, to_paper: Array, levels: Array, white: float, margin: float
 ) -> Array:
     """Light along rays (..., 2): ``to_paper`` (3, 3) maps them to the marker's plane in marker sizes."""
-    paper = ideal @ to_paper[:, :2].T + to_paper[:, 2]
+    paper = normalized @ to_paper[:, :2].T + to_paper[:, 2]
     u, v = paper[..., 0] / paper[..., 2], paper[..., 1] / paper[..., 2]
     cells = len(levels)
     column = np.floor((u + 0.5) * cells).astype(int)
@@ -252,7 +252,7 @@ def standard_set(
     marker_id: int = 7,
     size: float = STANDARD_SIZE,
     camera: CameraIntrinsics = STANDARD_CAMERA,
-    look: Look | None = None,
+    look: SensorModel | None = None,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
 ) -> Iterator[MarkerView]:
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
@@ -339,10 +339,14 @@ def _rays(camera: CameraIntrinsics) -> tuple[NDArray[np.float32], ...]:
 
 
 def render_pattern(
-    pattern: Pattern, camera: CameraIntrinsics, pose: Pose, rng: np.random.Generator, look: Look | None = None
+    pattern: Pattern,
+    camera: CameraIntrinsics,
+    pose: Pose,
+    rng: np.random.Generator,
+    look: SensorModel | None = None,
 ) -> Image:
     """One picture (height, width) uint8 of the pattern at ``pose`` (``pose_camera_board``)."""
-    look = look or Look()
+    look = look or SensorModel()
     paper, to_pixels = _paper(pattern)
     plane = np.column_stack([pose.rotation[:, 0], pose.rotation[:, 1], pose.position])
     to_paper = to_pixels @ np.linalg.inv(plane)
@@ -404,7 +408,7 @@ def _in_view(pattern: Pattern, camera: CameraIntrinsics, pose: Pose) -> bool:
 
 
 def pattern_set(
-    pattern: Pattern, camera: CameraIntrinsics, count: int, *, seed: int = 0, look: Look | None = None
+    pattern: Pattern, camera: CameraIntrinsics, count: int, *, seed: int = 0, look: SensorModel | None = None
 ) -> Iterator[PatternView]:
     """Pictures as a calibration wants them; the same seed gives the same ones."""
     rng = np.random.default_rng([seed, count])

@@ -12,14 +12,14 @@ from urllib.parse import parse_qsl
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import Pattern, PatternWish
+from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
     STANDARD_SIZE,
-    Look,
+    SensorModel,
     pattern_pose,
     render_marker,
     render_pattern,
@@ -72,7 +72,7 @@ class MovingSource(ClosingSource):
         self.intrinsics: CameraIntrinsics = STANDARD_CAMERA
         self.size = self.intrinsics.size
         self._rng = np.random.default_rng(options.seed)
-        self._look = replace(Look(), noise=options.noise, blur=options.blur, gradient=0.2)
+        self._look = replace(SensorModel(), noise=options.noise, blur=options.blur, gradient=0.2)
         self._start = time.monotonic()
         self._count = 0
 
@@ -147,7 +147,9 @@ def open_moving(text: str) -> MovingSource:
     if name == "orbit":
         return OrbitSource(options)
     if name == "charuco" or name == "chessboard":
-        return BoardSource(PatternWish("charuco" if name == "charuco" else "chessboard").pattern(), options)
+        return BoardSource(
+            PatternRequest("charuco" if name == "charuco" else "chessboard").pattern(), options
+        )
     raise CameraNotFoundError(unknown_name_text("synthetic scene", name, SCENES))
 
 

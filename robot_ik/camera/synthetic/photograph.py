@@ -71,10 +71,10 @@ class View:
     robot: Caster
     stage: StillPicture
 
-    def world(self, ideal: Array) -> Array:
+    def world(self, normalized: Array) -> Array:
         """World directions (n, 3), unit along the optical axis, of ideal coordinates (n, 2)."""
         turn = self.camera.rotation
-        return np.asarray(ideal @ turn.T[:2] + turn[:, 2])
+        return np.asarray(normalized @ turn.T[:2] + turn[:, 2])
 
     def visibility(self, points: Array, tile: NDArray[np.int64], spots: int) -> Array:
         """Part (n, 2) of lamp and ceiling that each point sees past the robot.
@@ -178,12 +178,12 @@ class RobotRenderer:
         box, mask = region
         stride = quality.stride
         x, y = lattice(box, stride)
-        ideal = self._view.field.box(*box) if stride == 1 else self._view.field.grid(x, y)
+        normalized = self._view.field.box(*box) if stride == 1 else self._view.field.grid(x, y)
         size = (box[3] - box[1], box[2] - box[0])
         rows = np.clip(np.rint(y).astype(int) - box[1], 0, size[0] - 1)
         columns = np.clip(np.rint(x).astype(int) - box[0], 0, size[1] - 1)
         asked = np.flatnonzero(mask[np.ix_(rows, columns)])
-        rays = self._view.world(ideal.reshape(-1, 2)[asked])
+        rays = self._view.world(normalized.reshape(-1, 2)[asked])
         hits = self._view.robot.cast(self._view.camera.position, rays)
         behind = self._view.stage.depth[box[1] : box[3], box[0] : box[2]][np.ix_(rows, columns)].reshape(-1)[
             asked
@@ -380,9 +380,9 @@ class Photographer:
         if painted is None:
             return None
         x0, y0, x1, y1 = painted.box
-        ideal = self._view.field.box(*painted.box).reshape(-1, 2)
+        normalized = self._view.field.box(*painted.box).reshape(-1, 2)
         depth = np.nan_to_num(painted.depth.reshape(-1, 1), nan=1.0)
-        points = self._view.camera.position + self._view.world(ideal) * depth
+        points = self._view.camera.position + self._view.world(normalized) * depth
         normals = np.broadcast_to(placed.pose_world.rotation[:, 2], points.shape)
         lamp, ceiling, ambient = self._view.lights.terms(points, normals)
         view, seen = picture[y0:y1, x0:x1], lit[y0:y1, x0:x1].reshape(-1, 2)

@@ -160,11 +160,11 @@ def _pixel_box(outline: Array, field: RayField) -> Box | None:
     w, h = field.intrinsics.size
     if (outline[:, 2] <= 0).all():
         return None
-    ideal = outline[:, :2] / np.maximum(outline[:, 2:], 1e-9)
-    outside = np.hypot(ideal[:, 0], ideal[:, 1]) > field.intrinsics.radius_limit
+    normalized = outline[:, :2] / np.maximum(outline[:, 2:], 1e-9)
+    outside = np.hypot(normalized[:, 0], normalized[:, 1]) > field.intrinsics.radius_limit
     if (outline[:, 2] < _NEAR).any() or outside.any():
         return 0, 0, w, h
-    pixels = field.intrinsics.distort(ideal)
+    pixels = field.intrinsics.distort(normalized)
     low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 2, 0, (w, h))
     high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 3, 0, (w, h))
     if (high - low < 2).any():
@@ -179,15 +179,15 @@ class _Plane:
         self._axes, self._origin = pose_camera_marker.rotation, pose_camera_marker.position
         self._scale, self._half = cells / size, cells / 2.0
 
-    def map(self, ideal: Array) -> tuple[Array, Array, Array]:
+    def map(self, normalized: Array) -> tuple[Array, Array, Array]:
         """Cells u, v and depth (m), each (...), of rays (..., 2); depth NaN where a ray misses the plane."""
         normal = self._axes[:, 2]
-        slope = ideal @ normal[:2] + normal[2]
+        slope = normalized @ normal[:2] + normal[2]
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = (normal @ self._origin) / slope
         depth = np.where(depth > _NEAR, depth, np.nan)
         point = (
-            np.concatenate([ideal, np.ones((*ideal.shape[:-1], 1))], axis=-1) * depth[..., None]
+            np.concatenate([normalized, np.ones((*normalized.shape[:-1], 1))], axis=-1) * depth[..., None]
             - self._origin
         )
         u = self._half + self._scale * (point @ self._axes[:, 0])

@@ -204,10 +204,10 @@ class Stage:
         self._field = ray_field(intrinsics)
         self.picture = self._render()
 
-    def _world(self, ideal: Array) -> Array:
+    def _world(self, normalized: Array) -> Array:
         """World directions (n, 3), unit along the optical axis, of ideal coordinates (n, 2)."""
         turn = self._camera.rotation
-        return np.asarray(ideal @ turn.T[:2] + turn[:, 2])
+        return np.asarray(normalized @ turn.T[:2] + turn[:, 2])
 
     def _backdrop(self, rays: Array) -> Array:
         rise = rays[:, 2] / np.linalg.norm(rays, axis=1)
@@ -238,9 +238,9 @@ class Stage:
             else np.zeros(0)
         )
 
-    def _shade(self, ideal: Array) -> Array:
+    def _shade(self, normalized: Array) -> Array:
         """Light shares (n, 3 lights, 3 BGR) along any rays (n, 2): exact and slow."""
-        rays = self._world(ideal)
+        rays = self._world(normalized)
         hits = self._caster.cast(self._camera.position, rays)
         points = self._camera.position + rays * np.where(np.isfinite(hits.depth), hits.depth, 0.0)[:, None]
         albedo, shine = self._backdrop(rays), np.ones(len(rays))
@@ -252,9 +252,9 @@ class Stage:
         light = self._light(points, hits.normal) * (1 - shine)[:, None] + shine[:, None] * (1.0, 0.0, 0.0)
         return np.asarray(light[:, :, None] * albedo[:, None, :])
 
-    def _level(self, ideal: Array, height: float) -> tuple[Array, Array]:
+    def _level(self, normalized: Array, height: float) -> tuple[Array, Array]:
         """Points (n, 3) at which rays (n, 2) meet a level plane, far away where they do not; and the rays."""
-        rays = self._world(ideal)
+        rays = self._world(normalized)
         drop = height - self._camera.position[2]
         with np.errstate(divide="ignore"):
             depth = drop / rays[:, 2]
@@ -280,16 +280,16 @@ class Stage:
 
     def _smooth_light(self, height: float) -> Float32:
         """Light (h, w, 3) on a level plane: smooth, so computed for blocks of pixels."""
-        ideal, shape = self._coarse(_LIGHT_STRIDE)
-        points, _ = self._level(ideal, height)
+        normalized, shape = self._coarse(_LIGHT_STRIDE)
+        points, _ = self._level(normalized, height)
         return self._enlarge(
             self._light(points, np.tile([0.0, 0.0, 1.0], (len(points), 1))), shape, _LIGHT_STRIDE
         )
 
     def _render(self) -> StillPicture:
         w, h = self._field.intrinsics.size
-        ideal, _ = self._coarse(1)
-        hits = self._caster.cast(self._camera.position, self._world(ideal), normals=False)
+        normalized, _ = self._coarse(1)
+        hits = self._caster.cast(self._camera.position, self._world(normalized), normals=False)
         coarse, shape = self._coarse(2)
         points, rays = self._level(coarse, self._floor)
         albedo, shine = self._floor_albedo(points, rays)
@@ -302,7 +302,7 @@ class Stage:
         rows, columns = np.nonzero(geom == 1)
         if len(rows):
             height = float(self._caster.top(1))
-            places, _ = self._level(ideal.reshape(h, w, 2)[rows, columns], height)
+            places, _ = self._level(normalized.reshape(h, w, 2)[rows, columns], height)
             tone = wood(places[:, 0], places[:, 1]).astype(np.float32)
             light = self._smooth_light(height)[rows, columns]
             for k in range(3):
@@ -331,7 +331,9 @@ class Stage:
 
     def _height_map(self, depth: Array) -> Array:
         """World height (h, w) of what each pixel sees."""
-        ideal, _ = self._coarse(1)
+        normalized, _ = self._coarse(1)
         far = np.where(np.isfinite(depth), depth, 0.0).reshape(-1)
         up = self._camera.rotation[2]
-        return np.asarray((self._camera.position[2] + far * (ideal @ up[:2] + up[2])).reshape(depth.shape))
+        return np.asarray(
+            (self._camera.position[2] + far * (normalized @ up[:2] + up[2])).reshape(depth.shape)
+        )

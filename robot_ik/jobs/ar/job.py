@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import MarkerBoard, parse_board
-from robot_ik.camera.calibration.extrinsics import CameraPlace
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.painter import project, surface_points
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_phantoms
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, Registrar, Remedies, Seen, Shown
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen, Shown
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
@@ -65,7 +65,7 @@ class ArRequest:
         backend: ``painter``, ``ray`` or ``gl``.
         phantoms: File of real things that hide the robot; ``phantom_geoms`` names of the model's own.
         phantom_geoms: See ``phantoms``.
-        remedies: What is done about delay.
+        latency_options: What is done about delay.
         delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
         alpha: 1 hides what is behind the robot.
         shadow: Whether it throws one.
@@ -89,7 +89,7 @@ class ArRequest:
     backend: str = "painter"
     phantoms: Path | None = None
     phantom_geoms: tuple[str, ...] = ()
-    remedies: Remedies = field(default_factory=Remedies)
+    latency_options: LatencyOptions = field(default_factory=LatencyOptions)
     delay: float = 0.0
     alpha: float = 1.0
     shadow: bool = True
@@ -309,7 +309,7 @@ def _pairs(frames: Iterator[Frame], request: ArRequest) -> Iterator[tuple[Frame,
     The picture shown comes ``delay`` after the one tracked; without a number it is the next one read, which
     of a live camera is the newest when tracking and drawing are done.
     """
-    if request.remedies.sync == "tracked":
+    if request.latency_options.sync == "tracked":
         for frame in frames:
             yield frame, frame
         return
@@ -330,10 +330,10 @@ def _registrar(
     request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
 ) -> Registrar:
     if request.place is not None:
-        place = CameraPlace.load(request.place, intrinsics)
+        place = CameraExtrinsics.load(request.place, intrinsics)
         place.require_parent("world")
         return Registrar(
-            None, artist, figure, intrinsics, replace(request.remedies, predict=False, shift=False),
+            None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),
             pose_board_camera=place.pose_parent_camera, alpha=request.alpha,
         )  # fmt: skip
     board = parse_board(request.board, request.dictionary)
@@ -344,4 +344,4 @@ def _registrar(
             key="--marker", allowed="an id that is not on the board",
         )  # fmt: skip
     watcher = BoardWatcher(board, intrinsics, other, dictionary=request.dictionary or "DICT_5X5_50")
-    return Registrar(watcher, artist, figure, intrinsics, request.remedies, alpha=request.alpha)
+    return Registrar(watcher, artist, figure, intrinsics, request.latency_options, alpha=request.alpha)

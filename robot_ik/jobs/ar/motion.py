@@ -40,7 +40,7 @@ class _Witnessed:
     def sleep_until(self, deadline: float) -> None:
         """Of the clock."""
         self._clock.sleep_until(deadline)
-        self._recorder.send(self._run.limbs.true_q(), self._clock.now())
+        self._recorder.send(self._run.setup.true_q(), self._clock.now())
 
 
 def is_script(text: str) -> bool:
@@ -85,15 +85,15 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
     """
     file = find_script(text)
     run = ScriptRun(load_script(file), ScriptRequest())
-    limbs, report = run.limbs, run.report
+    setup, report = run.setup, run.report
     if report.robot != robot.name:
         raise ConfigError(
             f"is a script of {report.robot}, and {robot.name} is drawn",
             file=file, key="robot", allowed=f"--robot {report.robot}",
         )  # fmt: skip
-    recorder = RecorderSink(limbs.robot.joints)
-    recorder.send(limbs.true_q(), limbs.clock.now())  # of a script that waits nowhere, this is all
-    limbs.clock = _Witnessed(limbs.clock, run, recorder)
+    recorder = RecorderSink(setup.robot.joints)
+    recorder.send(setup.true_q(), setup.clock.now())  # of a script that waits nowhere, this is all
+    setup.clock = _Witnessed(setup.clock, run, recorder)
     run.run()
     moved = recorder.trajectory()
     q = np.tile(robot.home, (len(moved), 1))

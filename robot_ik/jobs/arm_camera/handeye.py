@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.calibration.extrinsics import CameraPlace, today
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEye, Mount, Mounting, moved, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
@@ -22,7 +22,7 @@ from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stops
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
-from robot_ik.jobs.robot_setup import Limbs, prepare_limbs
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.jobs.vision import calibration_of, open_calibrated
 from robot_ik.robot import Robot
@@ -82,7 +82,7 @@ class HandEyeScene:
         return self.source.read().without_truth()
 
 
-def open_scene(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) -> HandEyeScene:
+def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
     """Camera and board of a request.
 
     Raises:
@@ -90,8 +90,8 @@ def open_scene(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStac
             simulated camera is asked to look at real servos.
     """
     if request.camera != "synthetic":
-        return _real(request, limbs, stack)
-    if limbs.arm is not None and limbs.arm.virtual_bus is None:
+        return _real(request, setup, stack)
+    if setup.arm is not None and setup.arm.virtual_bus is None:
         raise ConfigError(
             "the synthetic camera cannot see real servos",
             file="command line", key="--camera", allowed="a camera's index, file or URL",
@@ -101,18 +101,18 @@ def open_scene(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStac
             "the synthetic camera looks at a board of its own",
             file="command line", key="--board", allowed="only with a real camera",
         )  # fmt: skip
-    stage = stage_for(limbs.robot, limbs.frame)
+    stage = stage_for(setup.robot, setup.frame)
     made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
-    return made(request, limbs, stage, stack)
+    return made(request, setup, stage, stack)
 
 
 def _standing_camera(
-    request: HandEyeRequest, limbs: Limbs, stage: Stage, stack: contextlib.ExitStack
+    request: HandEyeRequest, setup: RobotSetup, stage: Stage, stack: contextlib.ExitStack
 ) -> HandEyeScene:
     """The stage's camera looks at the markers on the tool."""
     truth = Mount(stage.pose_world_camera, stage.cube_offset, "eye_to_hand")
     source = SyntheticSource(
-        stage.scene(limbs.robot), limbs.true_q, seed=request.seed, clock=limbs.clock, quality="fast"
+        stage.scene(setup.robot), setup.true_q, seed=request.seed, clock=setup.clock, quality="fast"
     )
     board = MarkerBoard(dict(stage.cube), stage.dictionary)
     task = ViewTask(_roughly(request, truth), stage.cube_frame, board.layout, stage.intrinsics, stage.table)
@@ -120,10 +120,10 @@ def _standing_camera(
 
 
 def _carried_camera(
-    request: HandEyeRequest, limbs: Limbs, stage: Stage, stack: contextlib.ExitStack
+    request: HandEyeRequest, setup: RobotSetup, stage: Stage, stack: contextlib.ExitStack
 ) -> HandEyeScene:
     """A camera beside the tool looks at a board of markers on the table."""
-    camera = _beside_the_tool(limbs.robot, limbs.frame)
+    camera = _beside_the_tool(setup.robot, setup.frame)
     truth = Mount(camera, stage.pose_world_marker, "eye_in_hand")
     size = _MARKER_PART * stage.marker_size
     layout = grid_body(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID).markers
@@ -134,9 +134,9 @@ def _carried_camera(
         )
         for id, (side, pose) in layout.items()
     )  # fmt: skip
-    scene = SyntheticScene(limbs.robot, STANDARD_CAMERA, Pose(), markers, table=stage.table)
-    source = CarriedSource(scene, limbs.frame, camera, limbs.true_q, seed=request.seed, clock=limbs.clock)
-    task = ViewTask(_roughly(request, truth), limbs.frame, layout, STANDARD_CAMERA, stage.table)
+    scene = SyntheticScene(setup.robot, STANDARD_CAMERA, Pose(), markers, table=stage.table)
+    source = CarriedSource(scene, setup.frame, camera, setup.true_q, seed=request.seed, clock=setup.clock)
+    task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, stage.table)
     return HandEyeScene(task, MarkerBoard(layout, stage.dictionary), stack.enter_context(source), truth)
 
 
@@ -165,7 +165,7 @@ def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
     return Mount(camera, board, truth.mounting)
 
 
-def _real(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) -> HandEyeScene:
+def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
     calibration = calibration_of(request.camera, request.intrinsics)
     if request.board is None:
         raise CameraError(
@@ -179,11 +179,11 @@ def _real(request: HandEyeRequest, limbs: Limbs, stack: contextlib.ExitStack) ->
             "recorded pictures do not show this arm where it goes",
             file="command line", key="--camera", allowed="a camera or a stream, or --samples FILE",
         )  # fmt: skip
-    stage = stage_for(limbs.robot, limbs.frame)
+    stage = stage_for(setup.robot, setup.frame)
     camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
     board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
     layout: Layout = request.board.layout
-    task = ViewTask(Mount(camera, board, request.mounting), limbs.frame, layout, intrinsics, stage.table)
+    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, layout, intrinsics, stage.table)
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
 
 
@@ -221,11 +221,11 @@ class HandEyeReport:
             return None
         return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
 
-    def place(self) -> CameraPlace:
+    def place(self) -> CameraExtrinsics:
         """For the file."""
         result = self.result
         assert result is not None  # a dry run has no place
-        return CameraPlace(
+        return CameraExtrinsics(
             result.pose_parent_camera, self.parent, result.covariance[:6, :6],
             result.residual_px, result.residual_mm, today(), self.samples.intrinsics.digest,
             method=f"handeye, {result.mounting.replace('_', ' ')}", views=len(self.samples),
@@ -252,18 +252,18 @@ def run_handeye(
         RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
     """
     with contextlib.ExitStack() as stack:
-        limbs = prepare_limbs(request.limbs())
-        scene = open_scene(request, limbs, stack)
+        setup = prepare_robot(request.setup())
+        scene = open_scene(request, setup, stack)
         task = scene.task
-        samples = SampleSet(request.robot, limbs.robot.joints, task.frame, request.mounting, task.intrinsics)
-        stack.enter_context(limbs.connected())
+        samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
+        stack.enter_context(setup.connected())
         progress("planning", 0.0)
-        stops = plan_views(limbs.robot, task, request.views, start=limbs.q, seed=request.seed)
+        stops = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
         if dry_run:
             return HandEyeReport(tuple(stops), samples, (), None, scene.truth)
-        limbs.energise()
+        setup.energise()
         unseen = measure_stops(
-            limbs, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
+            setup, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
         )
     if len(samples) < LEAST_VIEWS:
         raise MarkerNotFoundError(
@@ -271,7 +271,7 @@ def run_handeye(
             hint="check board, dictionary and light, and say better where camera and board are",
         )
     progress("solving", 0.0)
-    return HandEyeReport(tuple(stops), samples, unseen, _solved(samples, limbs), scene.truth)
+    return HandEyeReport(tuple(stops), samples, unseen, _solved(samples, setup), scene.truth)
 
 
 def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
@@ -298,7 +298,7 @@ def samples_path(out: Path) -> Path:
 
 
 def measure_stops(
-    limbs: Limbs,
+    setup: RobotSetup,
     scene: HandEyeScene,
     stops: Sequence[Array],
     samples: SampleSet,
@@ -310,7 +310,7 @@ def measure_stops(
     """Goes to all stops and looks at the board.
 
     Args:
-        limbs: Connected and energised.
+        setup: Connected and energised.
         scene: Camera and board.
         stops: (nq,) each, as ``plan_views`` gives them.
         samples: Joint angles read and corners seen are added to it.
@@ -329,7 +329,7 @@ def measure_stops(
     def tell(number: int, share: float) -> None:
         progress(f"view {number + 1} of {len(stops)}", (number + share) / len(stops))
 
-    for stop in visit_stops(limbs, stops, scene.take, speed=speed, progress=tell):
+    for stop in visit_stops(setup, stops, scene.take, speed=speed, progress=tell):
         view = scene.board.see(stop.frame, scene.task.intrinsics) if stop.still else None
         if view is None:
             unseen.append(stop.number)
@@ -339,5 +339,5 @@ def measure_stops(
     return tuple(unseen)
 
 
-def _solved(samples: SampleSet, limbs: Limbs) -> HandEye:
-    return solve_handeye(samples.samples(limbs.robot), samples.intrinsics, mounting=samples.mounting)
+def _solved(samples: SampleSet, setup: RobotSetup) -> HandEye:
+    return solve_handeye(samples.samples(setup.robot), samples.intrinsics, mounting=samples.mounting)

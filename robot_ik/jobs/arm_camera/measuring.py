@@ -24,7 +24,7 @@ from robot_ik.files import config_error, parse_json, plain, read_text, shown, wr
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, Rehearsal
-from robot_ik.jobs.robot_setup import Limbs
+from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.robot import Robot, load_robot
 
@@ -62,8 +62,8 @@ class ArmCameraRequest:
         """These attributes by name, for a request of another kind."""
         return {one.name: getattr(self, one.name) for one in fields(ArmCameraRequest)}
 
-    def limbs(self, rehearsal: Rehearsal | None = None) -> ReachRequest:
-        """What ``prepare_limbs`` is asked for."""
+    def setup(self, rehearsal: Rehearsal | None = None) -> ReachRequest:
+        """What ``prepare_robot`` is asked for."""
         return ReachRequest(
             robot=self.robot, frame=self.frame, bus=self.bus, arm_file=self.arm_file,
             speed=self.speed, seed=self.seed, rehearsal=rehearsal or Rehearsal(),
@@ -102,7 +102,7 @@ class Stop:
 
 
 def visit_stops(
-    limbs: Limbs,
+    setup: RobotSetup,
     stops: Sequence[Array],
     take: Callable[[], Frame],
     *,
@@ -112,7 +112,7 @@ def visit_stops(
     """Goes to each stop in turn; a generator, so that what was seen before an interruption is kept.
 
     Args:
-        limbs: Connected and energised (``limbs.connected()``, ``limbs.energise()``).
+        setup: Connected and energised (``limbs.connected()``, ``limbs.energise()``).
         stops: (nq,) each, inside the limits; see ``plan_views``.
         take: Takes a picture.
         speed: Share of the joints' speed limits.
@@ -124,8 +124,8 @@ def visit_stops(
     """
     for number, asked in enumerate(stops):
         trajectory = joint_move(
-            limbs.robot, limbs.q, asked, speed=speed, rate=limbs.rate,
-            velocity=limbs.velocity, acceleration=limbs.acceleration,
+            setup.robot, setup.q, asked, speed=speed, rate=setup.rate,
+            velocity=setup.velocity, acceleration=setup.acceleration,
         )  # fmt: skip
         count = max(1, len(trajectory))
 
@@ -133,24 +133,24 @@ def visit_stops(
             progress(number, min(1.0, tick.index / count))
 
         execute(
-            trajectory, limbs.sinks, source=limbs.source, clock=limbs.clock, on_tick=show,
-            settle=0.0 if limbs.source is None else _SETTLE_SECONDS,
+            trajectory, setup.sinks, source=setup.source, clock=setup.clock, on_tick=show,
+            settle=0.0 if setup.source is None else _SETTLE_SECONDS,
         )  # fmt: skip
-        before, still = _come_to_rest(limbs)
+        before, still = _come_to_rest(setup)
         frame = take()
-        yield Stop(number, np.array(asked), 0.5 * (before + limbs.q), still, frame)
+        yield Stop(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
 
 
-def _come_to_rest(limbs: Limbs) -> tuple[Array, bool]:
+def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
     """Reads until two readings agree: the last one (nq,), and whether they did."""
-    last = limbs.q
-    if limbs.arm is None:
-        limbs.scene.send(last, limbs.clock.now())
+    last = setup.q
+    if setup.arm is None:
+        setup.scene.send(last, setup.clock.now())
         return last, True
     for _ in range(_LOOKS):
-        limbs.settle(_LOOK_SECONDS)
-        now = limbs.q
-        if bool(np.all(np.abs(now - last) <= _STILL_TICKS * limbs.resolution)):
+        setup.settle(_LOOK_SECONDS)
+        now = setup.q
+        if bool(np.all(np.abs(now - last) <= _STILL_TICKS * setup.resolution)):
             return now, True
         last = now
     return last, False

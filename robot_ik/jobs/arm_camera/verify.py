@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.calibration.extrinsics import CameraPlace, locate_camera
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
 from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.calibration.kinematic import (
     LEAST_VIEWS,
@@ -34,7 +34,7 @@ from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, measu
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.arm_camera.view_planning import plan_views
 from robot_ik.jobs.reach import Rehearsal
-from robot_ik.jobs.robot_setup import Limbs, prepare_limbs
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import stage_for
 from robot_ik.robot import Robot
 
@@ -220,26 +220,26 @@ def run_verify(
             file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
-        limbs = prepare_limbs(request.limbs(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
-        scene = open_scene(_scene_request(request), limbs, stack)
+        setup = prepare_robot(request.setup(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
+        scene = open_scene(_scene_request(request), setup, stack)
         place = _given_place(request, scene.task.intrinsics)
-        stack.enter_context(limbs.connected())
+        stack.enter_context(setup.connected())
         if place is None:
             progress("locating the camera", 0.0)
-            place = _located(limbs, scene)
-        known = _known(request, limbs, scene, place)
+            place = _located(setup, scene)
+        known = _known(request, setup, scene, place)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
         scene = replace(scene, task=replace(scene.task, mount=mount))
         progress("planning", 0.0)
-        stops = plan_views(limbs.robot, scene.task, request.views, start=limbs.q, seed=request.seed)
+        stops = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
         unseen: tuple[int, ...] = ()
         if not dry_run:
-            limbs.energise()
+            setup.energise()
             unseen = measure_stops(
-                limbs, scene, stops, known.samples, speed=request.speed,
+                setup, scene, stops, known.samples, speed=request.speed,
                 keep=lambda samples: keep(known), progress=progress,
             )  # fmt: skip
-    report = _report(known, limbs.robot, limbs.config, tuple(stops), unseen)
+    report = _report(known, setup.robot, setup.config, tuple(stops), unseen)
     if dry_run:
         return report
     progress("comparing", 0.0)
@@ -326,17 +326,17 @@ def _scene_request(request: VerifyRequest) -> HandEyeRequest:
     return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
 
 
-def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraPlace | None:
+def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
     if request.place is None:
         return None
-    place = CameraPlace.load(request.place, intrinsics)
+    place = CameraExtrinsics.load(request.place, intrinsics)
     place.require_parent("world")
     return place
 
 
-def _located(limbs: Limbs, scene: HandEyeScene) -> CameraPlace:
+def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
     """The simulated camera finds its place by the marker on the table, as a person would have it do."""
-    stage = stage_for(limbs.robot, limbs.frame)
+    stage = stage_for(setup.robot, setup.frame)
     marker = MarkerBoard({stage.marker_id: (stage.marker_size, Pose())}, stage.dictionary)
     looks = [marker.see(scene.take(), scene.task.intrinsics) for _ in range(_LOCATE_PICTURES)]
     seen = [view for view in looks if view is not None]
@@ -348,34 +348,36 @@ def _located(limbs: Limbs, scene: HandEyeScene) -> CameraPlace:
     return locate_camera(seen, stage.pose_world_marker, scene.task.intrinsics)
 
 
-def _known(request: VerifyRequest, limbs: Limbs, scene: HandEyeScene, place: CameraPlace) -> VerifySamples:
+def _known(
+    request: VerifyRequest, setup: RobotSetup, scene: HandEyeScene, place: CameraExtrinsics
+) -> VerifySamples:
     """What is known before the first sample is taken."""
     pose = request.pose_frame_board
     if pose is None:
         pose = Pose() if scene.truth is None else scene.truth.pose_other_board
     task = scene.task
     return VerifySamples(
-        SampleSet(request.robot, limbs.robot.joints, task.frame, "eye_to_hand", task.intrinsics),
+        SampleSet(request.robot, setup.robot.joints, task.frame, "eye_to_hand", task.intrinsics),
         _known_camera(place),
         KnownPose.within(pose, *request.board_sigma),
         _by_arm(place),
-        _truth(request, limbs, scene),
-        () if limbs.config is None else tuple(servo_values(joint) for joint in limbs.config.joints),
+        _truth(request, setup, scene),
+        () if setup.config is None else tuple(servo_values(joint) for joint in setup.config.joints),
     )
 
 
-def _by_arm(place: CameraPlace) -> bool:
+def _by_arm(place: CameraExtrinsics) -> bool:
     return place.method.startswith("handeye")
 
 
-def _known_camera(place: CameraPlace) -> KnownPose:
+def _known_camera(place: CameraExtrinsics) -> KnownPose:
     if _by_arm(place):
         return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM)
     return KnownPose(place.pose_parent_camera, place.covariance + _LEAST)
 
 
-def _truth(request: VerifyRequest, limbs: Limbs, scene: HandEyeScene) -> Array | None:
+def _truth(request: VerifyRequest, setup: RobotSetup, scene: HandEyeScene) -> Array | None:
     """(nv,) rad by which the simulated shafts are ahead."""
     if scene.truth is None:
         return None
-    return np.deg2rad([request.zero_offset_deg.get(name, 0.0) for name in limbs.robot.joints])
+    return np.deg2rad([request.zero_offset_deg.get(name, 0.0) for name in setup.robot.joints])

@@ -14,7 +14,7 @@ from robot_ik.errors import ConfigError, apart, close_matches
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.files import shown
 from robot_ik.hardware.arm import ArmState
-from robot_ik.jobs.robot_setup import LastCommand, Limbs
+from robot_ik.jobs.robot_setup import LastCommand, RobotSetup
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.motion.trajectory import Trajectory
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from robot_ik.errors import RobotIkError
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.virtual.faults import Mischief
+    from robot_ik.hardware.virtual.faults import ScriptFaults
     from robot_ik.jobs.script.steps import AnyStep, ScriptFile
-    from robot_ik.jobs.vision import Eyes
+    from robot_ik.jobs.vision import Vision
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
 
@@ -90,25 +90,25 @@ class Script:
 
 
 @dataclass
-class Situation:
+class RunState:
     """Where a run stands.
 
     Attributes:
-        limbs: Robot, servos, clock.
+        setup: Robot, servos, clock.
         solver: Name of a method.
         seed: Of restarts.
-        eyes: None where no step looks.
-        mischief: None on a real port.
+        vision: None where no step looks.
+        script_faults: None on a real port.
         error: The last error of a step; ``status``: of the last solve; ``seconds``: of the last action.
         begin: When the run began, on its clock.
     """
 
     script: Script
-    limbs: Limbs
+    setup: RobotSetup
     solver: str
     seed: int
-    eyes: Eyes | None = None
-    mischief: Mischief | None = None
+    vision: Vision | None = None
+    script_faults: ScriptFaults | None = None
     error: RobotIkError | None = None
     status: str = ""
     seconds: float = 0.0
@@ -116,24 +116,24 @@ class Situation:
     command: LastCommand = field(init=False)
 
     def __post_init__(self) -> None:
-        self.command = LastCommand(self.limbs.robot.home)
+        self.command = LastCommand(self.setup.robot.home)
 
     @property
     def robot(self) -> Robot:
         """Inside the limits of model and arm file together."""
-        return self.limbs.robot
+        return self.setup.robot
 
     @property
     def arm(self) -> Arm:
         """The servos; a script never runs without."""
-        assert self.limbs.arm is not None
-        return self.limbs.arm
+        assert self.setup.arm is not None
+        return self.setup.arm
 
     @property
     def config(self) -> ArmConfig:
         """Of the arm."""
-        assert self.limbs.config is not None
-        return self.limbs.config
+        assert self.setup.config is not None
+        return self.setup.config
 
     @property
     def movable(self) -> bool:
@@ -142,7 +142,7 @@ class Situation:
 
     def now(self) -> float:
         """Seconds since the run began."""
-        return self.limbs.clock.now() - self.begin
+        return self.setup.clock.now() - self.begin
 
     def stand(self) -> None:
         """From here on the arm is taken to have been sent to where it is."""
@@ -182,21 +182,21 @@ class Situation:
             planned, most = apart(trajectory.duration, limit, digits=2)
             raise StepFailed(f"planned {planned} s, allowed {most} s; nothing was sent")
         allowed = trajectory.duration + GRACE if limit is None else limit
-        end = self.limbs.clock.now() + allowed
+        end = self.setup.clock.now() + allowed
 
         def in_time(tick: object) -> None:
-            if self.limbs.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
+            if self.setup.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
                 raise StepFailed(f"not there after {allowed:.2f} s")
 
         execute(
-            trajectory, [self.arm, self.command], source=self.arm, clock=self.limbs.clock, on_tick=in_time
+            trajectory, [self.arm, self.command], source=self.arm, clock=self.setup.clock, on_tick=in_time
         )
         if not arrived():
-            self.repeat(end - self.limbs.clock.now(), arrived)
+            self.repeat(end - self.setup.clock.now(), arrived)
 
     def repeat(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         """Sends the last command again and again, for ``seconds`` or ``until`` it says so."""
-        clock, period = self.limbs.clock, 1.0 / self.config.rate_hz
+        clock, period = self.setup.clock, 1.0 / self.config.rate_hz
         begin, tick = clock.now(), 1
         while tick * period <= seconds + 1e-9:
             clock.sleep_until(begin + tick * period)
@@ -205,4 +205,4 @@ class Situation:
             if until():
                 return
             tick = max(tick + 1, int((now - begin) / period))
-        self.limbs.clock.sleep_until(begin + seconds)
+        self.setup.clock.sleep_until(begin + seconds)

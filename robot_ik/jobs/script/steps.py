@@ -22,7 +22,7 @@ from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.reach import SOLVE_TOLERANCE
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import Script, Situation, StepFailed, error_classes
+from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
 from robot_ik.motion.line import line_move
 from robot_ik.motion.sources import CurveSource
 from robot_ik.motion.trajectory import joint_move
@@ -32,7 +32,7 @@ from robot_ik.solvers import make_solver
 if TYPE_CHECKING:
     from robot_ik.execution import FollowReport
     from robot_ik.hardware.joint_map import JointMap
-    from robot_ik.jobs.robot_setup import Limbs
+    from robot_ik.jobs.robot_setup import RobotSetup
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
 
@@ -350,17 +350,17 @@ def fingers_on(robot: Robot, joint: JointMap) -> int:
     return 1 + sum(coupling.leader == leader for coupling in robot.couplings)
 
 
-def check_grip(script: Script, limbs: Limbs, step: GripStep | ExpectStep, at: str) -> None:
+def check_grip(script: Script, setup: RobotSetup, step: GripStep | ExpectStep, at: str) -> None:
     """Whether there is a gripper, and one that can do this.
 
     Raises:
         ConfigError: There is none, or it opens no width, or cannot be told how hard to press.
     """
-    assert limbs.config is not None
-    aside = limbs.config.aside_of(GRIPPER)
-    if not aside and (isinstance(step, ExpectStep) or not gripper_joints(limbs.robot)):
+    assert setup.config is not None
+    aside = setup.config.aside_of(GRIPPER)
+    if not aside and (isinstance(step, ExpectStep) or not gripper_joints(setup.robot)):
         raise script.wrong(
-            f"the arm of {limbs.robot.name!r} has no gripper",
+            f"the arm of {setup.robot.name!r} has no gripper",
             f"{at}.do",
             "an arm file with a servo for a joint of the group gripper (robot.toml)",
         )
@@ -372,20 +372,20 @@ def check_grip(script: Script, limbs: Limbs, step: GripStep | ExpectStep, at: st
             )
             raise script.wrong(problem, f"{at}.{key}", "opening alone")
     if step.width_mm is not None:
-        most = sum(1e3 * joint.limits[1] * fingers_on(limbs.robot, joint) for joint in aside)
+        most = sum(1e3 * joint.limits[1] * fingers_on(setup.robot, joint) for joint in aside)
         if step.width_mm > most + 1e-9:
             asked, widest = apart(step.width_mm, most, digits=6, form="g")
             raise script.wrong(f"{asked} mm is too wide", f"{at}.width_mm", f"0 to {widest}")
 
 
-def width_mm(now: Situation) -> float:
+def width_mm(now: RunState) -> float:
     """Millimetres between the fingers, measured."""
     at = now.arm.positions()
     joints = now.config.aside_of(GRIPPER)
     return sum(1e3 * at[joint.name] * fingers_on(now.robot, joint) for joint in joints)
 
 
-def grip(now: Situation, step: GripStep, result: StepResult) -> None:
+def grip(now: RunState, step: GripStep, result: StepResult) -> None:
     """Moves the fingers until they are there or something stops them.
 
     Raises:
@@ -499,7 +499,7 @@ def joints_miss(
 # --------------------------------------------------------------------------------------- the steps
 
 
-def go(now: Situation, step: Move, result: StepResult) -> None:
+def go(now: RunState, step: Move, result: StepResult) -> None:
     """Plans, sends, and waits until the servos have arrived.
 
     Raises:
@@ -542,7 +542,7 @@ def line_target(robot: Robot, start: Array, step: LineStep) -> Pose:
     return Pose(position, begin.wxyz if step.wxyz is None else step.wxyz)
 
 
-def solve_for(now: Situation, goal: Goal, start: Array) -> Array:
+def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
     """(nq,) that meets the goal.
 
     Raises:
@@ -557,9 +557,7 @@ def solve_for(now: Situation, goal: Goal, start: Array) -> Array:
     return q
 
 
-def _goal(
-    now: Situation, step: PoseStep | PositionStep | MarkerStep, result: StepResult
-) -> tuple[Goal, Goal]:
+def _goal(now: RunState, step: PoseStep | PositionStep | MarkerStep, result: StepResult) -> tuple[Goal, Goal]:
     """The goal to solve for, and the one by which the arm is judged: at the marker's true place."""
     if not isinstance(step, MarkerStep):
         frame = step.frame or now.robot.tool
@@ -569,10 +567,10 @@ def _goal(
             else PositionGoal(frame, step.position)
         )
         return given, given
-    assert now.eyes is not None
-    seen = now.eyes.find_target()
+    assert now.vision is not None
+    seen = now.vision.find_target()
     assert seen.true_pose is not None  # the camera is synthetic
-    true = seen.true_pose.compose(now.eyes.stage.pose_marker_tool)
+    true = seen.true_pose.compose(now.vision.stage.pose_marker_tool)
     off = float(np.linalg.norm(seen.goal.target.position - true.position))
     result.numbers["seen_off_mm"] = round(1e3 * off, 4)
     goal = seen.goal
@@ -594,7 +592,7 @@ def _angles(robot: Robot, start: Array, step: JointsStep | KeyframeStep | GripSt
 Judge = Callable[[], tuple[bool, str, dict[str, float]]]
 
 
-def _by_pose(now: Situation, step: Move, goal: Goal) -> Judge:
+def _by_pose(now: RunState, step: Move, goal: Goal) -> Judge:
     def judge() -> tuple[bool, str, dict[str, float]]:
         metres, radians = goal.off(now.robot.measure(now.arm.read().q, goal.frame), goal.target)
         mm, deg = 1e3 * metres, float(np.degrees(radians)) if goal.has_angle else None
@@ -605,7 +603,7 @@ def _by_pose(now: Situation, step: Move, goal: Goal) -> Judge:
     return judge
 
 
-def _by_joints(now: Situation, step: Move, wanted: Array) -> Judge:
+def _by_joints(now: RunState, step: Move, wanted: Array) -> Judge:
     def judge() -> tuple[bool, str, dict[str, float]]:
         joint, off, allowed, unit = joints_miss(now.robot, now.arm.read().q, wanted, step)
         here, most = apart(off, allowed, digits=2)
@@ -623,7 +621,7 @@ _ARRIVE = 0.4
 """s given to the servos at the end before the marker's true place judges them."""
 
 
-def follow_goal(now: Situation, step: FollowStep, result: StepResult) -> None:
+def follow_goal(now: RunState, step: FollowStep, result: StepResult) -> None:
     """Follows for the time; judges every tick after ``catch_up_s``, and a marker once more at the end.
 
     A marker is where the scene has it at that time: what the camera makes of late pictures judges nothing.
@@ -649,7 +647,7 @@ def follow_goal(now: Situation, step: FollowStep, result: StepResult) -> None:
             now.solver,
             [now.arm, now.command],
             rate=now.config.rate_hz,
-            clock=now.limbs.clock,
+            clock=now.setup.clock,
             duration=step.seconds,
             start=now.start(),
             tolerance=SOLVE_TOLERANCE,
@@ -663,10 +661,10 @@ def follow_goal(now: Situation, step: FollowStep, result: StepResult) -> None:
 
 
 @contextlib.contextmanager
-def _goals(now: Situation, step: FollowStep, frame: str) -> Iterator[Any]:
+def _goals(now: RunState, step: FollowStep, frame: str) -> Iterator[Any]:
     if step.path == "marker":
-        assert now.eyes is not None
-        with now.eyes.following(now.limbs.clock, step.seconds) as goals:
+        assert now.vision is not None
+        with now.vision.following(now.setup.clock, step.seconds) as goals:
             yield goals
         return
     assert step.center is not None and step.radius is not None and step.period is not None
@@ -675,22 +673,22 @@ def _goals(now: Situation, step: FollowStep, frame: str) -> Iterator[Any]:
     yield make(frame, step.center, step.radius, step.period, normal=normal, wxyz=step.wxyz)
 
 
-def _true_goal(now: Situation) -> Array:
+def _true_goal(now: RunState) -> Array:
     """(3,) where the tool belongs at this moment, which only the scene knows."""
-    assert now.eyes is not None and now.eyes.path is not None
-    marker = now.eyes.path(now.limbs.clock.now())
-    return marker.compose(now.eyes.stage.pose_marker_tool).position
+    assert now.vision is not None and now.vision.path is not None
+    marker = now.vision.path(now.setup.clock.now())
+    return marker.compose(now.vision.stage.pose_marker_tool).position
 
 
 def _tell(
-    now: Situation, step: FollowStep, report: FollowReport, behind: list[float], result: StepResult
+    now: RunState, step: FollowStep, report: FollowReport, behind: list[float], result: StepResult
 ) -> None:
     now.status = "" if report.last is None else report.last.status.name
     result.numbers.update(ticks=report.ticks, held=report.held, solved=report.solved)
     if not (behind and report.solved):
         raise StepFailed(f"no goal was seen after {step.catch_up_s:g} s")
-    if now.eyes is not None and now.eyes.delays is not None and now.eyes.delays[1].count:
-        result.numbers["picture_age_p95_s"] = round(now.eyes.delays[1].p95, 4)
+    if now.vision is not None and now.vision.delays is not None and now.vision.delays[1].count:
+        result.numbers["picture_age_p95_s"] = round(now.vision.delays[1].p95, 4)
     median, worst = float(np.median(behind)), max(behind)
     result.numbers.update(behind_median_mm=round(median, 4), behind_worst_mm=round(worst, 4))
     most, allowed = apart(worst, step.tolerance_mm, digits=2)
@@ -699,14 +697,14 @@ def _tell(
         raise StepFailed(f"lost the goal: {result.found}")
 
 
-def _judge_by_truth(now: Situation, step: FollowStep, result: StepResult) -> None:
+def _judge_by_truth(now: RunState, step: FollowStep, result: StepResult) -> None:
     """Where the marker really lies in the end, which only the scene knows."""
-    assert now.eyes is not None
+    assert now.vision is not None
     now.repeat(_ARRIVE)
-    seen = now.eyes.find_target_again()
+    seen = now.vision.find_target_again()
     assert seen.true_pose is not None
-    true = seen.true_pose.compose(now.eyes.stage.pose_marker_tool)
-    at = now.robot.measure(now.arm.read().q, now.limbs.frame)
+    true = seen.true_pose.compose(now.vision.stage.pose_marker_tool)
+    at = now.robot.measure(now.arm.read().q, now.setup.frame)
     off = 1e3 * float(np.linalg.norm(at.position - true.position))
     result.numbers["off_mm"] = round(off, 4)
     result.found += f"; {off:.2f} mm from where it truly lies"
@@ -735,7 +733,7 @@ class _Finding:
         return self.found if self.right else f"{self.found} instead of {self.wanted}"
 
 
-def expect(now: Situation, step: ExpectStep, result: StepResult) -> None:
+def expect(now: RunState, step: ExpectStep, result: StepResult) -> None:
     """Looks at everything that is expected, and tells all of it.
 
     Raises:
@@ -750,7 +748,7 @@ def expect(now: Situation, step: ExpectStep, result: StepResult) -> None:
         raise StepFailed("; ".join(str(finding) for finding in findings if not finding.right))
 
 
-def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
+def _places(now: RunState, step: ExpectStep) -> Iterator[_Finding]:
     robot = now.robot
     placed = step.position is not None or step.wxyz is not None
     if step.width_mm is not None:
@@ -763,7 +761,7 @@ def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
     jointwise = any(key is not None for key in (step.joints_deg, step.joints_mm, step.keyframe))
     if not placed and not jointwise:
         return
-    q = now.limbs.true_q() if step.shafts else now.arm.read().q
+    q = now.setup.true_q() if step.shafts else now.arm.read().q
     if placed:
         mm, deg = pose_miss(robot, q, step.frame, step.position, step.wxyz)
         if mm is not None:
@@ -776,7 +774,7 @@ def _places(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
         yield _near(off, allowed, unit, joint, "joint_off_deg" if unit == "°" else "joint_off_mm")
 
 
-def _place_of(now: Situation, thing: str) -> Array:
+def _place_of(now: RunState, thing: str) -> Array:
     """(3,) m where a thing lies, which nobody measures: the world knows."""
     servos = now.arm.virtual_bus
     assert servos is not None and servos.world is not None
@@ -790,7 +788,7 @@ def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Findin
     return _Finding(off <= allowed, f"{what} {here}{unit} off", f"at most {most}{unit}", {key: round(off, 4)})
 
 
-def _error(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
+def _error(now: RunState, step: ExpectStep) -> Iterator[_Finding]:
     wanted = [word for word in (step.error, step.joint, step.cause) if word is not None]
     if not wanted:
         return
@@ -809,7 +807,7 @@ def _error(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
         yield _Finding(step.cause in causes, ", ".join(causes) or "no cause", step.cause)
 
 
-def _rest(now: Situation, step: ExpectStep) -> Iterator[_Finding]:
+def _rest(now: RunState, step: ExpectStep) -> Iterator[_Finding]:
     if step.state is not None:
         state = now.arm.state.value
         yield _Finding(state == step.state, f"state {state}", step.state)
@@ -832,7 +830,7 @@ PATIENCE = 2.0
 """s to wait for a port that has gone."""
 
 
-def recover(now: Situation, step: RecoverStep, result: StepResult) -> None:
+def recover(now: RunState, step: RecoverStep, result: StepResult) -> None:
     """Opens a port that had gone, or restarts what has shut down; then torque where the arm stands.
 
     Raises:
