@@ -79,7 +79,7 @@ def example(name: str) -> ModuleType:
 def answer(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
     """What the example solves, and its ball."""
     program, robot = example(scene.example), rik.load_robot(scene.robot)
-    return rik.solve(robot, list(program.wishes(robot).values())), program.BALL
+    return rik.solve(robot, list(program.goals(robot).values())), program.BALL
 
 
 def with_ball(path: Path, place: tuple[float, ...]) -> mujoco.MjModel:

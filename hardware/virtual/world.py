@@ -133,8 +133,8 @@ class Motor:
         rate = velocity / self._ticks_per - dq
         return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
 
-    def push(self, wish: float) -> float:
-        """N m (N) at the joint: ``wish`` within what the motor can do and is allowed to."""
+    def push(self, demand: float) -> float:
+        """N m (N) at the joint: ``demand`` within what the motor can do and is allowed to."""
         servo = self._servo
         shaft = servo.shaft
         if not shaft.powered or shaft.stuck_at is not None:
@@ -147,7 +147,7 @@ class Motor:
         lost = stall * speed / (self._no_load * volts / servo.table.motor.volts)
         limit = drive.torque_limit(servo.memory, volts)
         mode = servo.memory.get("operating_mode")
-        torque = wish / self.gear
+        torque = demand / self.gear
         if mode in drive.TORQUE_MODES:
             torque = shaft.sign * drive.effort(servo.memory, volts)
             torque -= lost if mode == OperatingMode.PWM else 0.0
@@ -290,7 +290,7 @@ class _Joint:
             heft = sum(motor.strength * abs(motor.gear) for motor in self.motors)
             model.dof_armature[self.dof] = heft / ROTOR_ACCELERATION
         self._held: float | None = None
-        self._wishes: list[float | None] = []
+        self._demands: list[float | None] = []
 
     def attach(self) -> None:
         """From here on the joint moves the shafts."""
@@ -304,9 +304,9 @@ class _Joint:
 
     def wanted(self, t: float) -> float:
         """Acceleration that the controllers want, rad/s^2 (m/s^2): of two the mean."""
-        self._wishes = [motor.wanted(t) for motor in self.motors]
-        wishes = [wish for wish in self._wishes if wish is not None]
-        return sum(wishes) / len(wishes) if wishes else 0.0
+        self._demands = [motor.wanted(t) for motor in self.motors]
+        demands = [demand for demand in self._demands if demand is not None]
+        return sum(demands) / len(demands) if demands else 0.0
 
     def push(self, force: float) -> float:
         """N m (N) at the joint of all motors together: ``force`` within what each can do and is allowed to.
@@ -314,12 +314,12 @@ class _Joint:
         Two that want different things pull against each other, as hard as they differ.
         """
         self._hold_if_told()
-        wishes = [wish for wish in self._wishes if wish is not None]
-        mean = sum(wishes) / len(wishes) if wishes else 0.0
-        inertia = self._inertia() if len(wishes) > 1 else 0.0
+        demands = [demand for demand in self._demands if demand is not None]
+        mean = sum(demands) / len(demands) if demands else 0.0
+        inertia = self._inertia() if len(demands) > 1 else 0.0
         total = 0.0
-        for motor, wish in zip(self.motors, self._wishes, strict=True):
-            share = 0.0 if wish is None else (force + inertia * (wish - mean)) / len(wishes)
+        for motor, demand in zip(self.motors, self._demands, strict=True):
+            share = 0.0 if demand is None else (force + inertia * (demand - mean)) / len(demands)
             total += motor.push(share)
         return total
 

@@ -91,17 +91,17 @@ def row_step(
             return -1
         wrong, last = 0, -1
         for u in range(n):
-            wish = 0.0
+            goal_row = 0.0
             for a in range(counts[u]):
-                wish += jacobian[hits[u, a], u] * push[hits[u, a]]
+                goal_row += jacobian[hits[u, a], u] * push[hits[u, a]]
             free[u] = side[u]
             if side[u] == 0:
-                step[u] = wish
-                if wish < low[u] or wish > high[u]:
-                    free[u] = -1 if wish < low[u] else 1
+                step[u] = goal_row
+                if goal_row < low[u] or goal_row > high[u]:
+                    free[u] = -1 if goal_row < low[u] else 1
             else:
                 step[u] = low[u] if side[u] < 0 else high[u]
-                if high[u] > low[u] and damping * (wish - step[u]) * side[u] < -1e-14 * steepest:
+                if high[u] > low[u] and damping * (goal_row - step[u]) * side[u] < -1e-14 * steepest:
                     free[u] = 0
             if free[u] != side[u]:
                 wrong, last = wrong + 1, u

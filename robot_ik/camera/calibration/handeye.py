@@ -126,14 +126,14 @@ class Compressed:
     summed up by the twist of the hand that it would like best, with a covariance: nothing is lost.
 
     Attributes:
-        wish: (n, 6) twist of the hand with which the view's own corners fit best.
+        pseudo_measurement: (n, 6) twist of the hand with which the view's own corners fit best.
         covariance: (n, 6, 6) of the wish, from the pixels alone.
         by_shared: (n, 6, 12) by how much camera and board (12,) change it.
         left: For each view (k,) how far each corner is off after that, in its standard deviations.
         freedom: How many numbers ``left`` is made of, less those that were fitted.
     """
 
-    wish: Array
+    pseudo_measurement: Array
     covariance: Array
     by_shared: Array
     left: tuple[Array, ...]
@@ -154,19 +154,21 @@ def compress(
         intrinsics: Of the pictures' size.
         weights: Of each corner of each view, (k,) each; 1 when not given.
     """
-    wishes, covariances, rows, left = [], [], [], []
+    pseudo_measurements, covariances, rows, left = [], [], [], []
     for k, sample in enumerate(samples):
         miss, shared, hand = view_derivatives(mount, sample, intrinsics)
         w = (np.ones(len(miss)) if weights is None else np.repeat(weights[k], 2)) / sample.view.sigma**2
         covariance = np.linalg.pinv(hand.T @ (w[:, None] * hand), rcond=1e-13, hermitian=True)
-        wish = -covariance @ (hand.T @ (w * miss))
-        wishes.append(wish)
+        pseudo_measurement = -covariance @ (hand.T @ (w * miss))
+        pseudo_measurements.append(pseudo_measurement)
         covariances.append(covariance)
         rows.append(-covariance @ (hand.T @ (w[:, None] * shared)))
-        rest = (miss + hand @ wish).reshape(-1, 2) / sample.view.sigma
+        rest = (miss + hand @ pseudo_measurement).reshape(-1, 2) / sample.view.sigma
         left.append(np.linalg.norm(rest, axis=1))
     freedom = sum(2 * len(one) - 6 for one in left)
-    return Compressed(np.array(wishes), np.array(covariances), np.array(rows), tuple(left), freedom)
+    return Compressed(
+        np.array(pseudo_measurements), np.array(covariances), np.array(rows), tuple(left), freedom
+    )
 
 
 # ------------------------------------------------------------------------------------------
@@ -487,7 +489,9 @@ def _result(
         without = fit_without(data, noise, fit, k)
         points = sample.view.points
         residuals.append(
-            _residual(mount, sample, intrinsics, without.step, without.wish, without.sigmas, points)
+            _residual(
+                mount, sample, intrinsics, without.step, without.pseudo_measurement, without.sigmas, points
+            )
         )
     good = [one for one in residuals if not one.outlier] or residuals
     return HandEye(
@@ -509,14 +513,14 @@ def _residual(
     sample: HandEyeSample,
     intrinsics: CameraIntrinsics,
     step: Array,
-    wish: Array,
+    pseudo_measurement: Array,
     sigmas: float,
     points: Array,
 ) -> ViewResidual:
     others = mount.moved(step)
     # The wish moves the hand so that the board is where it was seen.
     expected = others.pose_camera_board(sample)
-    moved = HandEyeSample(sample.pose_world_hand.compose(Pose.exp(wish)), sample.view)
+    moved = HandEyeSample(sample.pose_world_hand.compose(Pose.exp(pseudo_measurement)), sample.view)
     found = others.pose_camera_board(moved)
     apart = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
     left_out = _rms_distance(others.miss(sample, intrinsics))

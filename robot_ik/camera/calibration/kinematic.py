@@ -120,7 +120,7 @@ class Linear:
     """All views, linear at one state, and what is known of the poses beforehand.
 
     Attributes:
-        wish: (n, 6) twist of the hand, in its axes, that each picture asks for.
+        pseudo_measurement: (n, 6) twist of the hand, in its axes, that each picture asks for.
         pixels: (n, 6, 6) covariance of it from the corners alone.
         rows: (n, 6, nv + 12) by how much the unknowns change it.
         arm: (n, 6, 6) covariance that one rad of error in each joint would give it.
@@ -128,7 +128,7 @@ class Linear:
         data: What ``compress`` gave.
     """
 
-    wish: Array
+    pseudo_measurement: Array
     pixels: Array
     rows: Array
     arm: Array
@@ -188,7 +188,7 @@ class ArmModel:
         off[n : n + 6] = self.camera.off(state.mount.pose_parent_camera)
         off[n + 6 :] = self.board.off(state.mount.pose_other_board)
         arm = by_joint @ by_joint.transpose(0, 2, 1)
-        return Linear(data.wish, data.covariance, rows, arm, prior, off, data)
+        return Linear(data.pseudo_measurement, data.covariance, rows, arm, prior, off, data)
 
     def _hand_jacobian(self, state: ArmState, view: ArmView) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
@@ -521,7 +521,7 @@ def _left_out(model: ArmModel, fitted: _Fitted, view: int) -> PoseError:
     """How one view fits what all others say."""
     step, covariance = fitted.normal.without(view)
     rows = fitted.linear.rows[view]
-    wish = fitted.linear.wish[view] + rows @ step
+    pseudo_measurement = fitted.linear.pseudo_measurement[view] + rows @ step
     expected = fitted.noise.covariances[view] + rows @ covariance @ rows.T
-    sigmas = float(np.sqrt(max(wish @ np.linalg.solve(expected, wish), 0.0)))
+    sigmas = float(np.sqrt(max(pseudo_measurement @ np.linalg.solve(expected, pseudo_measurement), 0.0)))
     return pose_error(model, fitted.state.moved(step), view, expected, sigmas)

@@ -67,12 +67,12 @@ class Without:
 
     Attributes:
         step: (12,) of camera and board.
-        wish: (6,) what the view left out still wishes for then.
+        pseudo_measurement: (6,) what the view left out still wishes for then.
         sigmas: Its length in standard deviations.
     """
 
     step: Array
-    wish: Array
+    pseudo_measurement: Array
     sigmas: float
 
 
@@ -80,7 +80,7 @@ def fit_shared(data: Compressed, noise: ArmNoise) -> Fit:
     """Generalised least squares over all views."""
     weighted = np.linalg.solve(noise.covariances, data.by_shared)  # (n, 6, 12)
     normals = np.einsum("nik,nil->nkl", data.by_shared, weighted)
-    rights = -np.einsum("nik,ni->nk", weighted, data.wish)
+    rights = -np.einsum("nik,ni->nk", weighted, data.pseudo_measurement)
     covariance = np.linalg.pinv(normals.sum(axis=0), rcond=1e-15, hermitian=True)
     return Fit(covariance @ rights.sum(axis=0), covariance, normals, rights)
 
@@ -93,9 +93,13 @@ def fit_without(data: Compressed, noise: ArmNoise, fit: Fit, view: int) -> Witho
     covariance = covariance / np.outer(scale, scale)
     step = covariance @ (fit.rights.sum(axis=0) - fit.rights[view])
     rows = data.by_shared[view]
-    wish = data.wish[view] + rows @ step
+    pseudo_measurement = data.pseudo_measurement[view] + rows @ step
     expected = noise.covariances[view] * noise.weights[view] + rows @ covariance @ rows.T
-    return Without(step, wish, float(np.sqrt(wish @ np.linalg.solve(expected, wish))))
+    return Without(
+        step,
+        pseudo_measurement,
+        float(np.sqrt(pseudo_measurement @ np.linalg.solve(expected, pseudo_measurement))),
+    )
 
 
 def estimate_noise(data: Compressed, pixel_scale: float, before: ArmNoise | None = None) -> ArmNoise:
@@ -117,7 +121,7 @@ def estimate_noise(data: Compressed, pixel_scale: float, before: ArmNoise | None
         position, angle = _most_likely(data, pixels, weights, before)
         covariances = pixels + np.diag([position**2] * 3 + [angle**2] * 3)
         noise = ArmNoise(position, angle, covariances / weights[:, None, None], weights)
-        rest = data.wish + data.by_shared @ fit_shared(data, noise).step
+        rest = data.pseudo_measurement + data.by_shared @ fit_shared(data, noise).step
         squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
         again = np.minimum(1.0, (_FREEDOM + 6.0) / (_FREEDOM + squares))
         noise = ArmNoise(position, angle, covariances / again[:, None, None], again)
@@ -127,8 +131,8 @@ def estimate_noise(data: Compressed, pixel_scale: float, before: ArmNoise | None
 
 def _first_weights(data: Compressed) -> Array:
     """Views that are far off in the middle view's measure begin with little weight."""
-    scale = np.maximum(1.4826 * np.median(np.abs(data.wish), axis=0), 1e-12)
-    return np.asarray(1.0 / np.maximum(1.0, (np.abs(data.wish) / scale).max(axis=1) / 4.0) ** 2)
+    scale = np.maximum(1.4826 * np.median(np.abs(data.pseudo_measurement), axis=0), 1e-12)
+    return np.asarray(1.0 / np.maximum(1.0, (np.abs(data.pseudo_measurement) / scale).max(axis=1) / 4.0) ** 2)
 
 
 def _most_likely(
@@ -156,12 +160,12 @@ def _arm_likelihood(data: Compressed, pixels: Array, weights: Array, pairs: Arra
     arm = np.repeat(pairs**2, 3, axis=1)[:, :, None] * np.eye(6)
     covariances = (pixels + arm[:, None]) / weights[:, None, None]  # (m, n, 6, 6)
     inverse = np.linalg.inv(covariances)
-    rows, wish = data.by_shared.reshape(-1, 12), data.wish.reshape(-1)
+    rows, pseudo_measurement = data.by_shared.reshape(-1, 12), data.pseudo_measurement.reshape(-1)
     normal = rows.T @ (inverse @ data.by_shared).reshape(len(pairs), -1, 12)
-    weighted = (inverse @ data.wish[..., None]).reshape(len(pairs), -1)
+    weighted = (inverse @ data.pseudo_measurement[..., None]).reshape(len(pairs), -1)
     right = weighted @ rows
     fitted = np.linalg.solve(normal, right[..., None])[..., 0]
-    squares = weighted @ wish - np.sum(right * fitted, axis=1)
+    squares = weighted @ pseudo_measurement - np.sum(right * fitted, axis=1)
     logs = np.linalg.slogdet(covariances)[1].sum(axis=1) + np.linalg.slogdet(normal)[1]
     return np.asarray(-0.5 * (logs + squares))
 
@@ -243,7 +247,7 @@ def normal_equations(linear: Linear, noise: JointNoise, free: NDArray[np.int64])
     rows = linear.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
     parts = np.einsum("nik,nil->nkl", rows, weighted)
-    rights = -np.einsum("nik,ni->nk", weighted, linear.wish)
+    rights = -np.einsum("nik,ni->nk", weighted, linear.pseudo_measurement)
     prior = linear.prior[np.ix_(free, free)]
     right = rights.sum(axis=0) - prior @ linear.off[free]
     return Normal(parts.sum(axis=0) + prior, right, parts, rights, free, len(linear.off))
@@ -251,17 +255,17 @@ def normal_equations(linear: Linear, noise: JointNoise, free: NDArray[np.int64])
 
 def cost(linear: Linear, noise: JointNoise) -> float:
     """What is minimised, with the noise held: squares of the views and of what was known before."""
-    weighted = np.linalg.solve(noise.covariances, linear.wish[..., None])[..., 0]
-    squares = noise.weights * np.einsum("ni,ni->n", linear.wish, weighted)
+    weighted = np.linalg.solve(noise.covariances, linear.pseudo_measurement[..., None])[..., 0]
+    squares = noise.weights * np.einsum("ni,ni->n", linear.pseudo_measurement, weighted)
     return float(squares.sum() + linear.off @ linear.prior @ linear.off)
 
 
 def estimate_joint_noise(linear: Linear, free: NDArray[np.int64], before: JointNoise | None) -> JointNoise:
     """Size of the joints' error, then the weights of the views; one turn of each."""
-    n = len(linear.wish)
+    n = len(linear.pseudo_measurement)
     if before is None:
-        scale = np.maximum(1.4826 * np.median(np.abs(linear.wish), axis=0), 1e-12)
-        far = (np.abs(linear.wish) / scale).max(axis=1) / 4.0
+        scale = np.maximum(1.4826 * np.median(np.abs(linear.pseudo_measurement), axis=0), 1e-12)
+        far = (np.abs(linear.pseudo_measurement) / scale).max(axis=1) / 4.0
         weights = np.maximum(1.0, far) ** -2.0
     else:
         weights = before.weights
@@ -272,7 +276,7 @@ def estimate_joint_noise(linear: Linear, free: NDArray[np.int64], before: JointN
         sizes = best * factor ** np.array([-1.0, 0.0, 1.0])
     covariances = linear.pixels + best**2 * linear.arm
     noise = JointNoise(float(best), covariances, weights)
-    rest = linear.wish + linear.rows @ normal_equations(linear, noise, free).step()
+    rest = linear.pseudo_measurement + linear.rows @ normal_equations(linear, noise, free).step()
     squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
     again = np.minimum(1.0, (_FREEDOM + _TWIST) / (_FREEDOM + squares))
     return JointNoise(float(best), covariances, again if n > 1 else np.ones(n))
