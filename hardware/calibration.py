@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import BESIDE_TICKS
+from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.x_series import REVERSE
 

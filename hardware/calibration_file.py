@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError
 from robot_ik.files import config_error, read_json, read_toml, shown, write_atomically
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN
+from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap
 from robot_ik.hardware.x_series import REVERSE
 
 SCHEMA = 1

@@ -18,9 +18,10 @@ from robot_ik.errors import (
     UnsafeCommandError,
 )
 from robot_ik.hardware.bus import ServoBus, read_all, shared_register
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode, Register, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.torque import arm_watchdog

@@ -13,7 +13,7 @@ from pathlib import Path
 from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow, named_users_of, permission_hint
 from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
     ControlTable,
@@ -23,6 +23,7 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
 from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.joint_map import JointMap
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from robot_ik.errors import (
     UnsafeCommandError,
 )
 from robot_ik.hardware.bus import ServoBus, joint_named, read_all, shared_register
-from robot_ik.hardware.config import ArmConfig, JointMap, current_unit
+from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
@@ -29,7 +29,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN
+from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap
 
 # ------------------------------------------------------------------------------------------
 # How hard servos in current-based position mode may press.

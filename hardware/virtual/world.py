@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 
 from robot_ik.errors import UnknownJointError
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import RADIANS_PER_TICK, OperatingMode
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.servo import VirtualServo
 

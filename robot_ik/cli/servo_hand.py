@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.calibration import Sweep
     from robot_ik.hardware.calibration_file import Calibration
-    from robot_ik.hardware.config import ArmConfig, JointMap
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.joint_map import JointMap
     from robot_ik.motion import Trajectory
 
 
@@ -186,7 +187,7 @@ def _calibrate(options: CalibrateOptions, config: ArmConfig, pose: Mapping[str, 
 
 def require_limp(arm: Arm) -> None:
     """Raises ``ArmStateError`` where torque is on: nobody could move the arm by hand."""
-    from robot_ik.hardware.startup import read_all
+    from robot_ik.hardware.bus import read_all
 
     torque = read_all(arm.bus, arm.config, "torque_enable")
     if on := [servo.name for servo in arm.config.servos if torque.get(servo.id)]:
@@ -198,7 +199,7 @@ def require_limp(arm: Arm) -> None:
 
 def _by_hand(arm: Arm, prompts: Prompts, pose: Mapping[str, float], limits: Limits) -> Calibration:
     from robot_ik.hardware import calibration
-    from robot_ik.hardware.startup import read_all, shared_register
+    from robot_ik.hardware.bus import read_all, shared_register
 
     config, bus = arm.config, arm.bus
     present = shared_register(config, "present_position")
@@ -258,8 +259,8 @@ def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
 
 
 def _imported(arm: Arm, path: Path, limits: Limits) -> Calibration:
+    from robot_ik.hardware.bus import read_all
     from robot_ik.hardware.calibration_file import completed, load_lerobot
-    from robot_ik.hardware.startup import read_all
 
     found = load_lerobot(path, arm.config, _now())
     firmware = read_all(arm.bus, arm.config, "firmware_version")
@@ -376,7 +377,7 @@ def run_teach(options: TeachOptions) -> int:
 
 
 def _record(options: TeachOptions, config: ArmConfig) -> int:
-    from robot_ik.hardware.startup import shared_register
+    from robot_ik.hardware.bus import shared_register
 
     times: list[float] = []
     poses: list[list[float]] = []

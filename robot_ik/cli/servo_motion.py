@@ -27,8 +27,9 @@ from robot_ik.errors import apart
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
-    from robot_ik.hardware.config import ArmConfig, JointMap
+    from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.control_table import Register
+    from robot_ik.hardware.joint_map import JointMap
     from robot_ik.hardware.recovery import Reset
 
 

@@ -210,8 +210,8 @@ def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
 ) -> None:
     """Asked of the servos themselves, which live in another process."""
     from robot_ik.hardware import open_bus
+    from robot_ik.hardware.bus import shared_register
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.startup import shared_register
 
     program = [sys.executable, "-m", "robot_ik"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}

@@ -16,8 +16,9 @@ from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated, check_calibration
 from robot_ik.hardware.calibration_file import Calibration, load_lerobot, save_lerobot
-from robot_ik.hardware.config import ArmConfig, JointMap, Twin
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.joint_map import JointMap, Twin
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
 

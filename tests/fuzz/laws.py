@@ -16,10 +16,11 @@ from typing import Any
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.discovery import ScanBus
 from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.packets import FastParser, StatusParser
 from robot_ik.hardware.packets import crc as host_crc
 from robot_ik.hardware.simulated import InProcessPort, SimBus
