@@ -309,14 +309,14 @@ def open_source(
     return source
 
 
-def _opener(kind: str) -> Callable[..., FrameSource]:
+def _opener(kind: str) -> Callable[..., ClosingSource]:
     """What opens a source that is not a file: those modules build on this one."""
     module, name = _OPENERS[kind]
-    opener: Callable[..., FrameSource] = getattr(importlib.import_module(module), name)
+    opener: Callable[..., ClosingSource] = getattr(importlib.import_module(module), name)
     return opener
 
 
-def _open_file(path: Path, text: str, real_time: bool) -> FrameSource:
+def _open_file(path: Path, text: str, real_time: bool) -> ClosingSource:
     if text.startswith("synthetic:"):
         return _opener("synthetic")(text)
     if path.is_dir():
