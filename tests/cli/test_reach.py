@@ -204,7 +204,9 @@ def test_the_limits_name_the_side_that_gave_way(robot_ik: Any, tmp_path: Path) -
     assert "end" not in line
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.soak), (signal.SIGTERM, 143)]
+)
 def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
     number: int, code: int, robot_ik_child: Any, tmp_path: Path
 ) -> None:
