@@ -166,8 +166,15 @@ class Solver(ABC):
         Raises:
             As ``solve``.
         """
-        with problem.in_use():
+        turn = problem.turn
+        try:
+            turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
+        try:
             self.attempt_many(problem, targets, starts, answers, problem.budget)
+        finally:
+            turn.append(None)
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:

@@ -19,7 +19,7 @@ from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.near import starts_near, starts_near_many
-from robot_ik.kernels.work import BEST_COST, RUN
+from robot_ik.kernels.work import BEST_COST, CONVERGED, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
@@ -155,7 +155,9 @@ class Combined(Solver):
         budget: Budget,
     ) -> None:
         members[0].attempt_many(problem, targets, starts, answers, budget)
-        left = np.flatnonzero(answers.status != Status.CONVERGED)
+        if np.count_nonzero(answers.status == CONVERGED) == len(targets):
+            return
+        left = np.flatnonzero(answers.status != CONVERGED)
         if members[0].name == members[-1].name:
             left = left[answers.status[left] != Status.UNREACHABLE]
         if not len(left) or len(members) == 1:
@@ -311,11 +313,13 @@ class Auto(Combined):
             return
         near = np.zeros(len(targets), dtype=np.int64)
         _WHICH_NEAR(turns.address, _NEAR, targets, starts, near)
+        count = np.count_nonzero(near)
+        if count in (0, len(near)):
+            members = turns.nearby if count else turns.members
+            self._many_in_turn(members, problem, targets, starts, answers, budget)
+            return
         for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
-            if here.all():
-                self._many_in_turn(members, problem, targets, starts, answers, budget)
-            elif here.any():
-                part = Answers.empty(int(here.sum()), answers.q.shape[1])
-                self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
-                for item in fields(Answers):
-                    getattr(answers, item.name)[here] = getattr(part, item.name)
+            part = Answers.empty(np.count_nonzero(here), answers.q.shape[1])
+            self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
+            for item in fields(Answers):
+                getattr(answers, item.name)[here] = getattr(part, item.name)

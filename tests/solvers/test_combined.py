@@ -1,5 +1,8 @@
 """Methods in turn, and batches."""
 
+import math
+import time
+
 import numpy as np
 import pytest
 
@@ -155,6 +158,19 @@ def test_lists_of_poses_are_batches_too(puma):
     assert np.abs(solve_batch(puma, poses[0]).q - by_matrix.q[:1]).max() < 1e-9
     with pytest.raises(InvalidGoalError, match="poses"):
         solve_batch(puma, [poses[0], "nothing"])
+
+
+def test_a_batch_of_one_pose_costs_no_more_than_a_few_solves(puma):
+    pose = poses_of(puma, 1)[0]
+    goal, matrices = PoseGoal.at(None, pose), pose.matrix[None]
+    calls = (lambda: solve(puma, goal)), (lambda: solve_batch(puma, matrices))
+    times = [math.inf, math.inf]
+    for _ in range(300):  # in turn, so that other work on the machine meets both
+        for k, call in enumerate(calls):
+            began = time.perf_counter()
+            call()
+            times[k] = min(times[k], time.perf_counter() - began)
+    assert times[1] < 3.8 * times[0]
 
 
 # ------------------------------------------------------------------------------ what auto asks first
