@@ -232,7 +232,7 @@ def test_a_batch_chooses_as_one_solve_does(name):
 
 
 def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
-    from robot_ik.bench.first_choice import METHODS, choose
+    from robot_ik.bench.first_choice import METHODS, choose, over_best
     from robot_ik.solvers.analytic.geometry import Family
     from robot_ik.solvers.first_choice import FIRST_CHOICE
 
@@ -242,7 +242,22 @@ def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
         METHODS
     )
     times = {
-        ("limb", "cold"): {"lm": 12.0, "analytic": 36.0},
-        ("limb", "warm"): {"lm": 9.5, "analytic": 10.0},
+        ("limb", "one", "cold"): {"lm": 12.0, "analytic": 36.0, "auto": 12.5},
+        ("limb", "one", "warm"): {"lm": 9.5, "analytic": 10.0, "auto": 13.0},
+        ("wrist", "one", "warm"): {"lm": 7.0, "analytic": 9.0, "auto": 7.5},
+        ("wrist", "other", "warm"): {"lm": 14.0, "analytic": 9.0, "auto": 9.5},
     }
-    assert choose(times) == {("limb", "cold"): "lm", ("limb", "warm"): "analytic"}
+    wanted = {("limb", "cold"): "lm", ("limb", "warm"): "analytic", ("wrist", "warm"): "analytic"}
+    assert choose(times) == wanted  # of two arms of a family both count
+    assert over_best(times["limb", "one", "warm"]) == pytest.approx(13.0 / 9.5)
+
+
+def test_what_the_choice_is_measured_on_has_a_closed_form_for_poses_in_every_family():
+    from robot_ik.bench.first_choice import arms
+    from robot_ik.solvers.first_choice import FIRST_CHOICE
+
+    analytic, found = make_solver("analytic"), []
+    for arm in arms():
+        found.append(analytic.family(Problem(arm, PoseGoal(None, (0.0, 0.0, 0.0)))))
+    assert set(found) == {family for family, _ in FIRST_CHOICE}
+    assert found[-1] == "limb" and arms()[-1].name == "iiwa-like"
