@@ -337,7 +337,7 @@ class Auto(Combined):
             self._many_in_turn(members, problem, targets, starts, answers, budget)
             return
         for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
-            part = Answers.empty(np.count_nonzero(here), answers.q.shape[1])
+            part = Answers.empty(int(here.sum()), answers.q.shape[1])
             self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
             for item in fields(Answers):
                 getattr(answers, item.name)[here] = getattr(part, item.name)
