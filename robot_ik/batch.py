@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 
 # How far a matrix may be from a rotation: what six written digits leave.
 _ROUNDING = 1e-5
+# So many matrices are checked one by one.
+_FEW = 8
 # Below this many poses for each thread, starting threads costs more than it gains.
 _LEAST_PER_THREAD = 256
 
@@ -87,21 +90,23 @@ def run_batch(
     if threads is not None and threads < 1:
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     answers = Answers.empty(len(targets), starts.shape[1])
-    count = max(1, min(threads or usable_cores(), len(targets) // _LEAST_PER_THREAD))
-    edges = [len(targets) * k // count for k in range(count + 1)]
+    most = len(targets) // _LEAST_PER_THREAD
+    count = min(threads or usable_cores(), most) if most > 1 else 1
 
-    def part(k: int) -> str:
-        here = slice(edges[k], edges[k + 1])
+    def part(targets: Array, starts: Array, answers: Answers) -> str:
         with parts() as (method, problem):
-            method.solve_many(problem, targets[here], starts[here], answers.part(here))
+            method.solve_many(problem, targets, starts, answers)
         return method.name
 
     began = time.perf_counter()
     if count == 1:
-        name = part(0)
+        name = part(targets, starts, answers)
     else:
+        edges = [len(targets) * k // count for k in range(count + 1)]
+        shares = [slice(first, last) for first, last in itertools.pairwise(edges)]
         with ThreadPoolExecutor(count) as pool:
-            name, *_ = list(pool.map(part, range(count)))
+            done = [pool.submit(part, targets[s], starts[s], answers.part(s)) for s in shares]
+            name, *_ = [one.result() for one in done]
     miss, seconds = answers.miss, time.perf_counter() - began
     return BatchSolution(
         answers.q, answers.status, miss[:, 0], miss[:, 1], answers.iterations, answers.restarts, seconds, name
@@ -163,14 +168,21 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
 
 def _require_rotations(rows: Array) -> None:
     """Raises ``InvalidGoalError`` unless all matrices in pose rows (n, 12) turn and do nothing else."""
-    a, b, c, d, e, f, g, h, i = np.ascontiguousarray(rows[:, 3:].T)  # row by row; one copy, then quick sums
-    # Unit columns of which the third is the cross product of the others.
-    off = np.abs(a * a + d * d + g * g - 1.0) + np.abs(b * b + e * e + h * h - 1.0)
-    off += np.abs(d * h - g * e - c) + np.abs(g * b - a * h - f) + np.abs(a * e - d * b - i)
-    if len(off) and off.max() > _ROUNDING:
+    turns = rows[:, 3:]
+    if len(rows) <= _FEW:  # Python's own numbers are quicker for so few
+        off: Any = [_from_rotation(*row) for row in turns.tolist()]
+    else:  # row by row; one copy, then quick sums
+        off = _from_rotation(*np.ascontiguousarray(turns.T))
+    if len(off) and np.max(off) > _ROUNDING:
         raise InvalidGoalError(
             f"the matrix of pose {int(np.argmax(off))} does not turn: it scales or mirrors"
         )
+
+
+def _from_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any) -> Any:
+    """How far a matrix, row by row, is from unit columns of which the third is the others' cross product."""
+    off = abs(a * a + d * d + g * g - 1.0) + abs(b * b + e * e + h * h - 1.0)
+    return off + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)
 
 
 def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
@@ -185,4 +197,6 @@ def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
             f"starts have shape {array.shape}",
             hint=f"give finite ({robot.nq},) for all or ({count}, {robot.nq})",
         )
-    return np.ascontiguousarray(np.broadcast_to(array, (count, robot.nq)))
+    rows = np.empty((count, robot.nq))
+    rows[...] = array
+    return rows

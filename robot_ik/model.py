@@ -26,7 +26,7 @@ from robot_ik.errors import (
     UnsupportedJointError,
 )
 from robot_ik.files import LARGEST_NUMBER, read_text
-from robot_ik.geometry import Pose, rotation_exp, turn_z_to
+from robot_ik.geometry import Pose, rotation_entries, rotation_exp, turn_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.robot_file import RobotFile
 from robot_ik.urdf import Urdf
@@ -353,9 +353,7 @@ class Attachment:
 
 def pose_row(pose: Pose) -> Array:
     """(12,): position, then the rotation matrix row by row."""
-    row = np.empty(12)
-    row[:3], row[3:] = pose.position, pose.rotation.ravel()
-    return row
+    return np.array((*pose.position.tolist(), *rotation_entries(pose.wxyz)))
 
 
 def row_pose(row: Array) -> Pose:

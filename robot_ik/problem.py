@@ -397,10 +397,14 @@ class Problem:
 
     def _put(self, goal: Goal, index: int) -> None:
         """Takes a goal of the same kind in place of one."""
+        self._aim(goal, index)
+        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
+
+    def _aim(self, goal: Goal, index: int) -> None:
+        """Takes the target of a goal of the same kind."""
         if isinstance(goal, PostureGoal):
             set_posture(self.robot, self.compiled.goal_arrays, index, goal)
         self.target[index] = target_row(goal)
-        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
 
     def exchange(self, goals: Sequence[Goal]) -> None:
         """Takes goals with the same ``goal_kind`` in place of all: other targets, other sizes of weights."""
@@ -409,7 +413,8 @@ class Problem:
                 metres, radians = goal.weights
                 weight = metres / self.length(goal), radians
                 self.weights[index] = self.compiled.goal_arrays["weight"][index] = weight
-            self._put(goal, index)
+            self._aim(goal, index)
+        self.given = tuple(goals)
 
     def _require_same(self, target: Goal, index: int) -> None:
         """Raises ``InvalidGoalError`` unless ``target`` differs from the goal in its target only."""

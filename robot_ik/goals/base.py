@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Squares of larger numbers leave the range of floats.
+# Squares of larger numbers, or of longer vectors, leave the range of floats.
 LARGEST = 1e100
 # Made once: goals are made in loops.
 _WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
@@ -69,11 +69,11 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
     if array.shape != (size,):
         found = array.size if array.size != size else f"an array of shape {array.shape}"
         raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
-    for number in array.tolist():  # quicker than NumPy's for so few
-        if not -LARGEST <= number <= LARGEST:
-            bound = "finite" if not math.isfinite(number) else f"below {LARGEST:g}"
-            raise InvalidGoalError(f"{what} must be {bound}, not {array.tolist()}")
-    array.flags.writeable = False
+    found = array.tolist()  # Python's own numbers are quicker for so few
+    if not math.hypot(*found) <= LARGEST:  # NaN too
+        bound = f"below {LARGEST:g}" if all(map(math.isfinite, found)) else "finite"
+        raise InvalidGoalError(f"{what} must be {bound}, not {found}")
+    array.setflags(write=False)
     return array
 
 
@@ -242,8 +242,7 @@ class Goal:
 
     def _set(self, **values: object) -> None:
         """Puts checked values into the frozen fields."""
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
+        self.__dict__.update(values)
 
     @property
     def rows(self) -> Rows:

@@ -11,11 +11,14 @@ from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION
 from robot_ik.kernels.rotation_rows import curvature
 from robot_ik.kernels.tree import HINGE, SLIDE
 
+# Beyond so many joints the matrix costs more than the steps that it saves: its factors grow with the cube.
+_MOST_JOINTS = 64
+
 
 @pure
 def has_second_order(tree, goal):
-    """Whether ``second_order`` knows all of a problem: hinges and slides, whole goals, nothing tied."""
-    if goal.tied.shape[0] > 0:
+    """Whether ``second_order`` serves a problem: some hinges and slides, whole goals, nothing tied."""
+    if goal.tied.shape[0] > 0 or goal.dofs.shape[0] > _MOST_JOINTS:
         return False
     for g in range(goal.kind.shape[0]):
         if goal.kind[g] == PARTIAL:

@@ -166,8 +166,15 @@ class Solver(ABC):
         Raises:
             As ``solve``.
         """
-        with problem.in_use():
+        turn = problem.turn
+        try:
+            turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
+        try:
             self.attempt_many(problem, targets, starts, answers, problem.budget)
+        finally:
+            turn.append(None)
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
@@ -247,7 +254,9 @@ class IterativeSolver(Solver):
             run = self._run_for(problem)
         if run.budget is not budget or run.seed != problem.seed:
             run.renew(budget, problem.seed)
-        if type(start) is np.ndarray and start.shape == run.shape:
+        if start is run.start:
+            pass  # ``auto`` has put it there
+        elif type(start) is np.ndarray and start.shape == run.shape:
             run.start[...] = start  # the kernel asks whether it is finite
         else:
             run.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
@@ -364,7 +373,8 @@ def take_start(problem: Problem, start: ArrayLike | None) -> None:
     """
     begin = problem.arrays["start"]
     if type(start) is np.ndarray and start.shape == begin.shape:
-        begin[...] = start
+        if start is not begin:
+            begin[...] = start
         if math.isfinite(sum(begin.tolist())):  # quicker than NumPy's for so few
             return
     begin[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")

@@ -242,6 +242,7 @@ def test_masses_are_those_of_the_readme_and_inertias_those_of_bodies(arm: OwnedA
 
 def test_every_keyframe_is_inside_the_limits_and_touches_nothing(arm: OwnedArm) -> None:
     for model in (arm.model, arm.scene):
+        assert model.nkey >= 1
         for k in range(model.nkey):
             qpos = np.array(model.key(k).qpos)
             assert touching(model, arm.posed(qpos, model)) == [], model.key(k).name

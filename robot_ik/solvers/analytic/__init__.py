@@ -172,7 +172,9 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations,
         )  # fmt: skip
-        if prepared.prove is not None and (answers.status != CONVERGED).any():
+        if np.count_nonzero(answers.status == CONVERGED) == len(targets):
+            return
+        if prepared.prove is not None:
             prepared.prove(prepared.addresses[1], prepared.addresses[3], targets, answers.status)
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
