@@ -10,8 +10,6 @@ context and compiles nothing.
 """
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
         PositionGoal,
         PostureGoal,
     )
+    from robot_ik.inverse_kinematics import solve, solve_all, solve_batch, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot, load_robot, make_chain
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Miss, Solution, Status
-    from robot_ik.solve import solve, solve_all, solve_batch, warm_up
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
@@ -65,7 +63,7 @@ _HOME = {
     "robot_ik.robot": ("Robot", "load_robot", "make_chain"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
-    "robot_ik.solve": ("solve", "solve_all", "solve_batch", "warm_up"),
+    "robot_ik.inverse_kinematics": ("solve", "solve_all", "solve_batch", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -111,19 +109,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-
-    class _Package(ModuleType):
-        """A package whose public names win over its modules of the same name (``solve``, ``catalogue``).
-
-        Importing ``robot_ik.solve`` anywhere would otherwise put the module where the function belongs.
-        """
-
-        def __setattr__(self, name: str, value: Any) -> None:
-            if isinstance(value, ModuleType) and _MODULE_OF.get(name) == value.__name__:
-                value = getattr(value, name)
-            super().__setattr__(name, value)
-
-    sys.modules[__name__].__class__ = _Package
 
     def __getattr__(name: str) -> Any:
         module = _MODULE_OF.get(name)

@@ -419,7 +419,7 @@ class _Chase:
 
         A goal on another chain of joints, or several at once, may need more: that is loaded with the first.
         """
-        from robot_ik.solve import warm_up
+        from robot_ik.inverse_kinematics import warm_up
 
         for goal in (PoseGoal(None, (0.0, 0.0, 0.0)), PositionGoal(None, (0.0, 0.0, 0.0))):
             with contextlib.suppress(RobotIkError):  # a kind of goal that the method does not serve

@@ -529,7 +529,7 @@ def random_q(tree: Tree, home: Array, rng: np.random.Generator) -> Array:
 # Joints that follow another, from the model's joint equalities and from ``robot.toml``.
 #
 # q = q₀ + a₀ + a₁ x + … + a₄ x⁴ with x = leader − leader₀: MuJoCo's joint equality (XML reference,
-# equality/joint).  Solvers move leaders only; ``kernels/couplings.py`` lets the tied joints follow.
+# equality/joint).  Solvers move leaders only; ``kernels/kinematics.py`` lets the tied joints follow.
 
 
 _DEGREE = 4

@@ -231,7 +231,7 @@ ALLOWED = {
     ("robot_ik/cli/doctor.py", "read_text"): "/sys",
     ("robot_ik/camera/device.py", "read_text"): "/sys",
     ("robot_ik/bench/methods/results.py", "read_text"): "/proc",
-    ("robot_ik/bench/first_choice.py", "read_text"): "a source of this package, which it writes anew",
+    ("robot_ik/bench/methods/first_choice.py", "read_text"): "a source of this package, which it writes anew",
     ("robot_ik/bench/peers/results.py", "*"): "between processes of one bench, in a folder of its own",
     ("robot_ik/bench/peers/worker.py", "*"): "likewise; it runs without robot_ik",
     ("robot_ik/bench/peers/tasks.py", "from_xml_string"): "a model that it writes itself",

@@ -31,10 +31,10 @@ from robot_ik.errors import ModelError, OutputError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.inverse_kinematics import solve
 from robot_ik.robot import Robot
 from robot_ik.robot_file import GalleryScene
 from robot_ik.solution import Solution
-from robot_ik.solve import solve
 
 # ------------------------------------------------------------------------------------------
 # A robot photographed in an empty studio: rays and soft shadows on a seamless floor, no OpenGL.

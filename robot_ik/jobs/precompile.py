@@ -25,7 +25,7 @@ from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
-from robot_ik.solvers.analytic.entry import closed_form
+from robot_ik.solvers.analytic import closed_form
 from robot_ik.solvers.base import IterativeSolver, Solver
 from robot_ik.solvers.levenberg_marquardt import lm
 

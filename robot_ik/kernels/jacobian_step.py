@@ -19,9 +19,9 @@ its work and it holds nobody back.  Joints inside their range are never pinned.
 import math
 
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.loop import room
 from robot_ik.kernels.residuals import goal_jacobian
-from robot_ik.kernels.room import room
-from robot_ik.kernels.work import COST, DAMPING, POLISHING, PRESSED, SHARE
+from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 
 # A joint with less room than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12

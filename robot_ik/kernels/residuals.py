@@ -9,20 +9,433 @@ to that of its leader.  A stiff joint's column is shortened by ``goal.ease``, an
 the step by the same: minimising the damped step then spares the joint (weighted least squares,
 Whitney, J. Dynamic Systems, Measurement and Control 94(4), 1972).
 """
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 from numba import types
+from numpy.typing import NDArray
 
 from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.couplings import slope_of
-from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity
-from robot_ik.kernels.partial_rows import partial_column, partial_rows
-from robot_ik.kernels.rotation_rows import bent, curvature, rotation_error
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.jit import entry, kernel, outlined, pure
+from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity, slope_of
+from robot_ik.kernels.tree import BALL, FREE, SLIDE, open_tree
+from robot_ik.kernels.workspace import open_work
+
+# ------------------------------------------------------------------------------------------
+# Residuals of turning, and how they shrink while a frame turns: whole orientations, and single axes.
+
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+
+# Nearer than this (sine of the angle) two axes are one, or opposite.
+_PARALLEL = 1e-9
+
+
+@outlined
+def rotation_error(target, current, g, out, at):
+    """Rotation vector, world axes, that turns current[g] into target[g] (pose rows), into out[at:at+3].
+
+    Returns its angle in [0, pi].  Exact at both ends: near pi the axis comes from the symmetric part.
+    """
+    # M = R_target · R_currentᵀ, of which only what is needed is formed.
+    m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
+    m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
+    m02 = target[g, 3] * current[g, 9] + target[g, 4] * current[g, 10] + target[g, 5] * current[g, 11]
+    m10 = target[g, 6] * current[g, 3] + target[g, 7] * current[g, 4] + target[g, 8] * current[g, 5]
+    m11 = target[g, 6] * current[g, 6] + target[g, 7] * current[g, 7] + target[g, 8] * current[g, 8]
+    m12 = target[g, 6] * current[g, 9] + target[g, 7] * current[g, 10] + target[g, 8] * current[g, 11]
+    m20 = target[g, 9] * current[g, 3] + target[g, 10] * current[g, 4] + target[g, 11] * current[g, 5]
+    m21 = target[g, 9] * current[g, 6] + target[g, 10] * current[g, 7] + target[g, 11] * current[g, 8]
+    m22 = target[g, 9] * current[g, 9] + target[g, 10] * current[g, 10] + target[g, 11] * current[g, 11]
+    x, y, z = 0.5 * (m21 - m12), 0.5 * (m02 - m20), 0.5 * (m10 - m01)
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (m00 + m11 + m22 - 1.0)
+    angle = math.atan2(sine, cosine)
+    if cosine > -0.9:
+        scale = 1.0 + sine * sine / 6.0 if sine < 1e-6 else angle / sine
+        out[at], out[at + 1], out[at + 2] = scale * x, scale * y, scale * z
+        return angle
+    # u uᵀ (1 − cos) = symmetric part of M − cos·1: take its largest column as the axis.
+    s00, s11, s22 = m00 - cosine, m11 - cosine, m22 - cosine
+    s01, s02, s12 = 0.5 * (m01 + m10), 0.5 * (m02 + m20), 0.5 * (m12 + m21)
+    if s00 >= s11 and s00 >= s22:
+        u, v, w = s00, s01, s02
+    elif s11 >= s22:
+        u, v, w = s01, s11, s12
+    else:
+        u, v, w = s02, s12, s22
+    norm = math.sqrt(u * u + v * v + w * w)
+    if u * x + v * y + w * z < 0.0:
+        norm = -norm
+    scale = angle / norm
+    out[at], out[at + 1], out[at + 2] = scale * u, scale * v, scale * w
+    return angle
+
+
+@pure
+def curvature(x, y, z):
+    """The k of ``bent``, which depends on φ = (x, y, z) alone."""
+    square = x * x + y * y + z * z
+    if square < 1e-6:
+        return 1.0 / 12.0 + square / 720.0
+    half = 0.5 * math.sqrt(square)
+    return (1.0 - half / math.tan(half)) / square
+
+
+@pure
+def bent(x, y, z, k, a, b, c):
+    """J_r⁻¹(φ) ω for φ = (x, y, z), ω = (a, b, c): ω + ½ φ×ω + k φ×(φ×ω).
+
+    How φ = log(R_target R_currentᵀ) shrinks while the current frame turns with ω; J_r is the right
+    Jacobian of SO(3) (Solà et al., A micro Lie theory for state estimation, 2018, eq. 144).
+    """
+    p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+    return (
+        a + 0.5 * p + k * (y * r - z * q),
+        b + 0.5 * q + k * (z * p - x * r),
+        c + 0.5 * r + k * (x * q - y * p),
+    )
+
+
+@pure
+def inverse_right_jacobian(x, y, z, a, b, c):
+    """``bent`` for a single ω."""
+    return bent(x, y, z, curvature(x, y, z), a, b, c)
+
+
+@pure
+def rotation_back(q, a, rw, rx, ry, rz):
+    """Rotation vector, body axes, that turns the quaternion q[a:a+4] into (rw, rx, ry, rz), the short way."""
+    w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
+    x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
+    y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
+    z = q[a] * rz - q[a + 1] * ry + q[a + 2] * rx - q[a + 3] * rw
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
+    return scale * x, scale * y, scale * z
+
+
+@pure
+def across(x, y, z):
+    """A unit vector at right angles to the unit vector: its cross product with the farthest world axis."""
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        ux, uy, uz = 0.0, z, -y
+    elif abs(y) <= abs(z):
+        ux, uy, uz = -z, 0.0, x
+    else:
+        ux, uy, uz = y, -x, 0.0
+    inverse = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+    return inverse * ux, inverse * uy, inverse * uz
+
+
+@pure
+def axis_error(ax, ay, az, dx, dy, dz):
+    """Rotation vector, world axes, that turns the unit vector a the short way onto the unit vector d.
+
+    Returns it with its angle in [0, pi]; at half a turn any axis across a will do.
+    """
+    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
+    cosine = ax * dx + ay * dy + az * dz
+    angle = math.atan2(sine, cosine)
+    if sine > _PARALLEL:
+        scale = angle / sine
+        return scale * nx, scale * ny, scale * nz, angle
+    if cosine > 0.0:
+        return nx, ny, nz, angle
+    ux, uy, uz = across(ax, ay, az)
+    return angle * ux, angle * uy, angle * uz, angle
+
+
+@pure
+def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
+    """Minus the derivative of ``axis_error`` while a moves with the velocity p and d with q.
+
+    With n = a × d, s = |n|, c = a·d and θ the angle, the error is (θ/s) n; its derivative is
+    (θ/s) n' − ((s − θ c)/s³) c' n, since s θ' = −c'.
+    """
+    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
+    cosine = ax * dx + ay * dy + az * dz
+    angle = math.atan2(sine, cosine)
+    if sine < 1e-3 and cosine > 0.0:
+        ratio, slope = 1.0 + angle * angle / 6.0, 1.0 / 3.0 + 2.0 * angle * angle / 15.0
+    elif sine > _PARALLEL:
+        ratio, slope = angle / sine, (sine - angle * cosine) / (sine * sine * sine)
+    else:  # half a turn: only the way about the axis that ``axis_error`` takes counts
+        ux, uy, uz = across(ax, ay, az)
+        wx = (ay * pz - az * py) - (dy * qz - dz * qy)
+        wy = (az * px - ax * pz) - (dz * qx - dx * qz)
+        wz = (ax * py - ay * px) - (dx * qy - dy * qx)
+        turned = ux * wx + uy * wy + uz * wz
+        return turned * ux, turned * uy, turned * uz
+    along = (px * dx + py * dy + pz * dz) + (ax * qx + ay * qy + az * qz)
+    rx = (py * dz - pz * dy) + (ay * qz - az * qy)
+    ry = (pz * dx - px * dz) + (az * qx - ax * qz)
+    rz = (px * dy - py * dx) + (ax * qy - ay * qx)
+    return (
+        slope * along * nx - ratio * rx,
+        slope * along * ny - ratio * ry,
+        slope * along * nz - ratio * rz,
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# Rows of the goals that ask for a part of a pose, for the centre of mass or for the joints.
+#
+# Whole positions, orientations and poses have a path of their own in ``residuals.py``, which is quicker.
+# A goal says in ``goal.how`` which rows it makes:
+#
+#     place   all three coordinates, some of them in the axes of the target, or one side of a plane only
+#     turn    the whole orientation, one axis along the target's, or one axis aimed at the target's origin
+#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves
+#
+# The axis that counts is always z: ``Problem`` turns frame and target so that it is.
+
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+
+NO_PLACE, WHOLE, SOME_AXES, ONE_SIDE = range(4)
+NO_TURN, ALL_AXES, ONE_AXIS, AIMED = range(4)
+OF_FRAME, OF_MASS, OF_JOINTS = range(3)
+# Columns of goal.how; BLOCK is the first row of the goal's masses.
+PLACE, TURN, OF, BLOCK, HOW_SIZE = range(5)
+
+# Nearer to the point that it aims at than this, in metres, a frame has no direction to aim in.
+_AT_POINT = 1e-9
+
+
+@outlined
+def mass_center(tree, goal, work, g):
+    """Centre of mass into frames[g, :3]; first moments of what hangs on each node into goal.moments.
+
+    goal.masses holds for each node its own mass and centre, seen from the node, and in a last row those
+    of the bodies that do not move.
+    """
+    parent, world, masses, moments, frames = tree.parent, work.world, goal.masses, goal.moments, work.frames
+    n, first = parent.shape[0], goal.how[g, BLOCK]
+    for k in range(n):
+        mass = masses[first + k, 0]
+        moments[first + k, 0] = mass
+        for i in range(3):
+            moments[first + k, 1 + i] = 0.0
+            if mass > 0.0:
+                moments[first + k, 1 + i] = mass * (
+                    world[k, i]
+                    + world[k, 3 + 3 * i] * masses[first + k, 1]
+                    + world[k, 4 + 3 * i] * masses[first + k, 2]
+                    + world[k, 5 + 3 * i] * masses[first + k, 3]
+                )
+    still = first + n
+    moments[still, 0] = masses[still, 0]
+    for i in range(1, 4):
+        moments[still, i] = masses[still, 0] * masses[still, i]
+    for back in range(n):
+        k = n - 1 - back
+        onto = first + parent[k] if parent[k] >= 0 else still
+        for i in range(4):
+            moments[onto, i] += moments[first + k, i]
+    for i in range(3):
+        frames[g, i] = moments[still, 1 + i] / moments[still, 0]
+
+
+@pure
+def mass_velocity(goal, work, g, k, ax, ay, az, turn):
+    """Velocity of the centre of mass per unit of a degree of freedom of node ``k``."""
+    moments, first = goal.moments, goal.how[g, BLOCK]
+    mass = moments[first + k, 0]
+    if not mass > 0.0:
+        return 0.0, 0.0, 0.0
+    share = mass / moments[first + work.world.shape[0], 0]
+    s = 1.0 / mass
+    x, y, z = point_velocity(
+        work.world, k, ax, ay, az, turn,
+        s * moments[first + k, 1], s * moments[first + k, 2], s * moments[first + k, 3],
+    )  # fmt: skip
+    return share * x, share * y, share * z
+
+
+@outlined
+def joint_rows(tree, goal, work, g):
+    """Rows of a posture: the way of each joint to where it is wanted; returns (|r|², within)."""
+    kind, qadr, vadr, dof_node = tree.kind, tree.qadr, tree.vadr, tree.dof_node
+    q, wanted, residual, miss = work.q, goal.posture, work.residual, work.miss
+    metres, radians, cost = 0.0, 0.0, 0.0
+    x, y, z = 0.0, 0.0, 0.0
+    for u in range(goal.dofs.shape[0]):
+        v = goal.dofs[u]
+        k = dof_node[v]
+        a, i = qadr[k], v - vadr[k]
+        if kind[k] < BALL:
+            off = wanted[g, a] - q[a]
+        elif kind[k] == FREE and i < 3:
+            off = wanted[g, a + i] - q[a + i]
+        else:
+            b = a + 3 if kind[k] == FREE else a
+            x, y, z = rotation_back(q, b, wanted[g, b], wanted[g, b + 1], wanted[g, b + 2], wanted[g, b + 3])
+            off = x if i % 3 == 0 else (y if i % 3 == 1 else z)
+        heed = goal.joint_weight[g, v]
+        shift = kind[k] == SLIDE or (kind[k] == FREE and i < 3)
+        w = heed * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+        residual[goal.row[g] + u] = w * off
+        cost += w * w * off * off
+        if heed > 0.0:
+            size = math.sqrt(x * x + y * y + z * z) if kind[k] >= BALL and not shift else abs(off)
+            if shift:
+                metres = max(metres, size)
+            else:
+                radians = max(radians, size)
+    miss[g, 0], miss[g, 1] = metres, radians
+    return cost, metres <= goal.tolerance[g, 0] and radians <= goal.tolerance[g, 1]
+
+
+@pure
+def joint_column(tree, goal, work, g, u, v):
+    """The posture's rows of degree of freedom ``v``, in column ``u``."""
+    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
+    q, wanted, jacobian = work.q, goal.posture, work.jacobian
+    k = tree.dof_node[v]
+    i, row = v - vadr[k], goal.row[g] + u
+    if kind[k] < BALL or (kind[k] == FREE and i < 3):
+        shift = kind[k] != 0
+        jacobian[row, u] = goal.joint_weight[g, v] * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+        return
+    a = qadr[k] + 3 if kind[k] == FREE else qadr[k]
+    x, y, z = rotation_back(q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3])
+    i %= 3
+    # The vector belongs to the body's own axes, which the turn carries along: the left Jacobian.
+    rx, ry, rz = inverse_right_jacobian(
+        -x, -y, -z, 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
+    )
+    w, row, v = goal.weight[g, 1], row - i, v - i
+    jacobian[row, u] = w * goal.joint_weight[g, v] * rx
+    jacobian[row + 1, u] = w * goal.joint_weight[g, v + 1] * ry
+    jacobian[row + 2, u] = w * goal.joint_weight[g, v + 2] * rz
+
+
+@pure
+def place_rows(goal, work, g, row):
+    """Rows of a place in the axes of the target; returns the distance that counts."""
+    target, frames, mask, w = goal.target, work.frames, goal.mask, goal.weight[g, 0]
+    square = 0.0
+    for i in range(3):
+        off = 0.0
+        for k in range(3):
+            off += target[g, 3 + 3 * k + i] * (target[g, k] - frames[g, k])
+        off *= mask[g, i]
+        if goal.how[g, PLACE] == ONE_SIDE:
+            off = max(off, 0.0)  # beyond the plane by its normal: nothing is asked
+        work.residual[row + i] = w * off
+        square += off * off
+    return math.sqrt(square)
+
+
+@pure
+def aim_of(goal, work, g):
+    """Direction in which the frame's z shall point, and the distance of what it is aimed at (0: none)."""
+    target, frames = goal.target, work.frames
+    if goal.how[g, TURN] == ONE_AXIS:
+        return target[g, 5], target[g, 8], target[g, 11], 0.0
+    x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
+    away = math.sqrt(x * x + y * y + z * z)
+    if away < _AT_POINT:
+        return frames[g, 5], frames[g, 8], frames[g, 11], 0.0
+    return x / away, y / away, z / away, away
+
+
+@outlined
+def partial_rows(tree, goal, work, g):
+    """Residual and miss of a goal that has no quick path; returns (|r|², within tolerance)."""
+    how, frames, residual, miss = goal.how, work.frames, work.residual, work.miss
+    if how[g, OF] == OF_JOINTS:
+        return joint_rows(tree, goal, work, g)
+    if how[g, OF] == OF_MASS:
+        mass_center(tree, goal, work, g)
+    else:
+        frame_pose(work.world, goal.node[g], goal.local, g, frames)
+    row, cost, distance, angle = goal.row[g], 0.0, 0.0, 0.0
+    if how[g, PLACE] != NO_PLACE:
+        distance = place_rows(goal, work, g, row)
+        cost += (goal.weight[g, 0] * distance) ** 2
+        row += 3
+    if how[g, TURN] != NO_TURN:
+        if how[g, TURN] == ALL_AXES:
+            angle = rotation_error(goal.target, frames, g, residual, row)
+        else:
+            dx, dy, dz, _ = aim_of(goal, work, g)
+            x, y, z, angle = axis_error(frames[g, 5], frames[g, 8], frames[g, 11], dx, dy, dz)
+            residual[row], residual[row + 1], residual[row + 2] = x, y, z
+        for i in range(3):
+            residual[row + i] *= goal.weight[g, 1]
+        cost += (goal.weight[g, 1] * angle) ** 2
+    miss[g, 0], miss[g, 1] = distance, angle
+    return cost, distance <= goal.tolerance[g, 0] and angle <= goal.tolerance[g, 1]
+
+
+@outlined
+def partial_column(tree, goal, work, g, u, v, moves):
+    """Column ``u`` of the goal's rows for degree of freedom ``v``, which moves it or not (1 or 0)."""
+    how, jacobian, frames, world = goal.how, work.jacobian, work.frames, work.world
+    row, k = goal.row[g], tree.dof_node[v]
+    if how[g, OF] == OF_JOINTS:
+        for i in range(goal.dofs.shape[0]):
+            jacobian[row + i, u] = 0.0
+        if moves > 0.0:
+            joint_column(tree, goal, work, g, u, v)
+        return
+    ax, ay, az, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
+    if how[g, OF] == OF_MASS:
+        vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, turn)
+    else:
+        vx, vy, vz = point_velocity(world, k, ax, ay, az, turn, frames[g, 0], frames[g, 1], frames[g, 2])
+    vx, vy, vz = moves * vx, moves * vy, moves * vz
+    if how[g, PLACE] != NO_PLACE:
+        target, w = goal.target, goal.weight[g, 0]
+        for i in range(3):
+            along = target[g, 3 + i] * vx + target[g, 6 + i] * vy + target[g, 9 + i] * vz
+            # Of a wall, only the side that pushes has a slope.
+            active = how[g, PLACE] != ONE_SIDE or work.residual[row + i] > 0.0
+            jacobian[row + i, u] = w * goal.mask[g, i] * along if active else 0.0
+        row += 3
+    if how[g, TURN] == NO_TURN:
+        return
+    w = goal.weight[g, 1]
+    turned = moves if turn else 0.0
+    ax, ay, az = turned * ax, turned * ay, turned * az
+    if how[g, TURN] == ALL_AXES:
+        s = 1.0 / w if w > 0.0 else 0.0
+        r = work.residual
+        x, y, z = inverse_right_jacobian(s * r[row], s * r[row + 1], s * r[row + 2], ax, ay, az)
+    else:
+        x, y, z = axis_column(goal, work, g, ax, ay, az, vx, vy, vz)
+    jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
+
+
+@pure
+def axis_column(goal, work, g, ax, ay, az, vx, vy, vz):
+    """How the error of one axis shrinks while the frame turns with a and its origin moves with v."""
+    frames = work.frames
+    zx, zy, zz = frames[g, 5], frames[g, 8], frames[g, 11]
+    dx, dy, dz, away = aim_of(goal, work, g)
+    px, py, pz = ay * zz - az * zy, az * zx - ax * zz, ax * zy - ay * zx
+    qx, qy, qz = 0.0, 0.0, 0.0
+    if away > 0.0:
+        s = -1.0 / away
+        along = vx * dx + vy * dy + vz * dz
+        qx, qy, qz = s * (vx - along * dx), s * (vy - along * dy), s * (vz - along * dz)
+    return axis_error_rate(zx, zy, zz, dx, dy, dz, px, py, pz, qx, qy, qz)
+
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 
 # Whole positions, orientations and poses of a frame have a path of their own; ``partial_rows`` has the rest.
 POSITION, ORIENTATION, POSE, PARTIAL = 0, 1, 2, 3
@@ -181,3 +594,66 @@ def residual_and_jacobian(tree, goals, work):
     cost, _ = evaluate(tree, goal, work)
     goal_jacobian(tree, goal, work, work.frames)
     return cost
+
+
+# ------------------------------------------------------------------------------------------
+# Moving a target in compiled code: the hot loop does it before every solve.
+
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+
+MOVE = Layout(
+    "Move",
+    matrix="table",  # (4, 4) homogeneous, the wanted pose
+    target="table",  # (g, 12) rows of all goals
+)
+open_move = MOVE.open
+
+
+@kernel
+def take_matrix(move, index):
+    """target[index] = matrix; False, and nothing is done, when a number is not finite.
+
+    With ~index in place of index the position alone is taken, and asked about.
+    """
+    move = open_move(move)
+    matrix, target = move.matrix, move.target
+    first = 0 if index >= 0 else 3
+    row = index if index >= 0 else ~index
+    size = 0.0
+    for i in range(4 if index >= 0 else 3):
+        for j in range(first, 4):
+            x = matrix[i, j]
+            size = max(size, abs(x)) if x == x else math.inf
+    if not size < math.inf:
+        return False
+    for i in range(3):
+        target[row, i] = matrix[i, 3]
+        for j in range(first, 3):
+            target[row, 3 + 3 * i + j] = matrix[i, j]
+    return True
+
+
+class Mover:
+    """Takes matrices and positions as targets: fill the array of their shape, then take them.
+
+        array, flip = mover.places[shape]
+        array[...] = target
+        mover.take(mover.move, index ^ flip)      # False when it is not finite; nothing is done then
+
+    Attributes:
+        places: For (4, 4) and (3,): where to put one, and what turns the index into that of ``take_matrix``.
+        dtype: What a target must be of to need no conversion that may fail.
+        take, move: The compiled code, and what it takes before the goal's index.
+    """
+
+    __slots__ = ("_table", "dtype", "move", "places", "take")
+
+    def __init__(self, target: NDArray[np.float64]) -> None:
+        matrix = np.zeros((4, 4))
+        self.places: dict[Any, tuple[Any, int]] = {(4, 4): (matrix, 0), (3,): (matrix[:3, 3], -1)}
+        self.dtype = matrix.dtype
+        self._table = MOVE.pack({"matrix": matrix, "target": target})
+        self.move: int = self._table.ctypes.data
+        self.take: Any = entry(take_matrix, self.move, 0)

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
-from robot_ik.kernels.near import starts_near, starts_near_many
-from robot_ik.kernels.work import BEST_COST, CONVERGED, RUN
+from robot_ik.kernels.loop import starts_near, starts_near_many
+from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver

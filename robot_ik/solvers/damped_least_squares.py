@@ -27,12 +27,11 @@ from robot_ik.kernels.jacobian_step import (
     volume,
 )
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.linalg import box_step, normal_equations, svd
+from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step, svd
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.row_space import row_products, row_step
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import DAMPING, PRESSED, open_work
+from robot_ik.kernels.workspace import DAMPING, PRESSED, open_work
 from robot_ik.solvers.base import JacobianSolver, option
 
 MODES = ("constant", "adaptive", "svd")

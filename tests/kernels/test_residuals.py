@@ -14,8 +14,8 @@ from robot_ik.goals import (
     PoseGoal,
     PositionGoal,
     PostureGoal,
+    axis_vector,
 )
-from robot_ik.goals.base import axis_vector
 from robot_ik.kernels.residuals import residual_and_jacobian, rotation_error
 from robot_ik.model import pose_row
 from robot_ik.problem import Problem

@@ -8,10 +8,10 @@ import pytest
 
 from robot_ik.errors import ConfigError, InvalidGoalError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.inverse_kinematics import solve, solve_batch
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
-from robot_ik.solve import solve, solve_batch
 from robot_ik.solvers import make_solver
 
 
@@ -53,7 +53,7 @@ def test_wrong_members_are_refused(puma):
 @pytest.mark.parametrize("name", ["auto", "lm", "dls", "analytic"])
 @pytest.mark.parametrize("threads", [1, 3])
 def test_a_batch_gives_the_same_answers_as_one_by_one(puma, name, threads, monkeypatch):
-    monkeypatch.setattr("robot_ik.batch._LEAST_PER_THREAD", 5)
+    monkeypatch.setattr("robot_ik.inverse_kinematics._LEAST_PER_THREAD", 5)
     poses = poses_of(puma, 24)
     matrices = np.array([p.matrix for p in poses])
     matrices[3, :3, 3] = 3.0  # out of reach
@@ -232,8 +232,8 @@ def test_a_batch_chooses_as_one_solve_does(name):
 
 
 def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
-    from robot_ik.bench.first_choice import METHODS, choose, over_best
-    from robot_ik.solvers.analytic.geometry import Family
+    from robot_ik.bench.methods.first_choice import METHODS, choose, over_best
+    from robot_ik.solvers.analytic.recognise import Family
     from robot_ik.solvers.first_choice import FIRST_CHOICE
 
     families = {family.name.lower() for family in Family}
@@ -253,7 +253,7 @@ def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
 
 
 def test_what_the_choice_is_measured_on_has_a_closed_form_for_poses_in_every_family():
-    from robot_ik.bench.first_choice import arms
+    from robot_ik.bench.methods.first_choice import arms
     from robot_ik.solvers.first_choice import FIRST_CHOICE
 
     analytic, found = make_solver("analytic"), []

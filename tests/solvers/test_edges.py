@@ -25,9 +25,9 @@ from robot_ik.goals import (
     PositionGoal,
     PostureGoal,
 )
+from robot_ik.inverse_kinematics import solve, solve_batch
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import load_robot
-from robot_ik.solve import solve, solve_batch
 from robot_ik.solvers import SOLVERS, make_solver
 
 SHORT = Budget(iterations=300)

@@ -7,10 +7,10 @@ import pytest
 
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import AimGoal, CenterOfMassGoal, PlaneGoal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Tolerance
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
-from robot_ik.solve import solve
 from robot_ik.solvers import SOLVERS
 
 FINE = Tolerance(1e-6, 1e-6)

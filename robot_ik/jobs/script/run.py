@@ -18,6 +18,7 @@ from robot_ik.errors import RobotIkError, apart
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware.virtual.faults import Faults, ScriptFaults, fault_for
+from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.reach import ReachRequest
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import stage_for
@@ -43,7 +44,6 @@ from robot_ik.jobs.script.steps import (
 from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
-from robot_ik.solve import solve
 
 # ------------------------------------------------------------------------------------------
 # The world of a script: its synthetic camera, and things that lie about.

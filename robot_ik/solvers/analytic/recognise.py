@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, quat_to_matrix, rotation_exp
 from robot_ik.kernels.tree import BALL, HINGE, Tree
 from robot_ik.model import row_pose
 
@@ -216,3 +216,105 @@ def _meeting(a: Array, b: Array, scale: float) -> Array | None:
 def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> bool:
     """Whether a point (3,) lies on the line ``axis`` (6,), to a share of the arm's size."""
     return float(np.linalg.norm(np.cross(axis[:3], point - axis[3:]))) < slack * scale
+
+
+# ------------------------------------------------------------------------------------------
+# Recognises limbs that shall bring a point of the hand to a place, or aim an axis of the hand.
+#
+# Neither asks for a whole pose, so more is free than the elbow's swivel, and less is asked of the wrist: any
+# hinges will do there.  The closed form moves some joints and keeps the rest; see ``partial.py``.
+
+
+def recognise_part(tree: Tree, node: int, local: Array, aimed: Array | None) -> Form | None:
+    """The closed form for the place of the frame at ``local`` (12,) of ``node``, or for its aim.
+
+    ``aimed``: (3,) the axis of the frame that is to point somewhere; None: the frame's place is wanted.
+    """
+    chain = tree.ancestors(node)
+    kinds = [int(tree.kind[k]) for k in chain]
+    if not kinds or any(kind not in (HINGE, BALL) for kind in kinds) or BALL in kinds[1:]:
+        return None
+    axes, frames, tool = axes_at_zero(tree, chain, local)
+    scale = size_of(axes, tool)
+    arm, shoulder = joint_centre(kinds, axes, scale)
+    rest = axes[arm:]
+    if shoulder is None:
+        return None
+    if aimed is None and (len(rest) < 2 or on_axis(rest[0], shoulder, scale, 1e-4)):
+        return None  # the elbow would not change how far the hand is from the shoulder
+    table = np.zeros((max(7, 3 + len(rest)), 6))
+    table[:3, :3] = axes[:3, :3] if arm == 3 else frames[0].T
+    table[:3, 3:] = shoulder
+    table[3 : 3 + len(rest)] = rest
+    first, joined = (4, HINGES) if arm == 3 else (5, BALL_JOINT)
+    extra = np.zeros((5, 3))
+    extra[2] = tool.position
+    groups = np.array([(joined, 0), (NO_JOINTS, first)])
+    if aimed is None:
+        return Form(Family.LIMB_POINT, tuple(chain), table, extra, groups)
+    extra[3] = tool.rotation @ aimed
+    if len(rest) == 4:
+        _, wrist = joint_centre(kinds[arm + 1 :], rest[1:], scale)
+        if wrist is not None:
+            groups[1, 0] = HINGES
+            table[4:, 3:] = wrist
+    return Form(Family.LIMB_AIM, tuple(chain), table, extra, groups)
+
+
+# ------------------------------------------------------------------------------------------
+# Where, on the circle of swivel angles, a limb's joints meet their limits: made once for a problem.
+#
+# The shoulder's rotation is S(φ) = R(n, φ) S₀, so that every number yᵀ S(φ) x is a + b cos φ + c sin φ, and
+# so is yᵀ W(φ) x of the wrist's.  Each limit of a joint is such a number that takes one value d (after
+# Tolani, Goswami & Badler, Graphical Models 62, 2000, section 4): with S = R₁ R₂ R₃ about axes h₁, h₂, h₃
+#
+#     q₁ = L:  (R₁(L) h₂)ᵀ S h₃ = h₂ᵀ h₃        q₃ = L:  h₁ᵀ S (R₃(-L) h₂) = h₁ᵀ h₂
+#     q₂ = L:  h₁ᵀ S h₃ = h₁ᵀ R₂(L) h₃          ball:    tr S = 1 + 2 cos L
+
+
+# Columns of an edge: which rotation (shoulder, wrist, then their traces), y (3), x (3), d.
+COLUMNS = 8
+
+
+def middle_turns(form: Form) -> Array:
+    """(2, 3) for shoulder and wrist of hinges: h₁ᵀ R₂(q) h₃ = constant + amplitude · cos(q - middle)."""
+    rows = np.zeros((2, 3))
+    if form.family < Family.LIMB:
+        return rows
+    for g in range(2):
+        if form.groups[g, 0] == HINGES:
+            a, b, c = form.axes[4 * g : 4 * g + 3, :3]
+            constant = float(a @ b) * float(b @ c)
+            even, odd = float(a @ c) - constant, float(a @ np.cross(b, c))
+            rows[g] = constant, np.hypot(even, odd), np.arctan2(odd, even)
+    return rows
+
+
+def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
+    """(m, 8) all limits ``lower``, ``upper`` (by column of the form) as equations of the swivel angle."""
+    rows: list[Array] = []
+    turns = middle_turns(form)
+    for g in range(2 if form.family >= Family.LIMB else 0):
+        first = int(form.groups[g, 1])
+        if form.groups[g, 0] == BALL_JOINT and upper[first] < np.pi:
+            rows.append(np.array([2 + g, *np.zeros(6), 1.0 + 2.0 * np.cos(upper[first])]))
+        if form.groups[g, 0] != HINGES:
+            continue
+        a, b, c = form.axes[4 * g : 4 * g + 3, :3]
+        constant, amplitude, _ = turns[g]
+        rows += [np.array([g, *a, *c, constant + sign * amplitude]) for sign in (-1.0, 1.0)]
+        for j in range(3):
+            if upper[first + j] - lower[first + j] >= 2.0 * np.pi:
+                continue
+            for limit in (lower[first + j], upper[first + j]):
+                rows.append(_edge(g, j, a, b, c, float(limit)))
+    return np.array(rows).reshape(-1, COLUMNS)
+
+
+def _edge(g: int, joint: int, a: Array, b: Array, c: Array, limit: float) -> Array:
+    turned = quat_to_matrix(rotation_exp((a, b, c)[joint] * limit))
+    if joint == 0:
+        return np.array([g, *(turned @ b), *c, b @ c])
+    if joint == 1:
+        return np.array([g, *a, *c, a @ turned @ c])
+    return np.array([g, *a, *(turned.T @ b), a @ b])

@@ -9,18 +9,64 @@ earlier levels are restored, and the step is kept only when none of them lost an
 
 Levels of soft goals come last, and ask for the nearest that the others leave open: never met, never searched.
 """
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
 from numba import types
 
 from robot_ik.kernels.jacobian_step import goal_end
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import eliminate
-from robot_ik.kernels.loop import copy, measure
-from robot_ik.kernels.residuals import goal_jacobian
-from robot_ik.kernels.room import apply_step, room
+from robot_ik.kernels.loop import (
+    apply_step,
+    ask_for_all,
+    begin,
+    copy,
+    draw,
+    drop_beyond,
+    judge,
+    measure,
+    record,
+    room,
+    some_within_reach,
+)
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.workspace import (
+    ALL_GOALS,
+    BEST_COST,
+    BLOCKED,
+    CONVERGED,
+    COST,
+    DAMPING,
+    DRAWS,
+    FOUND,
+    ITERATION_LIMIT,
+    ITERATIONS,
+    MAX_ITERATIONS,
+    MAX_RESTARTS,
+    PATIENCE,
+    POLISHING,
+    PRESSED,
+    PROGRESS,
+    RESTARTS,
+    RUNNING,
+    SEARCH,
+    SEARCHING,
+    SLICE_END,
+    STAGE,
+    STALLED,
+    STALLS,
+    STATUS,
+    TRY_LIMIT,
+    TRY_STEPS,
+    open_run,
+    open_work,
+)
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 
 # Damping of levels that are served already: nothing where they are met, else in proportion to their cost.
 _HELD_DAMPING = 1e-12
@@ -364,3 +410,295 @@ def keep_levels(work):
     """Remembers q and its levels as the best so far."""
     copy(work.level_bar, work.level_best)
     copy(work.q, work.best)
+
+
+# ------------------------------------------------------------------------------------------
+# ``lm`` for goals of several priorities: level after level, each kept while the next is served.
+#
+# Near the answer all levels are served by one and the same step.  Where that leads nowhere, level after level
+# is; random restarts are for the first level only, and not towards what is proven out of reach.
+
+
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+
+# Steps without progress before a level is left as it is, and the share of its cost that counts as progress.
+_LEVEL_PATIENCE, _LEVEL_PROGRESS = 8, 1e-6
+# All levels in one step: so many steps at most, none of them longer than this (rad or m) …
+_AT_MOST, _NEAR = 6, 0.3
+# … and each brings a needed level to this share of its cost, or to so many times its tolerance.
+_SHRINKS, _NEARLY_MET = 0.25, 30.0
+# Damping of a soft level, as a share of the largest entry of JᵀJ.
+_SOFT_DAMPING = 1e-6
+# A soft level rests where a step would be no longer than this (rad or m).  A step shorter than the second
+# leaves about its square: it was the last.
+_REST, _LAST = 3e-4, 0.05
+
+# Entry of state[STAGE] while all levels are served together.
+_TOGETHER = -1
+
+
+@outlined
+def arrive(tree, goal, work):
+    """Measures where work.step leads, in the costs of the levels."""
+    apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
+    measure(tree, goal, work)
+    level_costs(goal, work, work.level_cost)
+
+
+@outlined
+def go_back(tree, goal, work):
+    """To where work.accepted is."""
+    copy(work.accepted, work.q)
+    measure(tree, goal, work)
+    level_costs(goal, work, work.level_cost)
+
+
+@outlined
+def count_step(goal, work):
+    """One step more."""
+    work.state[ITERATIONS] += 1
+    if work.trace.shape[0] > 0:
+        record(goal.tolerance, work)
+
+
+@pure
+def hurried(state):
+    """Whether a level is served for a random try only, which is short."""
+    return state[STAGE] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
+
+
+@pure
+def keep_first(work):
+    """In the try from the start every step that is kept is the best so far."""
+    state = work.state
+    if state[RESTARTS] == 0 and state[SEARCH] == ALL_GOALS:
+        copy(work.q, work.best)
+        work.value[BEST_COST] = work.value[COST]
+
+
+@outlined
+def level_step(tree, goal, work, options):
+    """One step of the level that is being served; taken back unless it helps and harms no earlier level."""
+    state, value = work.state, work.value
+    floor, increase, decrease, least = options[0], options[2], options[3], options[4]
+    stage = state[STAGE]
+    before = work.level_cost[stage]
+    soft = stage >= needed_levels(goal)
+    if state[TRY_STEPS] == 0 and not soft:
+        value[DAMPING] = options[1]
+    copy(work.q, work.accepted)
+    damping = value[DAMPING] if soft else value[DAMPING] * before + floor
+    pressed, largest = stacked_step(tree, goal, work, stage, damping)
+    if soft and largest <= _REST:
+        state[STALLS] = _LEVEL_PATIENCE
+        return
+    arrive(tree, goal, work)
+    helped = restore(tree, goal, work, stage) and work.level_cost[stage] < before
+    if helped:
+        progress = value[PROGRESS] if hurried(state) else _LEVEL_PROGRESS
+        state[PRESSED] = pressed
+        value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
+        state[STALLS] = 0 if work.level_cost[stage] < before * (1.0 - progress) else state[STALLS] + 1
+        keep_first(work)
+    else:
+        go_back(tree, goal, work)
+        value[DAMPING] *= increase
+        state[STALLS] += 1
+    state[TRY_STEPS] += 1
+    count_step(goal, work)
+
+
+@outlined
+def converge(work, cost):
+    """The answer is work.q: all that is needed is met."""
+    copy(work.q, work.best)
+    work.value[BEST_COST], work.state[STATUS] = cost, CONVERGED
+    return True
+
+
+@outlined
+def step_together(tree, goal, work):
+    """One step of all levels at once; False where that does not lead on."""
+    state, levels = work.state, work.level_cost.shape[0]
+    needed, last = needed_levels(goal), levels - 1
+    met = levels_met(goal, work, needed)
+    pressed, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
+    if met and largest <= _REST:
+        return converge(work, work.value[COST])
+    if largest > _NEAR or state[STALLS] >= _AT_MOST:
+        return False
+    copy(work.q, work.accepted)
+    copy(work.level_cost, work.level_bar)
+    arrive(tree, goal, work)
+    helped = not met or work.level_cost[last] < work.level_bar[last]
+    for level in range(needed):
+        shrunk = work.level_cost[level] <= _SHRINKS * work.level_bar[level]
+        helped = helped and (shrunk or level_met(goal, work, level, _NEARLY_MET))
+    state[STALLS] += 1
+    count_step(goal, work)
+    if not helped:
+        go_back(tree, goal, work)
+        return False
+    state[PRESSED] = pressed
+    keep_first(work)
+    if levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
+        return converge(work, work.value[COST])
+    return True
+
+
+@outlined
+def serve_from(tree, goal, work, q):
+    """Begins with the first level at ``q``."""
+    state = work.state
+    copy(q, work.q)
+    measure(tree, goal, work)
+    level_costs(goal, work, work.level_cost)
+    state[STAGE], state[STALLS], state[TRY_STEPS] = 0, 0, 0
+
+
+@outlined
+def start_anew(tree, goal, work):
+    """The best of a few random starts."""
+    state, lowest = work.state, math.inf
+    state[RESTARTS] += 1
+    for _ in range(state[DRAWS]):
+        draw(tree, work.nodes, work.start, state, work.q)
+        follow(tree, work.q)
+        measure(tree, goal, work)
+        level_costs(goal, work, work.level_cost)
+        if work.level_cost[0] < lowest:
+            lowest = work.level_cost[0]
+            copy(work.q, work.candidate)
+    serve_from(tree, goal, work, work.candidate)
+
+
+@pure
+def beyond_first(goal, work):
+    """Whether a goal of the first level is proven out of reach."""
+    found = False
+    for g in range(goal.kind.shape[0]):
+        found = found or (goal.level[g] == 0 and work.beyond[g] == 1)
+    return found
+
+
+@outlined
+def go_on(tree, goal, work):
+    """Another try for the first level; False where none can help.
+
+    Where it has goals that are proven out of reach, the others are searched for without them, first from the
+    best so far, and once.
+    """
+    state = work.state
+    if state[SEARCH] == FOUND:
+        return False
+    if state[SEARCH] == SEARCHING or not beyond_first(goal, work):
+        start_anew(tree, goal, work)
+        return True
+    if not some_within_reach(goal, work):
+        return False
+    drop_beyond(goal, work)
+    state[SEARCH] = SEARCHING
+    serve_from(tree, goal, work, work.best)
+    return not level_met(goal, work, 0)
+
+
+@outlined
+def end_try(tree, goal, work):
+    """After the last level: done, another random start, or the best of all; the first level decides.
+
+    Later levels are served from where the first one was met: nothing starts anew for them.
+    """
+    state, levels = work.state, work.level_cost.shape[0]
+    for level in range(max(state[STAGE], 0), levels):
+        leave_level(goal, work, level)
+    if state[SEARCH] != SEARCHING and better(work, levels):
+        keep_levels(work)
+        work.value[BEST_COST] = work.value[COST]
+    met = True
+    for level in range(needed_levels(goal)):
+        met = met and work.level_best[level] < 0.0
+    more = work.level_best[0] >= 0.0 and state[POLISHING] == 0
+    if met:
+        state[STATUS] = CONVERGED
+    elif state[ITERATIONS] >= state[MAX_ITERATIONS]:
+        state[STATUS] = ITERATION_LIMIT
+    elif more and state[RESTARTS] < state[MAX_RESTARTS] and go_on(tree, goal, work):
+        return
+    elif more and state[RESTARTS] > 0 and state[SEARCH] == ALL_GOALS:
+        state[POLISHING] = 1
+        serve_from(tree, goal, work, work.best)
+        return
+    else:
+        state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
+    ask_for_all(goal)
+
+
+@outlined
+def next_level(tree, goal, work, first_damping):
+    """Leaves a level that is met, or that no step helps any more."""
+    state, stage = work.state, work.state[STAGE]
+    met = level_met(goal, work, stage)
+    if state[SEARCH] == SEARCHING:
+        if met:  # from here all goals count again
+            ask_for_all(goal)
+            state[SEARCH] = FOUND
+            copy(work.q, work.candidate)
+            serve_from(tree, goal, work, work.candidate)
+        else:
+            end_try(tree, goal, work)
+        return
+    if hurried(state) and not met:
+        end_try(tree, goal, work)
+        return
+    leave_level(goal, work, stage)
+    copy(work.q, work.accepted)
+    if not restore(tree, goal, work, stage + 1):
+        go_back(tree, goal, work)
+    state[STAGE], state[STALLS] = stage + 1, 0
+    work.value[DAMPING] = first_damping if stage + 1 < needed_levels(goal) else _SOFT_DAMPING
+
+
+@pure
+def exhausted(state):
+    """Whether a level has had its steps."""
+    if hurried(state):
+        return state[STALLS] >= state[PATIENCE] or state[TRY_STEPS] >= state[TRY_LIMIT]
+    return state[STALLS] >= _LEVEL_PATIENCE
+
+
+@outlined
+def begin_levels(tree, goal, work, first_damping):
+    """Measures the start."""
+    state = work.state
+    begin(tree, goal, work)
+    if state[STATUS] == RUNNING:
+        judge(tree, goal, work, measure(tree, goal, work))
+    level_costs(goal, work, work.level_cost)
+    for level in range(work.level_cost.shape[0]):
+        work.level_best[level] = math.inf
+    work.value[DAMPING] = first_damping
+    state[STAGE] = _TOGETHER
+    if state[STATUS] == CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
+        state[STATUS] = RUNNING  # what is only wanted is still to be served
+
+
+@kernel
+def lm_levels(run):
+    """``lm`` for goals of several priorities, and for soft ones; options as there."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    state, options, levels = work.state, run.options, work.level_cost.shape[0]
+    if state[STATUS] != RUNNING:
+        begin_levels(tree, goal, work, options[1])
+    while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
+        stage = state[STAGE]
+        if stage >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
+            end_try(tree, goal, work)
+        elif stage == _TOGETHER:
+            if not step_together(tree, goal, work):
+                state[STAGE], state[STALLS] = 0, 0
+        elif level_met(goal, work, stage) or exhausted(state):
+            next_level(tree, goal, work, options[1])
+        else:
+            level_step(tree, goal, work, options)
