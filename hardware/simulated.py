@@ -7,12 +7,15 @@ an answer is there at once or never, and requests take no time on the clock.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.serial_port import QuietPortHandler
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.pty import PtyPort
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.virtual.pty import PtyPort
 
 
 class SimBus(DynamixelBus):
@@ -124,6 +127,8 @@ class ServedBus(DynamixelBus):
     def open(self) -> None:
         """Makes the pty and opens it."""
         if self._pty is None:
+            from robot_ik.hardware.virtual.pty import PtyPort  # pseudo terminals: not on Windows
+
             self._pty = PtyPort(self._servos)
         self.port = self._wire.port = self._pty.path  # another one after it was unplugged
         super().open()

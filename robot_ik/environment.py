@@ -17,6 +17,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
@@ -223,3 +224,26 @@ def permission_hint(path: str) -> str:
 def named_users_of(path: str) -> list[str]:
     """Programs that have ``path`` open, as ``name (pid)``; only what this user may see, Linux only."""
     return [f"{name} ({number})" for number, name in users_of(path).items()]
+
+
+OPENCV_WHEELS = (
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "opencv-python",
+)
+
+
+def version_of(package: str) -> str:
+    """Installed version of a distribution, or an empty string."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of robot_ik and of what it stands on, without importing any of it."""
+    opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
+    names = ("robot_ik", "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
+    return {name: version_of(name) for name in names}

@@ -20,7 +20,7 @@ from tyro.conf import arg
 
 from robot_ik import environment
 from robot_ik.cli import console
-from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow, permission_hint
+from robot_ik.environment import NOTE, OK, OPENCV_WHEELS, PROBLEM, CheckRow, permission_hint, version_of
 from robot_ik.hardware.health import serial_row
 from robot_ik.robot_file import SERVO_ROBOT
 
@@ -35,13 +35,6 @@ from robot_ik.robot_file import SERVO_ROBOT
 WHOLE_LIMIT = 9.0
 #: Children at the same time: more only make each other late on a small machine.
 WORKERS = 4
-
-OPENCV_WHEELS = (
-    "opencv-contrib-python-headless",
-    "opencv-python-headless",
-    "opencv-contrib-python",
-    "opencv-python",
-)
 
 
 #: A check takes the moment (``time.monotonic``) at which it must be done.
@@ -58,21 +51,6 @@ def late(what: str, probe: environment.Probe) -> CheckRow:
     return CheckRow(
         what, NOTE, f"not checked: {probe.text.splitlines()[-1]}", "run it again when the machine is idle"
     )
-
-
-def version_of(package: str) -> str:
-    """Installed version of a distribution, or an empty string."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return ""
-
-
-def installed_versions() -> dict[str, str]:
-    """Versions of robot_ik and of what it stands on, without importing any of it."""
-    opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
-    names = ("robot_ik", "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
-    return {name: version_of(name) for name in names}
 
 
 def check_python(until: float) -> list[CheckRow]:

@@ -356,7 +356,7 @@ def _print_help() -> None:
 
 def _print_versions() -> None:
     from robot_ik.cli import console
-    from robot_ik.cli.doctor import installed_versions
+    from robot_ik.environment import installed_versions
 
     rows = console.table("package", "version")
     for name, version in installed_versions().items():
