@@ -58,8 +58,10 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) 
 
 
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+    from robot_ik.hardware.simulated import ServedBus
+
     try:
-        from robot_ik.hardware.simulated import ServedBus
+        import robot_ik.hardware.virtual.pty
     except ImportError as reason:
         raise no_pty(reason) from reason
 

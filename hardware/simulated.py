@@ -127,7 +127,7 @@ class ServedBus(DynamixelBus):
     def open(self) -> None:
         """Makes the pty and opens it."""
         if self._pty is None:
-            from robot_ik.hardware.virtual.pty import PtyPort  # pseudo terminals: not on Windows
+            from robot_ik.hardware.virtual.pty import PtyPort  # not on Windows
 
             self._pty = PtyPort(self._servos)
         self.port = self._wire.port = self._pty.path  # another one after it was unplugged

@@ -6,7 +6,11 @@ import pytest
 
 from robot_ik import errors
 
-CLASSES = [thing for _, thing in inspect.getmembers(errors, inspect.isclass)]
+CLASSES = [
+    error
+    for name, error in inspect.getmembers(errors, inspect.isclass)
+    if error.__module__ == errors.__name__ and not name.startswith("_")
+]
 
 
 def test_every_error_has_the_one_root_and_is_in_the_one_module():

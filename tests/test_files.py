@@ -418,7 +418,7 @@ def _survives(row: Row, folder: Path, text: str | bytes) -> RobotIkError | None:
     return None
 
 
-COMMON = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+COMMON = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("name", TREES)

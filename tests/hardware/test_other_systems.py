@@ -139,8 +139,7 @@ def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
 
 @pytest.fixture
 def without_pty(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("robot_ik.hardware.virtual.pty", "robot_ik.hardware.simulated"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.delitem(sys.modules, "robot_ik.hardware.virtual.pty", raising=False)
     monkeypatch.setitem(sys.modules, "fcntl", None)
 
 
