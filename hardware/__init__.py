@@ -61,7 +61,7 @@ def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) 
     from robot_ik.hardware.simulated import ServedBus
 
     try:
-        import robot_ik.hardware.virtual.pty
+        import robot_ik.hardware.virtual.pty  # noqa: F401 - whether it can be
     except ImportError as reason:
         raise no_pty(reason) from reason
 
