@@ -27,6 +27,7 @@ from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
 from robot_ik.model_file import LEAST_MASS, Frame
 from robot_ik.model_tree import (
     Attachment,
+    inertia_table,
     mass_table,
     pose_row,
     qpos_addresses,
@@ -212,6 +213,10 @@ class Robot:
         if not table[:, 0].sum() > LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
         return table
+
+    def inertias(self) -> Array:
+        """(n, 10) mass, centre and inertia of what each node carries, see ``model_tree.inertia_table``."""
+        return inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
         """(nv,) the way from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
