@@ -33,7 +33,7 @@ CONTACTS = ("air", "heel", "flat", "toe")
 # Share of the cycle that a foot stands (Schwartz et al. 2008: 60 to 61 %).
 _STANCE = 0.61
 # Before the first step, and after the last strike, s: the body needs some e^{-ωt} to come to rest.
-_LEAN, _SETTLE = 0.55, 1.4
+_LEAN, _SETTLE = 0.75, 1.4
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,8 @@ class _Plan:
         """Nodes of the zero-moment point: along the sole while on one foot, across while on both."""
         gait, prints = self.gait, self.prints
         standing = next(p for p in prints[:2] if p.side != prints[2].side)
-        nodes = [(0.0, standing.on(0.03))]
+        # Over the standing foot before the other's heel leaves the floor.
+        nodes = [(0.0, standing.on(0.03)), (_LEAN - (_STANCE - gait.rise) * 2 * gait.time, standing.on(0.03))]
         for k in range(len(prints) - 2):
             under, last = (prints[k + 1] if k else standing), k == len(prints) - 3
             begin = 0.03 if k == 0 else gait.pressure[0]
