@@ -393,7 +393,7 @@ class Rows:
 
     def solve(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        speeds: str | None = "daily", dt: float = 1.0 / RATE, steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE, steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
     ) -> Frames:  # fmt: skip
         """The frames.
 
@@ -402,6 +402,7 @@ class Rows:
             stiffness: (nv,) weights of the posture.
             start: (nq,) the frame before the first.
             second: (nq,) the frame before that; default: at rest.
+            limits: (nv,) lower and upper limits inside the model's.
             speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
             dt: Time between frames, s.
             steps: Most steps a frame.
@@ -412,7 +413,7 @@ class Rows:
         weight = np.ascontiguousarray(np.stack(self._weight, axis=1))
         postures = np.ascontiguousarray(np.broadcast_to(posture, (n, figure.robot.nq)))
         q, miss, used = np.empty((n, figure.robot.nq)), np.empty(n), np.empty(n, dtype=np.int64)
-        body = self._table(stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt)
+        body = self._table(stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits)
         before = start if second is None else second
         whole_body.solve_frames(
             figure.robot.tree.handle, body, target, weight, postures, q, start.copy(), before.copy(), steps, rest,
@@ -420,8 +421,11 @@ class Rows:
         )  # fmt: skip
         return Frames(q, miss, used)
 
-    def _table(self, stiffness: Array, stride: Array) -> NDArray[np.int64]:
+    def _table(
+        self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
+    ) -> NDArray[np.int64]:
         robot, groups = self.figure.robot, len(self._kind)
+        lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, nv, hard = robot.tree.size, robot.nv, 3 * groups
         arrays: dict[str, NDArray[Any]] = {
             "kind": np.array(self._kind, dtype=np.int64),
@@ -431,8 +435,8 @@ class Rows:
             "share": np.array(self._share),
             "inertia": self.figure.inertia,
             "stiffness": np.ascontiguousarray(stiffness),
-            "lower": robot.tree.lower,
-            "upper": robot.tree.upper,
+            "lower": lower,
+            "upper": upper,
             "stride": np.ascontiguousarray(stride),
             "held": np.zeros(nv, dtype=np.int64),
         }

@@ -1,0 +1,310 @@
+"""Reach, bend, jump and rest: each a run of frames with an exact end; and how one goes over into the next.
+
+All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end, so that a motion does
+not depend on place and heading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
+from robot_ik.figure.balance import compensate, monotone_curve, smooth, zero_moment_points
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.gait import AIR, FLAT, SHUFFLE, TOE, WALK, Gait, Print, Walk, prints_of, walk
+
+Array = NDArray[np.float64]
+
+# Posture weights: the girdle and the wrists are moved last, the arm first.
+_STIFF = {
+    "*": 0.1, "*shoulder*": 0.15, "*elbow*": 0.15, "*clavicle*": 2.0, "*wrist*": 3.0, "head*": 3.0,
+    "torso*": 1.0, "pelvis*": 1.0, "*toe*": 100.0,
+}  # fmt: skip
+# Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least durations, s.
+_REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
+# A motion that is left decays into the next in this time, s.
+BLEND = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Frames of an action.
+
+    Attributes:
+        action: ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``.
+        q: (n, nq).
+        contact: (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
+        miss: (n,) largest miss of what must hold, m or rad.
+        zmp: (n, 2) planned zero-moment point.
+        free: (n,) whether the motion may be left after this frame.
+        arm: The hand that acts.
+        target: (3,) what it acts on.
+        speeds: Set of joint speed limits that it holds.
+    """
+
+    action: str
+    q: Array
+    contact: NDArray[np.int64]
+    miss: Array
+    zmp: Array
+    free: NDArray[np.bool_]
+    arm: str | None = None
+    target: Array | None = None
+    speeds: str = "daily"
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+def _local(figure: Figure, q: Array) -> tuple[Array, Array]:
+    """``q`` and its stance, seen from the middle between the feet."""
+    stance = figure.stance(q)
+    return _unplaced(figure, q, stance), stance
+
+
+def _unplaced(figure: Figure, q: Array, stance: Array) -> Array:
+    x, y = -(rotation("z", -stance[2])[:2, :2] @ stance[:2])
+    return figure.placed(q, x, y, -stance[2])
+
+
+def _to_local(stance: Array, point: Array) -> Array:
+    return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
+
+
+def _placed(figure: Figure, motion: Motion, stance: Array) -> Motion:
+    turn = rotation("z", float(stance[2]))
+    q = np.array([figure.placed(row, *stance) for row in motion.q])
+    target = None if motion.target is None else turn @ motion.target + [stance[0], stance[1], 0.0]
+    return replace(motion, q=q, zmp=motion.zmp @ turn[:2, :2].T + stance[:2], target=target)
+
+
+def _standing(action: str, frames: Frames, center: Array, **more: object) -> Motion:
+    n = len(frames.q)
+    return Motion(
+        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)).copy(),
+        np.ones(n, dtype=bool), **more,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _pinned(figure: Figure, q: Array, rows: Rows) -> None:
+    poses = {side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()}
+    rows.feet({side: pose[0] for side, pose in poses.items()}, {side: pose[1] for side, pose in poses.items()})
+
+
+def support_middle(figure: Figure) -> Array:
+    """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
+    sole = figure.feet["left"].sole
+    return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
+
+
+def upright_limits(figure: Figure) -> tuple[Array, Array]:
+    """Joint limits of a figure that reaches without bending: what separates ``reach`` from ``bend``."""
+    lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
+    box = {"knee_pitch": (0.0, 25.0), "hip_pitch": (-15.0, 30.0), "torso_pitch": (-10.0, 10.0), "pelvis_pitch": (-10.0, 10.0)}
+    for joint in figure.robot.joints:
+        for part, (low, high) in box.items():
+            if joint.endswith(part):
+                v = figure.place(joint)[1]
+                lower[v], upper[v] = max(lower[v], np.radians(low)), min(upper[v], np.radians(high))
+    return lower, upper
+
+
+def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array) -> None:
+    """The eyes go to the ball within 0.45 s; a target that jumps at once would snap the neck."""
+    if figure.gaze is None:
+        return
+    eyes, turn = figure.pose(q, figure.gaze)
+    seen = eyes + turn[:, 0] * np.linalg.norm(ball - eyes)
+    rows.aim(figure.gaze, seen + (ball - seen) * minimum_jerk(t / 0.45)[:, None], 8.0, figure.neck or None)
+
+
+def _times(duration: float, hold: float, dt: float) -> Array:
+    return np.arange(1, int(round((duration + hold) / dt)) + 1) * dt
+
+
+def _duration(distance: float, speed: float) -> float:
+    """Of a minimum-jerk path: its peak speed is 15/8 of the mean."""
+    return max(_LEAST, 1.875 * distance / speed)
+
+
+def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
+    """Back to standing at ease, the feet where they are."""
+    start, stance = _local(figure, q)
+    way = figure.robot.difference(start, figure.home)[6:]
+    limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
+    duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 3.0)).max()))
+    t = _times(duration, 0.1, dt)
+    s = minimum_jerk(t / duration)
+    rows = Rows(figure, len(t))
+    _pinned(figure, start, rows)
+    here, home = figure.center(start)[:2], figure.center(figure.home)[:2]
+    rows.center(_flat(here + (home - here) * s[:, None]), axes="xy")
+    turn = figure.robot.forward(start, figure.trunk).rotation
+    rows.turned(figure.trunk, _turned(np.asarray(turn), np.eye(3), s), 3.0)
+    if look is not None:
+        _look(figure, rows, start, _to_local(stance, look), t)
+    posture = start + (figure.home - start) * s[:, None]
+    frames = rows.solve(posture, figure.stiffnesses(_STIFF), start, dt=dt)
+    return _placed(figure, _standing("rest", frames, home), stance)
+
+
+def _turned(start: Array, end: Array, s: Array) -> Array:
+    """(n, 3, 3) from one rotation to another along the shortest way."""
+    vector = rotation_log(matrix_to_quat(end @ start.T))
+    return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
+
+
+def _flat(xy: Array) -> Array:
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def reach(
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
+) -> Motion:
+    """The hand to the ball along a straight line of least jerk, standing."""
+    start, stance = _local(figure, q)
+    ball = _to_local(stance, np.asarray(ball, dtype=float))
+    hand = figure.pose(start, figure.hands[arm])[0]
+    duration = _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED)
+    t = _times(duration, hold, dt)
+    s = minimum_jerk(t / duration)
+    rows = Rows(figure, len(t))
+    _pinned(figure, start, rows)
+    here, middle = figure.center(start)[:2], support_middle(figure)
+    rows.center(_flat(here + (middle - here) * 0.3 * s[:, None]), axes="xy")
+    rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None])
+    rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], rotation("y", np.radians(4.0)), s), 20.0)
+    _look(figure, rows, start, ball, t)
+    posture = start + (figure.home - start) * s[:, None]
+    frames = rows.solve(posture, figure.stiffnesses(_STIFF), start, dt=dt)
+    return _placed(figure, _standing("reach", frames, middle, arm=arm, target=ball), stance)
+
+
+def bent_pose(figure: Figure, ball: Array, arm: str, deep: float, limits: tuple[Array, Array] | None = None) -> Frames:
+    """Poses on the way to a bend, the last with the hand at the ball: its end first, from a bent start, in small steps.
+
+    Args:
+        figure: Who bends, at home in its own frame.
+        ball: (3,) seen from the middle between the feet.
+        arm: Which hand.
+        deep: 0 to 1: how far towards the deepest bend the posture goes.
+        limits: Joint limits inside the model's.
+    """
+    start, steps = figure.home, 24
+    s = np.concatenate([np.linspace(1 / 12, 1.0, 12), np.ones(steps - 12)])
+    hand = figure.pose(start, figure.hands[arm])[0]
+    here, middle = figure.center(start)[:2], support_middle(figure)
+    rows = Rows(figure, steps)
+    _pinned(figure, start, rows)
+    rows.center(_flat(here + (middle - here) * s[:, None]), axes="xy")
+    rows.position(figure.hands[arm], hand + (ball - hand) * (s**2)[:, None])
+    rows.turned(figure.trunk, rotation("y", np.radians(6.0 + 60.0 * deep) * s), 2.0)
+    if figure.gaze is not None:
+        rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
+    goal = start + (figure.bent - start) * deep
+    goal[:7] = start[:7]
+    posture = start + (goal - start) * s[:, None]
+    stiff = np.minimum(figure.stiffnesses(_STIFF), 0.3)
+    return rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=30)
+
+
+def bend(
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
+) -> Motion:
+    """The hand to a low ball: hips back, the posture led to the end pose, the last millimetres closed by the hand."""
+    start, stance = _local(figure, q)
+    ball = _to_local(stance, np.asarray(ball, dtype=float))
+    hand = figure.pose(start, figure.hands[arm])[0]
+    deep = depth(figure, ball)
+    end = bent_pose(figure, ball, arm, deep).q[-1]
+    change = np.abs(figure.robot.difference(start, end)[6:]).max()
+    duration = max(_duration(float(np.linalg.norm(ball - hand)), _BEND_SPEED), 1.875 * float(change) / 3.0)
+    t = _times(duration, hold, dt)
+    s = minimum_jerk(t / duration)
+    rows = Rows(figure, len(t))
+    _pinned(figure, start, rows)
+    here, there = figure.center(start)[:2], figure.center(end)[:2]
+    rows.center(_flat(here + (there - here) * s[:, None]), axes="xy")
+    rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s), 3.0)
+    _look(figure, rows, start, ball, t)
+    rows.position(figure.hands[arm], ball, 300.0 * np.maximum(0.0, (s - 0.9) / 0.1) ** 3)
+    stiff = figure.stiffnesses(_STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
+    posture = start + (end - start) * s[:, None]
+    frames = rows.solve(posture, stiff, start, dt=dt)
+    return _placed(figure, _standing("bend", frames, there, arm=arm, target=ball), stance)
+
+
+def depth(figure: Figure, ball: Array) -> float:
+    """How deep to bend for a ball, 0 to 1, by its height against the hanging hand and the floor."""
+    hanging = float(figure.pose(figure.home, next(iter(figure.hands.values())))[0][2])
+    return float(np.clip(0.15 + 0.85 * (hanging - ball[2] + 0.1) / hanging, 0.15, 1.0))
+
+
+def walk_motion(
+    figure: Figure, q: Array, prints: list[Print], gait: Gait = WALK, *, look: Array | None = None,
+    dt: float = 1.0 / RATE,
+) -> tuple[Motion, Walk]:  # fmt: skip
+    """A walk as a motion; it may be left when both feet stand flat."""
+    found = walk(figure, q, prints, gait, look=look, dt=dt)
+    done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
+    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done), found
+
+
+def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
+    """(6, ...) coefficients, highest first, of the polynomial with both ends' place, speed and acceleration."""
+    matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
+    right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
+    return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
+
+
+def decay(x0: Array, v0: Array, duration: float) -> Callable[[Array], Array]:
+    """An offset (k,) with its speed that comes to rest at zero: (n,) times to (n, k) offsets.
+
+    The quintic of inertialisation without acceleration at its start (Bollo, *Inertialization*, GDC 2018).
+    """
+    T = duration
+    a = -(6 * x0 + 3 * v0 * T) / T**5
+    b = (15 * x0 + 8 * v0 * T) / T**4
+    c = -(10 * x0 + 6 * v0 * T) / T**3
+
+    def at(t: Array) -> Array:
+        u = t[:, None]
+        return np.where(u >= T, 0.0, ((a * u + b) * u + c) * u**3 + v0 * u + x0)
+
+    return at
+
+
+def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:
+    """``motion``, which begins at rest at ``first`` (nq,), after a motion whose frame before that was ``second``.
+
+    What the old motion would go on with decays, joint by joint, and the feet are pinned again.
+    """
+    speed = figure.robot.difference(second, first) / dt
+    if np.abs(speed).max() < 1e-3:
+        return motion
+    n = min(len(motion), int(round(BLEND / dt)) + 3)
+    t = np.arange(n) * dt
+    ahead = figure.robot.integrate(first, speed * dt)
+    gap = figure.robot.difference(motion.q[0], ahead)
+    offset = decay(gap, speed, BLEND)(t)
+    wanted = np.array([figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)])
+    rows = Rows(figure, n)
+    poses = {s: [figure.pose(row, f.frame) for row in motion.q[:n]] for s, f in figure.feet.items()}
+    rows.feet(
+        {s: np.array([p for p, _ in found]) for s, found in poses.items()},
+        {s: np.array([r for _, r in found]) for s, found in poses.items()},
+    )  # fmt: skip
+    center = np.array([figure.center(row) for row in motion.q[:n]])
+    was = (figure.center(first) - figure.center(second)) / dt
+    shift = decay(figure.center(first) + was * dt - center[0], was, BLEND)(t)
+    rows.center(center + shift, axes="xy")
+    rows.turned(figure.trunk, np.array([figure.pose(row, figure.trunk)[1] for row in wanted]), 1.0)
+    stiff = np.concatenate([np.zeros(6), np.ones(figure.robot.nv - 6)])
+    frames = rows.solve(wanted, stiff, first, second, speeds=motion.speeds, dt=dt)
+    q, miss = motion.q.copy(), motion.miss.copy()
+    q[:n], miss[:n] = frames.q, frames.miss
+    return replace(motion, q=q, miss=miss)
