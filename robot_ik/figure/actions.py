@@ -20,7 +20,7 @@ from robot_ik.figure.gait import AIR, FLAT, SHUFFLE, TOE, WALK, Gait, Print, Wal
 Array = NDArray[np.float64]
 
 # Posture weights: the girdle and the wrists are moved last, the arm first.
-_STIFF = {
+STIFF = {
     "*": 0.1, "*shoulder*": 0.15, "*elbow*": 0.15, "*clavicle*": 2.0, "*wrist*": 3.0, "head*": 3.0,
     "torso*": 1.0, "pelvis*": 1.0, "*toe*": 100.0,
 }  # fmt: skip
@@ -60,7 +60,7 @@ class Motion:
         return len(self.q)
 
 
-def _local(figure: Figure, q: Array) -> tuple[Array, Array]:
+def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
     """``q`` and its stance, seen from the middle between the feet."""
     stance = figure.stance(q)
     return _unplaced(figure, q, stance), stance
@@ -71,11 +71,11 @@ def _unplaced(figure: Figure, q: Array, stance: Array) -> Array:
     return figure.placed(q, x, y, -stance[2])
 
 
-def _to_local(stance: Array, point: Array) -> Array:
+def seen_from(stance: Array, point: Array) -> Array:
     return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
 
 
-def _placed(figure: Figure, motion: Motion, stance: Array) -> Motion:
+def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
     turn = rotation("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
     target = None if motion.target is None else turn @ motion.target + [stance[0], stance[1], 0.0]
@@ -113,13 +113,13 @@ def upright_limits(figure: Figure) -> tuple[Array, Array]:
     return lower, upper
 
 
-def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array) -> None:
-    """The eyes go to the ball within 0.45 s; a target that jumps at once would snap the neck."""
+def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
+    """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
     if figure.gaze is None:
         return
     eyes, turn = figure.pose(q, figure.gaze)
     seen = eyes + turn[:, 0] * np.linalg.norm(ball - eyes)
-    rows.aim(figure.gaze, seen + (ball - seen) * minimum_jerk(t / 0.45)[:, None], 8.0, figure.neck or None)
+    rows.aim(figure.gaze, seen + (ball - seen) * minimum_jerk(t / within)[:, None], 8.0, figure.neck or None)
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
@@ -133,7 +133,7 @@ def _duration(distance: float, speed: float) -> float:
 
 def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
     """Back to standing at ease, the feet where they are."""
-    start, stance = _local(figure, q)
+    start, stance = to_stance(figure, q)
     way = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
     duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 3.0)).max()))
@@ -146,10 +146,10 @@ def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0
     turn = figure.robot.forward(start, figure.trunk).rotation
     rows.turned(figure.trunk, _turned(np.asarray(turn), np.eye(3), s), 3.0)
     if look is not None:
-        _look(figure, rows, start, _to_local(stance, look), t)
+        _look(figure, rows, start, seen_from(stance, look), t)
     posture = start + (figure.home - start) * s[:, None]
-    frames = rows.solve(posture, figure.stiffnesses(_STIFF), start, dt=dt)
-    return _placed(figure, _standing("rest", frames, home), stance)
+    frames = rows.solve(posture, figure.stiffnesses(STIFF), start, dt=dt)
+    return placed_motion(figure, _standing("rest", frames, home), stance)
 
 
 def _turned(start: Array, end: Array, s: Array) -> Array:
@@ -166,8 +166,8 @@ def reach(
     figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
 ) -> Motion:
     """The hand to the ball along a straight line of least jerk, standing."""
-    start, stance = _local(figure, q)
-    ball = _to_local(stance, np.asarray(ball, dtype=float))
+    start, stance = to_stance(figure, q)
+    ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
     duration = _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED)
     t = _times(duration, hold, dt)
@@ -180,8 +180,8 @@ def reach(
     rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], rotation("y", np.radians(4.0)), s), 20.0)
     _look(figure, rows, start, ball, t)
     posture = start + (figure.home - start) * s[:, None]
-    frames = rows.solve(posture, figure.stiffnesses(_STIFF), start, dt=dt)
-    return _placed(figure, _standing("reach", frames, middle, arm=arm, target=ball), stance)
+    frames = rows.solve(posture, figure.stiffnesses(STIFF), start, dt=dt)
+    return placed_motion(figure, _standing("reach", frames, middle, arm=arm, target=ball), stance)
 
 
 def bent_pose(figure: Figure, ball: Array, arm: str, deep: float, limits: tuple[Array, Array] | None = None) -> Frames:
@@ -208,16 +208,16 @@ def bent_pose(figure: Figure, ball: Array, arm: str, deep: float, limits: tuple[
     goal = start + (figure.bent - start) * deep
     goal[:7] = start[:7]
     posture = start + (goal - start) * s[:, None]
-    stiff = np.minimum(figure.stiffnesses(_STIFF), 0.3)
+    stiff = np.minimum(figure.stiffnesses(STIFF), 0.3)
     return rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=30)
 
 
 def bend(
     figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
 ) -> Motion:
-    """The hand to a low ball: hips back, the posture led to the end pose, the last millimetres closed by the hand."""
-    start, stance = _local(figure, q)
-    ball = _to_local(stance, np.asarray(ball, dtype=float))
+    """The hand to a low ball: hips back; solved for its end first, to which the posture is led."""
+    start, stance = to_stance(figure, q)
+    ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
     deep = depth(figure, ball)
     end = bent_pose(figure, ball, arm, deep).q[-1]
@@ -230,12 +230,11 @@ def bend(
     here, there = figure.center(start)[:2], figure.center(end)[:2]
     rows.center(_flat(here + (there - here) * s[:, None]), axes="xy")
     rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s), 3.0)
-    _look(figure, rows, start, ball, t)
-    rows.position(figure.hands[arm], ball, 300.0 * np.maximum(0.0, (s - 0.9) / 0.1) ** 3)
-    stiff = figure.stiffnesses(_STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
+    _look(figure, rows, start, ball, t, within=0.7 * duration)
+    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
     posture = start + (end - start) * s[:, None]
     frames = rows.solve(posture, stiff, start, dt=dt)
-    return _placed(figure, _standing("bend", frames, there, arm=arm, target=ball), stance)
+    return placed_motion(figure, _standing("bend", frames, there, arm=arm, target=ball), stance)
 
 
 def depth(figure: Figure, ball: Array) -> float:
