@@ -90,7 +90,7 @@ def _standing(action: str, frames: Frames, center: Array, **more: object) -> Mot
     )  # fmt: skip
 
 
-def _pinned(figure: Figure, q: Array, rows: Rows) -> None:
+def pinned(figure: Figure, q: Array, rows: Rows) -> None:
     poses = {side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()}
     rows.feet({side: pose[0] for side, pose in poses.items()}, {side: pose[1] for side, pose in poses.items()})
 
@@ -140,7 +140,7 @@ def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0
     t = _times(duration, 0.1, dt)
     s = minimum_jerk(t / duration)
     rows = Rows(figure, len(t))
-    _pinned(figure, start, rows)
+    pinned(figure, start, rows)
     here, home = figure.center(start)[:2], figure.center(figure.home)[:2]
     rows.center(_flat(here + (home - here) * s[:, None]), axes="xy")
     turn = figure.robot.forward(start, figure.trunk).rotation
@@ -173,7 +173,7 @@ def reach(
     t = _times(duration, hold, dt)
     s = minimum_jerk(t / duration)
     rows = Rows(figure, len(t))
-    _pinned(figure, start, rows)
+    pinned(figure, start, rows)
     here, middle = figure.center(start)[:2], support_middle(figure)
     rows.center(_flat(here + (middle - here) * 0.3 * s[:, None]), axes="xy")
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None])
@@ -199,7 +199,7 @@ def bent_pose(figure: Figure, ball: Array, arm: str, deep: float, limits: tuple[
     hand = figure.pose(start, figure.hands[arm])[0]
     here, middle = figure.center(start)[:2], support_middle(figure)
     rows = Rows(figure, steps)
-    _pinned(figure, start, rows)
+    pinned(figure, start, rows)
     rows.center(_flat(here + (middle - here) * s[:, None]), axes="xy")
     rows.position(figure.hands[arm], hand + (ball - hand) * (s**2)[:, None])
     rows.turned(figure.trunk, rotation("y", np.radians(6.0 + 60.0 * deep) * s), 2.0)
@@ -226,7 +226,7 @@ def bend(
     t = _times(duration, hold, dt)
     s = minimum_jerk(t / duration)
     rows = Rows(figure, len(t))
-    _pinned(figure, start, rows)
+    pinned(figure, start, rows)
     here, there = figure.center(start)[:2], figure.center(end)[:2]
     rows.center(_flat(here + (there - here) * s[:, None]), axes="xy")
     rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s), 3.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from typing import Any
 
@@ -168,6 +168,10 @@ class Figure:
     def model(self) -> mujoco.MjModel:
         """MuJoCo's model."""
         return self.robot.model
+
+    def copy(self) -> Figure:
+        """The same with work space of its own, for another thread."""
+        return replace(self, data=mujoco.MjData(self.model))
 
     @property
     def mass(self) -> float:

@@ -29,6 +29,8 @@ _PITCH_DEG, _LANDED = 50.0, 0.75
 """Sole at take-off, and the share of it at landing."""
 _TUCK = 0.07
 """How far the feet are drawn up in flight, m."""
+_LEAST = 0.9
+"""A jump is no slower than this, m/s."""
 _FINE = 0.002
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the crouch."""
@@ -89,38 +91,33 @@ class JumpPlan:
         return np.array([np.polyval(pieces[k], u - starts[k]) for k, u in zip(which, t, strict=True)])
 
 
-def arm_up(figure: Figure, arm: str) -> Array:
-    """(3,) the palm seen from the centre of mass with the arm raised."""
-    up = {f"{arm}_shoulder_pitch": 2.95, f"{arm}_elbow_pitch": 0.12, f"{arm}_clavicle_roll": 0.6}
-    q = figure.posture(**up)
-    return figure.pose(q, figure.hands[arm])[0] - figure.center(q)
+def highest_take_off(figure: Figure) -> float:
+    """Height of the centre of mass at take-off: legs all but straight, heels up, m."""
+    wait = float(figure.center(figure.home)[2]) - _READY
+    return wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
 
 
-def take_off_speed(figure: Figure, height: float, arm: str) -> float:
-    """m/s that the centre of mass needs for the palm to come to that height at the apex; NaN where none is needed."""
-    wait = figure.center(figure.home)[2] - _READY
-    high = wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
-    rise = height - float(arm_up(figure, arm)[2]) + 0.04 - high
-    return float(np.sqrt(2 * GRAVITY * rise)) if rise > 0 else float("nan")
+def forward_at_take_off(figure: Figure) -> float:
+    """How far before the middle of the feet the centre of mass takes off, m, in a jump of middling height."""
+    plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)
+    return _forward(plan).jump
 
 
-def plan_jump(figure: Figure, ball: Array, arm: str) -> JumpPlan:
-    """A jump of a figure at home in its own frame.
+def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
+    """A jump of a figure at home in its own frame with that speed at take-off, m/s.
 
     Raises:
-        InvalidGoalError: The ball is too high, or so low that no jump is needed.
+        InvalidGoalError: Faster than a man jumps.
     """
-    speed = take_off_speed(figure, float(ball[2]), arm)
-    if np.isnan(speed):
-        speed = float(np.sqrt(2 * GRAVITY * 0.02))
-    if speed > TAKE_OFF:
+    if not 0.0 < speed <= TAKE_OFF:
         raise InvalidGoalError(
             f"the ball at {ball[2]:.2f} m needs {speed:.2f} m/s at take-off, more than {TAKE_OFF} m/s",
             hint="a lower ball",
         )
+    speed = max(speed, _LEAST)
     ready = _ready(figure)
     wait = float(figure.center(ready)[2])
-    high = wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
+    high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
     low, d = wait - _CROUCH, high - wait + _CROUCH
     landed = high - 0.8 * d
     push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
@@ -316,16 +313,26 @@ def _posture(plan: JumpPlan, t: Array, deep: Array, palm: Array, pitch: Array, c
 
 
 def jump(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, dt: float = 1.0 / RATE, corrections: int = 3
-) -> Motion:
+    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
+    corrections: int = 3,
+) -> Motion:  # fmt: skip
     """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
 
+    Args:
+        figure: Who jumps.
+        q: (nq,) standing near home.
+        ball: (3,) in the world.
+        arm: Which hand.
+        speed: At take-off, m/s (``Abilities.take_off`` knows it).
+        dt: Time between frames, s.
+        corrections: Rounds of the dynamics filter.
+
     Raises:
-        InvalidGoalError: The ball is too high.
+        InvalidGoalError: Faster than a man jumps.
     """
     start, stance = to_stance(figure, q)
     ball = seen_from(stance, np.asarray(ball, dtype=float))
-    plan = plan_jump(figure, ball, arm)
+    plan = plan_jump(figure, ball, arm, speed)
     # A frame at the apex: the moment of the touch.
     t = np.arange(1, int((plan.ends[5] + 0.3) / dt) + 1) * dt
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])

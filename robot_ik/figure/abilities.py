@@ -1,0 +1,346 @@
+"""What a figure can do: reach standing, bend, jump; computed from its own model, and kept as a map on disk.
+
+All balls here are seen from the middle between the feet, x ahead: what a figure can do depends on nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.actions import STIFF, support_middle, upright_limits
+from robot_ik.figure.balance import hull, hull_margin
+from robot_ik.figure.figure import GRAVITY, Figure, Rows, lowest_points, rotation
+from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
+from robot_ik.kernels.jit import cache_folder
+
+Array = NDArray[np.float64]
+
+AT_BALL, BALANCED, TOUCHING = 0.005, 0.010, 0.002
+"""Palm at most so far from the ball, centre of mass at least so far inside the soles' hull, self-contact at most so
+deep, m: what an admissible pose is."""
+REACH, BEND = "reach", "bend"
+
+_GRID = 0.1  # m
+_VERSION = 1
+# Steps towards the ball; the hand's weight grows a hundredfold on the way, so that it goes as far as it can.
+_STEPS = 12
+# A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
+_SLACK = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """How a figure would take a ball.
+
+    Attributes:
+        q: (nq,) at home in its own frame.
+        miss: Distance of palm and ball, m.
+        flaw: Why it is not admissible, in words; empty where it is.
+    """
+
+    q: Array
+    miss: float
+    flaw: str
+
+
+def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
+    """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``), feet where they are."""
+    limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
+    pose = _attempt(figure, ball, arm, kind, limits, None)
+    if pose.flaw.startswith("balance"):
+        center = figure.center(pose.q)[:2]
+        pose = _attempt(figure, ball, arm, kind, limits, _inside(_support(figure), center, BALANCED + 0.002))
+    elif pose.flaw.startswith("its"):  # another swivel of the arm
+        other = _attempt(figure, ball, arm, kind, limits, None, aside=0.7)
+        pose = other if not other.flaw else pose
+    return pose
+
+
+def _attempt(
+    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], center: Array | None,
+    aside: float = 0.0,
+) -> Pose:  # fmt: skip
+    from robot_ik.figure.actions import depth, pinned
+
+    start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
+    deep = 0.0 if kind == REACH else depth(figure, ball)
+    rows = Rows(figure, _STEPS)
+    pinned(figure, start, rows)
+    here = figure.center(start)[:2]
+    to = support_middle(figure) if center is None else center
+    way = np.column_stack([here + (to - here) * s[:, None], np.zeros(_STEPS)])
+    if center is None:
+        rows.center(way, 5.0, axes="xy")
+    else:
+        rows.center(way, axes="xy")
+    hand = figure.pose(start, figure.hands[arm])[0]
+    rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
+    rows.turned(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
+    goal = start + (figure.bent - start) * deep
+    goal[:7] = start[:7]
+    if aside:
+        goal = figure.posture(goal, **{f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside})
+    posture = start + (goal - start) * s[:, None]
+    stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
+    frames = rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=6)
+    q = frames.q[-1]
+    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
+    return Pose(q, miss, flaw_of(figure, q, ball, arm, frames.miss[-1]))
+
+
+def _support(figure: Figure) -> Array:
+    """(h, 2) hull of the soles at home."""
+    found = []
+    for foot in figure.feet.values():
+        place, turn = figure.pose(figure.home, foot.frame)
+        for body, geoms in foot.parts:
+            low, points = lowest_points(figure.model, list(geoms), np.array([[0.0, 0.0, 1.0]]))
+            at = figure.data
+            at.qpos[:] = figure.home
+            mujoco.mj_kinematics(figure.model, at)
+            world = at.xpos[body] + points[0] @ at.xmat[body].reshape(3, 3).T
+            found.append(world[world[:, 2] < 0.003, :2])
+        del place, turn, low
+    return hull(np.concatenate(found))
+
+
+def _inside(corners: Array, point: Array, margin: float) -> Array:
+    """The point, moved towards the middle of the hull until it is so far inside."""
+    middle = corners.mean(axis=0)
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        half = (low + high) / 2
+        if hull_margin(corners, middle + (point - middle) * half) >= margin:
+            low = half
+        else:
+            high = half
+    return np.asarray(middle + (point - middle) * low)
+
+
+def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:
+    """Why a pose is not admissible, by MuJoCo; empty where it is."""
+    model, data = figure.model, figure.data
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    hand = figure.robot.frame(figure.hands[arm])
+    palm = data.xpos[hand.body] + data.xmat[hand.body].reshape(3, 3) @ hand.local.position
+    miss = float(np.linalg.norm(palm - ball))
+    if miss > AT_BALL:
+        return f"the hand stays {100 * miss:.0f} cm away"
+    if hard > 1e-4:
+        return "the feet would move"
+    margin = hull_margin(_support_cached(figure), data.subtree_com[0][:2])
+    if margin < BALANCED:
+        return "balance would be lost"
+    for c in range(data.ncon):
+        if data.contact[c].dist < -TOUCHING:
+            names = sorted(model.body(model.geom_bodyid[g]).name.replace("_", " ") for g in data.contact[c].geom)
+            return f"its {names[0]} would run into its {names[1]}"
+    low = _lowest(figure, data)
+    return f"the {low} would go under the floor" if low else ""
+
+
+def _support_cached(figure: Figure) -> Array:
+    found = figure.robot.memory.get("figure.support")
+    if found is None:
+        found = figure.robot.memory["figure.support"] = _support(figure)
+    return np.asarray(found)
+
+
+def _lowest(figure: Figure, data: mujoco.MjData) -> str:
+    """Name of a body that is under the floor; soles may touch it."""
+    model = figure.model
+    soles = {body for foot in figure.feet.values() for body, _ in foot.parts}
+    for g in range(model.ngeom):
+        body = int(model.geom_bodyid[g])
+        if model.geom_contype[g] and body not in soles and data.geom_xpos[g, 2] < model.geom_rbound[g]:
+            up = data.xmat[body].reshape(3, 3)[2:3]
+            low, _ = lowest_points(model, [g], up)
+            if low[0, 0] + data.xpos[body, 2] < 0.0:
+                return str(model.body(body).name).replace("_", " ")
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball.
+
+    Attributes:
+        origin: (3,) first point of the grid.
+        miss: (i, j, k) m; -1 where the hand comes there, but not in an admissible pose.
+    """
+
+    origin: Array
+    miss: NDArray[np.float32]
+
+    def nearest(self, ball: Array) -> tuple[float, float]:
+        """Miss of the nearest grid point (inf outside the grid) and how far that point is."""
+        index = np.rint((ball - self.origin) / _GRID).astype(int)
+        if (index < 0).any() or (index >= self.miss.shape).any():
+            return np.inf, 0.0
+        away = float(np.linalg.norm(self.origin + index * _GRID - ball))
+        return float(self.miss[tuple(index)]), away
+
+    def surely_out(self, ball: Array) -> bool:
+        """No pose reaches the ball: the nearest point of the map is farther out of reach than the ball is from it."""
+        miss, away = self.nearest(ball)
+        return miss > away + _SLACK
+
+    def comfortable(self, z: float) -> Array:
+        """(n, 2) grid points at that height that are in reach, and all their neighbours."""
+        inside = self.miss == 0.0
+        for axis in range(3):
+            inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
+        k = int(np.rint((z - self.origin[2]) / _GRID))
+        if not 0 <= k < inside.shape[2]:
+            return np.zeros((0, 2))
+        return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, k]) * _GRID)
+
+
+@dataclass(frozen=True, eq=False)
+class Abilities:
+    """Maps of a figure, by kind and arm.
+
+    Attributes:
+        figure: Whose.
+        maps: ``(kind, arm)`` to its map.
+        ahead: How far before its middle the centre of mass takes off, m.
+        raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a straight arm.
+    """
+
+    figure: Figure
+    maps: dict[tuple[str, str], Map]
+    ahead: float
+    raised: dict[str, tuple[Array, float]] = field(repr=False)
+
+    @cached_property
+    def shoulders(self) -> dict[str, Array]:
+        """(3,) of each arm at home."""
+        return {arm: shoulder_of(self.figure, arm) for arm in self.figure.hands}
+
+    def can(self, kind: str, ball: Array, arm: str) -> Pose | None:
+        """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
+        if self.maps[kind, arm].surely_out(ball):
+            return None
+        pose = find_pose(self.figure, ball, arm, kind)
+        return None if pose.flaw else pose
+
+    def take_off(self, ball: Array, arm: str) -> float | None:
+        """Speed at take-off that brings the palm to a ball overhead, m/s; None where no jump does, or needs to."""
+        shoulder, length = self.raised[arm]
+        aside = float(np.linalg.norm(ball[:2] - [self.ahead, 0.0] - shoulder[:2]))
+        if aside >= length:
+            return None
+        height = shoulder[2] + float(np.sqrt(length**2 - aside**2))
+        squared = 2 * GRAVITY * (ball[2] - height - highest_take_off(self.figure))
+        return float(np.sqrt(squared)) if 0.0 < squared <= TAKE_OFF**2 else None
+
+
+def shoulder_of(figure: Figure, arm: str) -> Array:
+    """(3,) the place about which an arm turns, at home: the joint of its chain farthest from the hand by one link."""
+    model, data = figure.model, figure.data
+    data.qpos[:] = figure.home
+    mujoco.mj_forward(model, data)
+    body, anchors = figure.robot.frame(figure.hands[arm]).body, []
+    trunk = figure.robot.frame(figure.trunk).body
+    while body not in (0, trunk):
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            if not any(np.linalg.norm(data.xanchor[joint] - a) < 1e-3 for a in anchors):
+                anchors.append(data.xanchor[joint].copy())
+        body = int(model.body_parentid[body])
+    return anchors[min(2, len(anchors) - 1)]  # wrist, elbow, shoulder
+
+
+def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
+    up = {f"{arm}_shoulder_pitch": 2.95, f"{arm}_elbow_pitch": 0.12, f"{arm}_clavicle_roll": 0.6}
+    q = figure.posture(**up)
+    palm, center = figure.pose(q, figure.hands[arm])[0], figure.center(q)
+    length = float(np.linalg.norm(figure.pose(figure.posture(**{f"{arm}_elbow_pitch": 0.12}), figure.hands[arm])[0] - shoulder_of(figure, arm)))
+    # The raised shoulder: straight below the palm by the arm's length, but for what it leans.
+    lean = 0.15 * length
+    shoulder = palm - center - np.array([lean, 0.0, np.sqrt(length**2 - lean**2)])
+    return shoulder, 0.985 * length
+
+
+def load_abilities(
+    figure: Figure, *, progress: Callable[[int, int], None] | None = None, folder: Path | None = None
+) -> Abilities:
+    """Maps from the user's cache, made if need be (a minute or two, once for each model).
+
+    Args:
+        figure: Whose.
+        progress: Called with points done and points in all.
+        folder: Where the maps are kept; default: the user's cache.
+    """
+    where = folder or cache_folder().parents[1] / "abilities"
+    file = where / f"{figure.robot.name}-{_digest(figure)}.npz"
+    keys = [(kind, arm) for arm in figure.hands for kind in (REACH, BEND)]
+    maps: dict[tuple[str, str], Map] = {}
+    if file.is_file():
+        with np.load(file) as stored:
+            maps = {(k, a): Map(stored[f"{k}-{a}-origin"], stored[f"{k}-{a}"]) for k, a in keys}
+    elif keys:
+        maps = _make_maps(figure, keys, progress)
+        where.mkdir(parents=True, exist_ok=True)
+        arrays: dict[str, NDArray[np.generic]] = {}
+        for (kind, arm), found in maps.items():
+            arrays |= {f"{kind}-{arm}": found.miss, f"{kind}-{arm}-origin": found.origin}
+        part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
+        np.savez_compressed(part, **arrays)  # type: ignore[arg-type]
+        part.replace(file)
+    raised = {arm: _raised(figure, arm) for arm in figure.hands}
+    return Abilities(figure, maps, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+
+
+def _digest(figure: Figure) -> str:
+    size = mujoco.mj_sizeModel(figure.model)
+    buffer = np.empty(size, dtype=np.uint8)
+    mujoco.mj_saveModel(figure.model, None, buffer)
+    digest = hashlib.sha256(buffer.tobytes())
+    digest.update(repr((_VERSION, _GRID, figure.hands, [f.frame for f in figure.feet.values()])).encode())
+    return digest.hexdigest()[:16]
+
+
+def _make_maps(
+    figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
+) -> dict[tuple[str, str], Map]:
+    origin, shape = np.array([-1.2, -1.3, -0.1]), (27, 27, 24)
+    points = origin + np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3) * _GRID
+    near, jobs = {}, []
+    for kind, arm in keys:
+        shoulder = shoulder_of(figure, arm)
+        # Beyond the straight arm and what the trunk can do nothing is to be had.
+        radius = 1.05 if kind == REACH else 1.75
+        near[kind, arm] = np.flatnonzero(np.linalg.norm(points - shoulder, axis=1) < radius)
+        jobs += [(kind, arm, int(i)) for i in near[kind, arm]]
+    flat = {key: np.full(len(points), np.inf, dtype=np.float32) for key in keys}
+    workers = min(2, os.cpu_count() or 1)
+    done = 0
+
+    def work(part: list[tuple[str, str, int]], mine: Figure) -> int:
+        for kind, arm, i in part:
+            pose = find_pose(mine, points[i], arm, kind)
+            flat[kind, arm][i] = 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
+        return len(part)
+
+    figures = [figure.copy() for _ in range(workers)]
+    chunks = [jobs[i : i + 200] for i in range(0, len(jobs), 200)]
+    with ThreadPoolExecutor(workers) as pool:
+        for first in range(0, len(chunks), workers):
+            batch = chunks[first : first + workers]
+            for count in pool.map(work, batch, figures):
+                done += count
+                if progress is not None:
+                    progress(done, len(jobs))
+    return {key: Map(origin, values.reshape(shape)) for key, values in flat.items()}
