@@ -31,6 +31,8 @@ deep, m: what an admissible pose is."""
 REACH, BEND = "reach", "bend"
 
 _GRID = 0.1  # m
+# No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
+_BEHIND = -0.1
 _VERSION = 1
 # Steps towards the ball; the hand's weight grows a hundredfold on the way, so that it goes as far as it can.
 _STEPS = 12
@@ -238,6 +240,8 @@ class Abilities:
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s; None where no jump does, or needs to."""
         shoulder, length = self.raised[arm]
+        if ball[0] - self.ahead < _BEHIND:
+            return None
         aside = float(np.linalg.norm(ball[:2] - [self.ahead, 0.0] - shoulder[:2]))
         if aside >= length:
             return None
@@ -247,10 +251,15 @@ class Abilities:
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
-    """(3,) the place about which an arm turns, at home: the joint of its chain farthest from the hand by one link."""
+    """(3,) the place about which an arm turns, at home: the third place from the hand about which joints turn."""
+    return _shoulder_at(figure, figure.home, arm)
+
+
+def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
     model, data = figure.model, figure.data
-    data.qpos[:] = figure.home
-    mujoco.mj_forward(model, data)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     body, anchors = figure.robot.frame(figure.hands[arm]).body, []
     trunk = figure.robot.frame(figure.trunk).body
     while body not in (0, trunk):
@@ -263,14 +272,21 @@ def shoulder_of(figure: Figure, arm: str) -> Array:
 
 
 def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
-    up = {f"{arm}_shoulder_pitch": 2.95, f"{arm}_elbow_pitch": 0.12, f"{arm}_clavicle_roll": 0.6}
-    q = figure.posture(**up)
-    palm, center = figure.pose(q, figure.hands[arm])[0], figure.center(q)
-    length = float(np.linalg.norm(figure.pose(figure.posture(**{f"{arm}_elbow_pitch": 0.12}), figure.hands[arm])[0] - shoulder_of(figure, arm)))
-    # The raised shoulder: straight below the palm by the arm's length, but for what it leans.
-    lean = 0.15 * length
-    shoulder = palm - center - np.array([lean, 0.0, np.sqrt(length**2 - lean**2)])
-    return shoulder, 0.985 * length
+    """Where the shoulder is beside the centre of mass with the arm stretched straight up, and how far the palm from it."""
+    steps = 16
+    start, s = figure.posture(**{f"{arm}_shoulder_pitch": 2.6}), np.linspace(1 / steps, 1.0, steps)
+    rows = Rows(figure, steps)
+    center, shoulder = figure.center(start), shoulder_of(figure, arm)
+    hand = figure.pose(start, figure.hands[arm])[0]
+    top = np.array([center[0], shoulder[1], hand[2] + 0.6])
+    rows.position(figure.hands[arm], hand + (top - hand) * s[:, None], 100.0)
+    rows.center(center)
+    rows.turned(figure.trunk, np.eye(3))
+    stiff = figure.stiffnesses({"*": 0.01, "*hip*": 1.0, "*knee*": 1.0, "*ankle*": 1.0})
+    q = rows.solve(start, stiff, start, speeds=None, steps=20).q[-1]
+    palm, at = figure.pose(q, figure.hands[arm])[0], _shoulder_at(figure, q, arm)
+    # Not quite straight and not quite up: a stretched arm has nowhere to go.
+    return at - figure.center(q) - [0.0, 0.0, 0.03], 0.95 * float(np.linalg.norm(palm - at))
 
 
 def load_abilities(

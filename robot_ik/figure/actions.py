@@ -103,6 +103,13 @@ def support_middle(figure: Figure) -> Array:
 
 def upright_limits(figure: Figure) -> tuple[Array, Array]:
     """Joint limits of a figure that reaches without bending: what separates ``reach`` from ``bend``."""
+    if "figure.upright" not in figure.robot.memory:
+        figure.robot.memory["figure.upright"] = _upright(figure)
+    found: tuple[Array, Array] = figure.robot.memory["figure.upright"]
+    return found
+
+
+def _upright(figure: Figure) -> tuple[Array, Array]:
     lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
     box = {"knee_pitch": (0.0, 25.0), "hip_pitch": (-15.0, 30.0), "torso_pitch": (-10.0, 10.0), "pelvis_pitch": (-10.0, 10.0)}
     for joint in figure.robot.joints:

@@ -198,13 +198,11 @@ class Figure:
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
         """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
-        found = np.zeros(self.robot.nv)
-        for node, name in enumerate(self.robot.joints):
-            if self.robot.tree.kind[node] != FREE:
-                for pattern, weight in rows.items():
-                    if fnmatch(name, pattern):
-                        found[self.robot.tree.vadr[node]] = weight
-        return found
+        key = ("figure.stiffness", *rows.items())
+        known = self.robot.memory.get(key)
+        if known is None:
+            known = self.robot.memory[key] = _by_pattern(self.robot, rows, 0.0)
+        return np.asarray(known)
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) place and (3, 3) rotation of a frame."""
@@ -267,20 +265,21 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         trunk=parts.trunk,
         home=robot.home.copy(),
         bent=bent,
-        speeds={key: _speeds(robot, rows) for key, rows in robot.file.speeds.items()} or {"daily": np.full(robot.nv, np.inf)},
+        speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()} or {"daily": np.full(robot.nv, np.inf)},
         apart=apart,
         inertia=robot.inertias(),
         data=mujoco.MjData(robot.model),
     )  # fmt: skip
 
 
-def _speeds(robot: Robot, rows: Mapping[str, float]) -> Array:
-    found = np.full(robot.nv, np.inf)
+def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
+    """(nv,) values of joints by patterns of their names, a later pattern wins; ``free`` for the base."""
+    found = np.full(robot.nv, free)
     for node, name in enumerate(robot.joints):
         if robot.tree.kind[node] != FREE:
-            for pattern, speed in rows.items():
+            for pattern, value in rows.items():
                 if fnmatch(name, pattern):
-                    found[robot.tree.vadr[node]] = speed
+                    found[robot.tree.vadr[node]] = value
     return found
 
 

@@ -29,8 +29,8 @@ _PITCH_DEG, _LANDED = 50.0, 0.75
 """Sole at take-off, and the share of it at landing."""
 _TUCK = 0.07
 """How far the feet are drawn up in flight, m."""
-_LEAST = 0.9
-"""A jump is no slower than this, m/s."""
+_LEAST = 1.7
+"""A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with a bent arm."""
 _FINE = 0.002
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the crouch."""
@@ -118,7 +118,8 @@ def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
     ready = _ready(figure)
     wait = float(figure.center(ready)[2])
     high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
-    low, d = wait - _CROUCH, high - wait + _CROUCH
+    crouch = _CROUCH * float(np.clip(speed / 2.0, 0.5, 1.0))
+    low, d = wait - crouch, high - wait + crouch
     landed = high - 0.8 * d
     push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
     brake = 1.35 * speed**2 / (1.6 * d)
@@ -205,7 +206,7 @@ def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     rising = top * minimum_jerk((t - up + plan.rising) / plan.rising)
     falling = _LANDED * top * (1 - minimum_jerk((t - down) / (0.9 * absorb)))
     pitch = np.where(air, top * (1 - (1 - _LANDED) * minimum_jerk(s)), np.where(t <= up, rising, falling))
-    lift = np.where(air, plan.height(t) - plan.high + _TUCK * 64 * (s * (1 - s)) ** 3, 0.0)
+    lift = np.where(air, plan.height(t) - plan.high + _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3, 0.0)
     contact = np.where(air, AIR, np.where(pitch > 1e-4, TOE, FLAT))
     return pitch, lift, contact
 
