@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.actions import STIFF, support_middle, upright_limits
+from robot_ik.figure.actions import STIFF, depth, support_middle, upright_limits
 from robot_ik.figure.balance import hull, hull_margin
 from robot_ik.figure.figure import GRAVITY, Figure, Rows, lowest_points, rotation
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
@@ -62,34 +62,36 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
     if pose.flaw.startswith("balance"):
         center = figure.center(pose.q)[:2]
         pose = _attempt(figure, ball, arm, kind, limits, _inside(_support(figure), center, BALANCED + 0.002))
-    elif pose.flaw.startswith("its"):  # another swivel of the arm
-        other = _attempt(figure, ball, arm, kind, limits, None, aside=0.7)
+    elif pose.flaw.startswith(("its", "the")) and pose.miss <= AT_BALL:  # another swivel of the arm, or a flat hand
+        flat = pose.flaw.endswith("floor")
+        other = _attempt(figure, ball, arm, kind, limits, None, aside=0.0 if flat else 0.7, flat=flat)
         pose = other if not other.flaw else pose
     return pose
 
 
 def _attempt(
     figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], center: Array | None,
-    aside: float = 0.0,
+    aside: float = 0.0, flat: bool = False,
 ) -> Pose:  # fmt: skip
-    from robot_ik.figure.actions import depth, pinned
-
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
     deep = 0.0 if kind == REACH else depth(figure, ball)
     rows = Rows(figure, _STEPS)
-    pinned(figure, start, rows)
-    here = figure.center(start)[:2]
+    feet = figure.feet_at_home
+    rows.feet({s: pose[0] for s, pose in feet.items()}, {s: pose[1] for s, pose in feet.items()})
+    here = figure.center_at_home[:2]
     to = support_middle(figure) if center is None else center
     way = np.column_stack([here + (to - here) * s[:, None], np.zeros(_STEPS)])
     if center is None:
         rows.center(way, 5.0, axes="xy")
     else:
         rows.center(way, axes="xy")
-    hand = figure.pose(start, figure.hands[arm])[0]
+    hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
     rows.turned(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
     goal = start + (figure.bent - start) * deep
     goal[:7] = start[:7]
+    if flat:
+        rows.turned(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
     if aside:
         goal = figure.posture(goal, **{f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside})
     posture = start + (goal - start) * s[:, None]
@@ -102,18 +104,19 @@ def _attempt(
 
 def _support(figure: Figure) -> Array:
     """(h, 2) hull of the soles at home."""
-    found = []
-    for foot in figure.feet.values():
-        place, turn = figure.pose(figure.home, foot.frame)
-        for body, geoms in foot.parts:
-            low, points = lowest_points(figure.model, list(geoms), np.array([[0.0, 0.0, 1.0]]))
-            at = figure.data
-            at.qpos[:] = figure.home
-            mujoco.mj_kinematics(figure.model, at)
-            world = at.xpos[body] + points[0] @ at.xmat[body].reshape(3, 3).T
-            found.append(world[world[:, 2] < 0.003, :2])
-        del place, turn, low
-    return hull(np.concatenate(found))
+    known = figure.robot.memory.get("figure.support")
+    if known is None:
+        found, data = [], figure.data
+        data.qpos[:] = figure.home
+        mujoco.mj_kinematics(figure.model, data)
+        for foot in figure.feet.values():
+            for body, geoms in foot.parts:
+                turn = data.xmat[body].reshape(3, 3)
+                _, points = lowest_points(figure.model, list(geoms), turn[2:3])
+                world = data.xpos[body] + points[0] @ turn.T
+                found.append(world[world[:, 2] < 0.003, :2])
+        known = figure.robot.memory["figure.support"] = hull(np.concatenate(found))
+    return np.asarray(known)
 
 
 def _inside(corners: Array, point: Array, margin: float) -> Array:
@@ -132,6 +135,7 @@ def _inside(corners: Array, point: Array, margin: float) -> Array:
 def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:
     """Why a pose is not admissible, by MuJoCo; empty where it is."""
     model, data = figure.model, figure.data
+    corners = _support(figure)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
     hand = figure.robot.frame(figure.hands[arm])
@@ -141,7 +145,7 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
         return f"the hand stays {100 * miss:.0f} cm away"
     if hard > 1e-4:
         return "the feet would move"
-    margin = hull_margin(_support_cached(figure), data.subtree_com[0][:2])
+    margin = hull_margin(corners, data.subtree_com[0][:2])
     if margin < BALANCED:
         return "balance would be lost"
     for c in range(data.ncon):
@@ -150,13 +154,6 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
             return f"its {names[0]} would run into its {names[1]}"
     low = _lowest(figure, data)
     return f"the {low} would go under the floor" if low else ""
-
-
-def _support_cached(figure: Figure) -> Array:
-    found = figure.robot.memory.get("figure.support")
-    if found is None:
-        found = figure.robot.memory["figure.support"] = _support(figure)
-    return np.asarray(found)
 
 
 def _lowest(figure: Figure, data: mujoco.MjData) -> str:
@@ -199,9 +196,9 @@ class Map:
         return miss > away + _SLACK
 
     def comfortable(self, z: float) -> Array:
-        """(n, 2) grid points at that height that are in reach, and all their neighbours."""
+        """(n, 2) grid points at that height that are in reach, and their neighbours."""
         inside = self.miss == 0.0
-        for axis in range(3):
+        for axis in (0, 1):
             inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
         k = int(np.rint((z - self.origin[2]) / _GRID))
         if not 0 <= k < inside.shape[2]:

@@ -285,18 +285,20 @@ def decay(x0: Array, v0: Array, duration: float) -> Callable[[Array], Array]:
 
 
 def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:
-    """``motion``, which begins at rest at ``first`` (nq,), after a motion whose frame before that was ``second``.
+    """``motion`` after another that was at ``second`` and then at ``first`` (nq,), without a jump.
 
-    What the old motion would go on with decays, joint by joint, and the feet are pinned again.
+    Where the old motion would go on to, less where the new one is, decays joint by joint, and its speed with it; the
+    feet are pinned again to what the new motion says.
     """
-    speed = figure.robot.difference(second, first) / dt
-    if np.abs(speed).max() < 1e-3:
-        return motion
     n = min(len(motion), int(round(BLEND / dt)) + 3)
-    t = np.arange(n) * dt
+    speed = figure.robot.difference(second, first) / dt
     ahead = figure.robot.integrate(first, speed * dt)
     gap = figure.robot.difference(motion.q[0], ahead)
-    offset = decay(gap, speed, BLEND)(t)
+    own = figure.robot.difference(motion.q[0], motion.q[1]) / dt if len(motion) > 1 else 0 * speed
+    if n < 2 or max(np.abs(speed - own).max(), np.abs(gap).max()) < 1e-3:
+        return motion
+    t = np.arange(n) * dt
+    offset = decay(gap, speed - own, BLEND)(t)
     wanted = np.array([figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)])
     rows = Rows(figure, n)
     poses = {s: [figure.pose(row, f.frame) for row in motion.q[:n]] for s, f in figure.feet.items()}
@@ -305,8 +307,8 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
         {s: np.array([r for _, r in found]) for s, found in poses.items()},
     )  # fmt: skip
     center = np.array([figure.center(row) for row in motion.q[:n]])
-    was = (figure.center(first) - figure.center(second)) / dt
-    shift = decay(figure.center(first) + was * dt - center[0], was, BLEND)(t)
+    was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
+    shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
     rows.center(center + shift, axes="xy")
     rows.turned(figure.trunk, np.array([figure.pose(row, figure.trunk)[1] for row in wanted]), 1.0)
     stiff = np.concatenate([np.zeros(6), np.ones(figure.robot.nv - 6)])
@@ -314,3 +316,52 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     q, miss = motion.q.copy(), motion.miss.copy()
     q[:n], miss[:n] = frames.q, frames.miss
     return replace(motion, q=q, miss=miss)
+
+
+def stop_walk(figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE) -> tuple[Motion, Walk]:
+    """The rest of a walk that ends with the step in hand, a short one and the closing one.
+
+    The feet move as they did until then, so that the walk may be left at any frame: only the centre of mass goes
+    over into its new plan (``join``).
+
+    Args:
+        figure: Who walks.
+        start: (nq,) where the walk began.
+        found: The walk.
+        frame: The last frame that was shown.
+        gait: How it walks.
+        dt: Time between frames, s.
+    """
+    now = (frame + 1) * dt
+    landing = next((k for k, strike in enumerate(found.strikes) if strike > now), len(found.strikes))
+    keep = landing + 3  # the two where it stood, those that landed, and the one that swings
+    prints = list(found.prints)
+    if keep + 2 < len(prints):
+        swinging, after = prints[keep - 1], prints[keep]
+        between = prints[keep - 2]
+        short = Print(after.side, *(between_prints(between, after, 0.75)))
+        half = figure.apart
+        sign = 1 - 2 * short.side
+        beside = Print(
+            swinging.side, short.x + sign * 2 * half * np.sin(short.yaw), short.y - sign * 2 * half * np.cos(short.yaw),
+            short.yaw,
+        )  # fmt: skip
+        prints = [*prints[:keep], short, beside]
+    walked = walk(figure, start, prints, gait, dt=dt)
+    done = np.arange(1, len(walked.frames.q) + 1) * dt > walked.strikes[-1] + 0.5
+    whole = Motion("walk", walked.frames.q, walked.contact, walked.frames.miss, walked.zmp, done)
+    return rest_of(whole, frame + 1), walked
+
+
+def between_prints(a: Print, b: Print, share: float) -> tuple[float, float, float]:
+    """(x, y, yaw) of b drawn towards a, which the same foot left."""
+    return a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.yaw + (b.yaw - a.yaw) * share
+
+
+def rest_of(motion: Motion, frame: int) -> Motion:
+    """The frames from ``frame`` on."""
+    cut = slice(frame, None)
+    return replace(
+        motion, q=motion.q[cut], contact=motion.contact[cut], miss=motion.miss[cut], zmp=motion.zmp[cut],
+        free=motion.free[cut],
+    )  # fmt: skip

@@ -10,6 +10,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -208,6 +209,21 @@ class Figure:
         """(3,) place and (3, 3) rotation of a frame."""
         at = self.robot.forward(q, frame)
         return np.asarray(at.position), np.asarray(at.rotation)
+
+    @cached_property
+    def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
+        """Place and rotation of the feet at home."""
+        return {side: self.pose(self.home, foot.frame) for side, foot in self.feet.items()}
+
+    @cached_property
+    def hands_at_home(self) -> dict[str, Array]:
+        """(3,) places of the hands at home."""
+        return {side: self.pose(self.home, frame)[0] for side, frame in self.hands.items()}
+
+    @cached_property
+    def center_at_home(self) -> Array:
+        """(3,) centre of mass at home."""
+        return self.center(self.home)
 
     def center(self, q: Array) -> Array:
         """(3,) centre of mass, by MuJoCo."""

@@ -52,6 +52,9 @@ class Gait:
         toe_out_deg: Toes outwards.
         pressure: Zero-moment point under the foot, from and to, before the ankle.
         dip, bob: When the pelvis is lowest after a strike, and how far it goes up and down.
+        late: How much later than by a cosine the foot arrives: one that waits before its strike holds the hips down.
+        turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
+        lean_deg: Of the chest forwards.
         swing_deg: Of the arms.
     """
 
@@ -71,6 +74,9 @@ class Gait:
     pressure: tuple[float, float] = (0.033, 0.160)
     dip: float = 0.008
     bob: float = 0.025
+    late: float = 0.3
+    turn_deg: float = 4.0
+    lean_deg: float = 0.0
     swing_deg: float = 15.0
 
 
@@ -267,7 +273,7 @@ class _Plan:
 
     def _swing(self, side: int, fall: _Footfall, after: _Footfall, s: Array) -> tuple[Array, Array]:
         """From print to print by a cosine, round the standing foot where the chord comes too near it."""
-        share = 0.5 - 0.5 * np.cos(np.pi * s)
+        share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
         start = np.array([fall.print.x, fall.print.y])
         way = np.array([after.print.x, after.print.y]) - start
         other = max((f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9), key=lambda f: f.strike).print
@@ -291,10 +297,10 @@ class _Plan:
         """Rotations of pelvis and chest (n, 3, 3), and the heading (n,)."""
         heading = self.yaw.mean(axis=0)
         angle, size = 2 * np.pi * self.phase, self.going * self.gait.swing_deg / 15.0
-        turn, lean = np.radians(4.0) * size * np.cos(angle), np.radians(4.0) * size * np.sin(angle - 0.35)
+        turn, lean = np.radians(self.gait.turn_deg) * size * np.cos(angle), np.radians(4.0) * size * np.sin(angle - 0.35)
         tilt = np.radians(4.0) * self.going
         pelvis = rotation("z", heading - turn) @ rotation("x", lean) @ rotation("y", tilt)
-        chest = rotation("z", heading + 0.8 * turn) @ rotation("x", 0.15 * lean) @ rotation("y", 0.5 * tilt)
+        chest = rotation("z", heading + 0.8 * turn) @ rotation("x", 0.15 * lean) @ rotation("y", np.radians(self.gait.lean_deg) * self.going)
         return pelvis, chest, heading
 
     def pelvis_height(self, pelvis: Array, offset: Array, knee_deg: float) -> Array:
