@@ -122,7 +122,9 @@ def measure_motion(
     touching, touched = _contacts(figure, q)
     shown = ("hip", "knee", "ankle", "shoulder", "elbow", "head")
     peak = {
-        part: max(float(np.abs(forward[:, figure.place(j)[1]]).max()) for j in figure.robot.joints if part in j)
+        part: max(
+            float(np.abs(forward[:, figure.place(j)[1]]).max()) for j in figure.robot.joints if part in j
+        )
         for part in shown
         if any(part in j for j in figure.robot.joints)
     }

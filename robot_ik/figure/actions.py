@@ -12,20 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.figure.balance import compensate, smooth, zero_moment_points
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.gait import FLAT, WALK, Gait, Print, Walk, walk
+from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
-from robot_ik.figure.balance import compensate, monotone_curve, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
-from robot_ik.figure.gait import AIR, FLAT, SHUFFLE, TOE, WALK, Gait, Print, Walk, prints_of, walk
 
 Array = NDArray[np.float64]
 
-# Posture weights: the girdle and the wrists are moved last, the arm first.
-STIFF = {
-    "*": 0.1, "*shoulder*": 0.15, "*elbow*": 0.15, "*clavicle*": 2.0, "*wrist*": 3.0, "head*": 3.0,
-    "torso*": 1.0, "pelvis*": 1.0, "*toe*": 100.0,
-}  # fmt: skip
 # Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least durations, s.
 _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
+# A zero-moment point off its plan by less than this, m, is let be.
+_STEADY = 0.015
 # A motion that is left decays into the next in this time, s.
 BLEND = 0.4
 
@@ -90,36 +88,6 @@ def _standing(action: str, frames: Frames, center: Array, **more: object) -> Mot
     )  # fmt: skip
 
 
-def pinned(figure: Figure, q: Array, rows: Rows) -> None:
-    poses = {side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()}
-    rows.feet({side: pose[0] for side, pose in poses.items()}, {side: pose[1] for side, pose in poses.items()})
-
-
-def support_middle(figure: Figure) -> Array:
-    """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
-    sole = figure.feet["left"].sole
-    return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
-
-
-def upright_limits(figure: Figure) -> tuple[Array, Array]:
-    """Joint limits of a figure that reaches without bending: what separates ``reach`` from ``bend``."""
-    if "figure.upright" not in figure.robot.memory:
-        figure.robot.memory["figure.upright"] = _upright(figure)
-    found: tuple[Array, Array] = figure.robot.memory["figure.upright"]
-    return found
-
-
-def _upright(figure: Figure) -> tuple[Array, Array]:
-    lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
-    box = {"knee_pitch": (0.0, 25.0), "hip_pitch": (-15.0, 30.0), "torso_pitch": (-10.0, 10.0), "pelvis_pitch": (-10.0, 10.0)}
-    for joint in figure.robot.joints:
-        for part, (low, high) in box.items():
-            if joint.endswith(part):
-                v = figure.place(joint)[1]
-                lower[v], upper[v] = max(lower[v], np.radians(low)), min(upper[v], np.radians(high))
-    return lower, upper
-
-
 def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
     """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
     if figure.gaze is None:
@@ -143,19 +111,22 @@ def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0
     start, stance = to_stance(figure, q)
     way = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
-    duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 3.0)).max()))
+    duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
     t = _times(duration, 0.1, dt)
     s = minimum_jerk(t / duration)
-    rows = Rows(figure, len(t))
-    pinned(figure, start, rows)
-    here, home = figure.center(start)[:2], figure.center(figure.home)[:2]
-    rows.center(_flat(here + (home - here) * s[:, None]), axes="xy")
-    turn = figure.robot.forward(start, figure.trunk).rotation
-    rows.turned(figure.trunk, _turned(np.asarray(turn), np.eye(3), s), 3.0)
-    if look is not None:
-        _look(figure, rows, start, seen_from(stance, look), t)
-    posture = start + (figure.home - start) * s[:, None]
-    frames = rows.solve(posture, figure.stiffnesses(STIFF), start, dt=dt)
+    here, home = figure.center(start)[:2], figure.center_at_home[:2]
+    turn = figure.pose(start, figure.trunk)[1]
+
+    def solve(center: Array) -> Frames:
+        rows = Rows(figure, len(t))
+        pinned(figure, start, rows)
+        rows.center(_flat(center), axes="xy")
+        rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
+        if look is not None:
+            _look(figure, rows, start, seen_from(stance, look), t)
+        return rows.solve(start + (figure.home - start) * s[:, None], figure.stiffnesses(STIFF), start, dt=dt)
+
+    frames = _balanced(figure, solve, here + (home - here) * s[:, None], dt)
     return placed_motion(figure, _standing("rest", frames, home), stance)
 
 
@@ -165,6 +136,18 @@ def _turned(start: Array, end: Array, s: Array) -> Array:
     return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
 
 
+def _balanced(figure: Figure, solve: Callable[[Array], Frames], center: Array, dt: float) -> Frames:
+    """Frames over a planned centre of mass (n, 2), which is corrected once by the whole body's own dynamics."""
+    frames = solve(center)
+    points, _ = zero_moment_points(figure, frames.q, dt)
+    error = smooth(np.clip(points - center, -0.12, 0.12), 0.02 / dt)
+    error[:2], error[-2:] = 0.0, 0.0
+    if np.abs(error).max() < _STEADY:
+        return frames
+    omega2 = np.full(len(error), GRAVITY / figure.center_at_home[2])
+    return solve(center + compensate(error, omega2, dt))
+
+
 def _flat(xy: Array) -> Array:
     return np.column_stack([xy, np.zeros(len(xy))])
 
@@ -172,82 +155,50 @@ def _flat(xy: Array) -> Array:
 def reach(
     figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
 ) -> Motion:
-    """The hand to the ball along a straight line of least jerk, standing."""
-    start, stance = to_stance(figure, q)
-    ball = seen_from(stance, np.asarray(ball, dtype=float))
-    hand = figure.pose(start, figure.hands[arm])[0]
-    duration = _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED)
-    t = _times(duration, hold, dt)
-    s = minimum_jerk(t / duration)
-    rows = Rows(figure, len(t))
-    pinned(figure, start, rows)
-    here, middle = figure.center(start)[:2], support_middle(figure)
-    rows.center(_flat(here + (middle - here) * 0.3 * s[:, None]), axes="xy")
-    rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None])
-    rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], rotation("y", np.radians(4.0)), s), 20.0)
-    _look(figure, rows, start, ball, t)
-    posture = start + (figure.home - start) * s[:, None]
-    frames = rows.solve(posture, figure.stiffnesses(STIFF), start, dt=dt)
-    return placed_motion(figure, _standing("reach", frames, middle, arm=arm, target=ball), stance)
-
-
-def bent_pose(figure: Figure, ball: Array, arm: str, deep: float, limits: tuple[Array, Array] | None = None) -> Frames:
-    """Poses on the way to a bend, the last with the hand at the ball: its end first, from a bent start, in small steps.
-
-    Args:
-        figure: Who bends, at home in its own frame.
-        ball: (3,) seen from the middle between the feet.
-        arm: Which hand.
-        deep: 0 to 1: how far towards the deepest bend the posture goes.
-        limits: Joint limits inside the model's.
-    """
-    start, steps = figure.home, 24
-    s = np.concatenate([np.linspace(1 / 12, 1.0, 12), np.ones(steps - 12)])
-    hand = figure.pose(start, figure.hands[arm])[0]
-    here, middle = figure.center(start)[:2], support_middle(figure)
-    rows = Rows(figure, steps)
-    pinned(figure, start, rows)
-    rows.center(_flat(here + (middle - here) * s[:, None]), axes="xy")
-    rows.position(figure.hands[arm], hand + (ball - hand) * (s**2)[:, None])
-    rows.turned(figure.trunk, rotation("y", np.radians(6.0 + 60.0 * deep) * s), 2.0)
-    if figure.gaze is not None:
-        rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
-    goal = start + (figure.bent - start) * deep
-    goal[:7] = start[:7]
-    posture = start + (goal - start) * s[:, None]
-    stiff = np.minimum(figure.stiffnesses(STIFF), 0.3)
-    return rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=30)
+    """The hand to the ball, standing, along a nearly straight line of least jerk."""
+    return _take(figure, q, ball, arm, REACH, hold, dt)
 
 
 def bend(
     figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
 ) -> Motion:
-    """The hand to a low ball: hips back; solved for its end first, to which the posture is led."""
+    """The hand to a low ball, hips back."""
+    return _take(figure, q, ball, arm, BEND, hold, dt)
+
+
+def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: float, dt: float) -> Motion:
+    """The hand to the ball: the end is solved for first, and the posture led there.
+
+    A hand that must follow its line asks too much of the joints on the way; this one is drawn to it.
+    """
     start, stance = to_stance(figure, q)
     ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
-    deep = depth(figure, ball)
-    end = bent_pose(figure, ball, arm, deep).q[-1]
-    change = np.abs(figure.robot.difference(start, end)[6:]).max()
-    duration = max(_duration(float(np.linalg.norm(ball - hand)), _BEND_SPEED), 1.875 * float(change) / 3.0)
+    end = find_pose(figure, ball, arm, kind).q
+    way = figure.robot.difference(start, end)[6:]
+    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if kind == REACH else 3.0)
+    slowest = 1.875 * float((np.abs(way) / limit).max())
+    duration = max(
+        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if kind == REACH else _BEND_SPEED), slowest
+    )
     t = _times(duration, hold, dt)
     s = minimum_jerk(t / duration)
-    rows = Rows(figure, len(t))
-    pinned(figure, start, rows)
     here, there = figure.center(start)[:2], figure.center(end)[:2]
-    rows.center(_flat(here + (there - here) * s[:, None]), axes="xy")
-    rows.turned(figure.trunk, _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s), 3.0)
-    _look(figure, rows, start, ball, t, within=0.7 * duration)
-    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
-    posture = start + (end - start) * s[:, None]
-    frames = rows.solve(posture, stiff, start, dt=dt)
-    return placed_motion(figure, _standing("bend", frames, there, arm=arm, target=ball), stance)
+    turns = _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s)
+    stiff = figure.stiffnesses(STIFF if kind == REACH else STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
+    def solve(center: Array) -> Frames:
+        rows = Rows(figure, len(t))
+        pinned(figure, start, rows)
+        rows.center(_flat(center), axes="xy")
+        rows.turned(figure.trunk, turns, 20.0 if kind == REACH else 3.0)
+        if kind == REACH:
+            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
+        _look(figure, rows, start, ball, t, within=0.45 if kind == REACH else 0.7 * duration)
+        return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
 
-def depth(figure: Figure, ball: Array) -> float:
-    """How deep to bend for a ball, 0 to 1, by its height against the hanging hand and the floor."""
-    hanging = float(figure.pose(figure.home, next(iter(figure.hands.values())))[0][2])
-    return float(np.clip(0.15 + 0.85 * (hanging - ball[2] + 0.1) / hanging, 0.15, 1.0))
+    frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+    return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 
 
 def walk_motion(
@@ -299,7 +250,9 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
         return motion
     t = np.arange(n) * dt
     offset = decay(gap, speed - own, BLEND)(t)
-    wanted = np.array([figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)])
+    wanted = np.array(
+        [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
+    )
     rows = Rows(figure, n)
     poses = {s: [figure.pose(row, f.frame) for row in motion.q[:n]] for s, f in figure.feet.items()}
     rows.feet(
@@ -318,7 +271,9 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     return replace(motion, q=q, miss=miss)
 
 
-def stop_walk(figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE) -> tuple[Motion, Walk]:
+def stop_walk(
+    figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE
+) -> tuple[Motion, Walk]:
     """The rest of a walk that ends with the step in hand, a short one and the closing one.
 
     The feet move as they did until then, so that the walk may be left at any frame: only the centre of mass goes

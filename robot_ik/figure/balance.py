@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import GRAVITY, Figure
+from robot_ik.figure.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,9 @@ class CenterPlan:
         return point + self.growing[piece] * e + self.shrinking[piece] / e, point
 
 
-def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float, speed: Array | None = None) -> CenterPlan:
+def plan_center(
+    nodes: Sequence[tuple[float, Array]], x: Array, omega: float, speed: Array | None = None
+) -> CenterPlan:
     """Centre of mass for a zero-moment point that runs straight from node to node and comes to rest at the last.
 
     In the first piece the zero-moment point is constant, wherever it must be for a body at ``x`` with ``speed``
@@ -66,7 +68,11 @@ def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float, sp
     diverging[-1] = points[-1]
     for k in range(count - 1, 0, -1):
         shift = slope[k] / omega
-        diverging[k] = points[k] + shift + (diverging[k + 1] - points[k + 1] - shift) * np.exp(-omega * (times[k + 1] - times[k]))
+        diverging[k] = (
+            points[k]
+            + shift
+            + (diverging[k + 1] - points[k + 1] - shift) * np.exp(-omega * (times[k + 1] - times[k]))
+        )
     start = points[:-1].copy()
     here = x + (0.0 if speed is None else speed / omega)
     e = np.exp(-omega * (times[1] - times[0]))

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.abilities import BEND, REACH, Abilities
+from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.figure import Figure, rotation
+from robot_ik.figure.poses import BEND, REACH
 
 Array = NDArray[np.float64]
 
@@ -151,7 +152,9 @@ class Decider:
         except (TypeError, ValueError) as error:
             raise InvalidGoalError(f"a ball is three numbers, not {ball!r}") from error
         if point.shape != (3,):
-            raise InvalidGoalError(f"a ball is three numbers, not {ball!r}", hint="one ball at a time: (x, y, z)")
+            raise InvalidGoalError(
+                f"a ball is three numbers, not {ball!r}", hint="one ball at a time: (x, y, z)"
+            )
         if not np.isfinite(point).all():
             return point, "no ball is seen"
         if not self.figure.hands:
@@ -179,7 +182,9 @@ class Decider:
         for kind in (REACH, BEND):
             for arm in arms:
                 if able.can(kind, local, arm) is not None:
-                    how = "reaches the ball standing" if kind == REACH else "reaches the ball only bending down"
+                    how = (
+                        "reaches the ball standing" if kind == REACH else "reaches the ball only bending down"
+                    )
                     return Decision(kind, arm, f"the {arm} hand {how}")
         for arm in arms:
             speed = able.take_off(local, arm)
@@ -192,7 +197,9 @@ class Decider:
         """The last action again for a ball that is hardly outside what it can do."""
         assert last.arm is not None
         nearest = self.abilities.shoulders[last.arm]
-        drawn = local + (nearest - local) * (HYSTERESIS / max(float(np.linalg.norm(nearest - local)), HYSTERESIS))
+        drawn = local + (nearest - local) * (
+            HYSTERESIS / max(float(np.linalg.norm(nearest - local)), HYSTERESIS)
+        )
         if last.action == "jump":
             speed = self.abilities.take_off(drawn, last.arm)
             return None if speed is None else Decision("jump", last.arm, last.reason, speed=speed)
@@ -216,7 +223,9 @@ class Decider:
                     return Decision("walk", arm, reason, way[-1], way, kind)
         if self.obstacles:
             return Decision("nothing", None, "no free stand point brings the ball within reach")
-        return Decision("nothing", None, f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too")
+        return Decision(
+            "nothing", None, f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
+        )
 
     def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
@@ -310,7 +319,9 @@ class Decider:
                 new = cost[here] + float(np.hypot(i, j))
                 if new < cost.get(there, np.inf):
                     cost[there], came[there] = new, here
-                    heapq.heappush(queue, (new + float(np.hypot(there[0] - goal[0], there[1] - goal[1])), there))
+                    heapq.heappush(
+                        queue, (new + float(np.hypot(there[0] - goal[0], there[1] - goal[1])), there)
+                    )
         return None
 
 

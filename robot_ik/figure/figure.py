@@ -77,7 +77,9 @@ def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[A
             local = np.sign(down) * size
         elif kind == _GEOM.mjGEOM_CYLINDER:
             flat = np.linalg.norm(down[:, :2], axis=1, keepdims=True)
-            local = np.column_stack([size[0] * down[:, :2] / np.maximum(flat, 1e-12), np.sign(down[:, 2]) * size[1]])
+            local = np.column_stack(
+                [size[0] * down[:, :2] / np.maximum(flat, 1e-12), np.sign(down[:, 2]) * size[1]]
+            )
         else:
             raise ModelError(
                 f"the shape {model.geom(g).name!r} of a foot is no sphere, capsule, ellipsoid, box or cylinder",
@@ -270,7 +272,17 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         )  # fmt: skip
     feet = {side: _foot(robot, side, parts.feet[side], parts.pelvis) for side in SIDES}
     bent = robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy()
-    apart = abs(float((robot.forward(robot.home, parts.feet["left"]).position - robot.forward(robot.home, parts.feet["right"]).position)[1])) / 2
+    apart = (
+        abs(
+            float(
+                (
+                    robot.forward(robot.home, parts.feet["left"]).position
+                    - robot.forward(robot.home, parts.feet["right"]).position
+                )[1]
+            )
+        )
+        / 2
+    )
     return Figure(
         robot=robot,
         hands={side: parts.hands[side] for side in SIDES if side in parts.hands},
@@ -335,7 +347,9 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, nam
                 found.append(anchor.copy())
         foot = int(model.body_parentid[foot])
     if len(found) != 3:
-        raise ModelError(f"the leg of {name!r} turns about {len(found)} places, not about hip, knee and ankle")
+        raise ModelError(
+            f"the leg of {name!r} turns about {len(found)} places, not about hip, knee and ankle"
+        )
     return found[::-1]
 
 
@@ -396,7 +410,9 @@ class Rows:
         """The centre of mass at (3,) or (n, 3)."""
         self._add(whole_body.CENTER_OF_MASS, None, target, weight, axes)
 
-    def aim(self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None) -> None:
+    def aim(
+        self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None
+    ) -> None:
         """The x axis of a frame at (3,) or (n, 3), served by some joints only: eyes that follow bend no trunk."""
         self._add(whole_body.AIM, frame, target, weight, joints=joints)
 
@@ -432,7 +448,9 @@ class Rows:
         weight = np.ascontiguousarray(np.stack(self._weight, axis=1))
         postures = np.ascontiguousarray(np.broadcast_to(posture, (n, figure.robot.nq)))
         q, miss, used = np.empty((n, figure.robot.nq)), np.empty(n), np.empty(n, dtype=np.int64)
-        body = self._table(stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits)
+        body = self._table(
+            stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits
+        )
         before = start if second is None else second
         whole_body.solve_frames(
             figure.robot.tree.handle, body, target, weight, postures, q, start.copy(), before.copy(), steps, rest,

@@ -107,7 +107,9 @@ def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Pri
     """The print of a foot ``half`` beside the middle ``stance`` (x, y, heading)."""
     sign = 1 - 2 * side
     x, y, heading = stance
-    return Print(side, x - sign * half * np.sin(heading), y + sign * half * np.cos(heading), heading + sign * toe_out)
+    return Print(
+        side, x - sign * half * np.sin(heading), y + sign * half * np.cos(heading), heading + sign * toe_out
+    )
 
 
 def prints_of(figure: Figure, q: Array) -> tuple[Print, Print]:
@@ -140,7 +142,10 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     u = np.linspace(0.0, 1.0, 400)[:, None]
     ta, tb = (d * np.array([np.cos(p[2]), np.sin(p[2])]) for p in (a, b))
     curve = (
-        (2 * u**3 - 3 * u**2 + 1) * a[:2] + (u**3 - 2 * u**2 + u) * ta + (3 * u**2 - 2 * u**3) * b[:2] + (u**3 - u**2) * tb
+        (2 * u**3 - 3 * u**2 + 1) * a[:2]
+        + (u**3 - 2 * u**2 + u) * ta
+        + (3 * u**2 - 2 * u**3) * b[:2]
+        + (u**3 - u**2) * tb
     )
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
     tangent = np.gradient(curve, axis=0)
@@ -154,7 +159,11 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     out = list(start)
     for k in range(n):
         last = k == n - 1
-        middle = b if last else np.array([np.interp(share[k] * s[-1], s, v) for v in (curve[:, 0], curve[:, 1], yaw)])
+        middle = (
+            b
+            if last
+            else np.array([np.interp(share[k] * s[-1], s, v) for v in (curve[:, 0], curve[:, 1], yaw)])
+        )
         width, toes = (half, 0.0) if last else (gait.width / 2, np.radians(gait.toe_out_deg))
         out.append(print_of(middle, foot, width, toes))
         foot = 1 - foot
@@ -267,16 +276,22 @@ class _Plan:
             level = np.maximum(pitch, 0.0) * (1 - minimum_jerk((t - fall.off) / 0.3))
             self.toes[side, rolling] = level[rolling]
         rolled, height = sole.stand(pitch)
-        self.place[side] = np.column_stack([xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), height + clear])
+        self.place[side] = np.column_stack(
+            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), height + clear]
+        )
         self.yaw[side], self.pitch[side] = yaw, pitch
-        self.contact[side] = np.where(air, AIR, np.where(pitch < -1e-4, HEEL, np.where(pitch > 1e-4, TOE, FLAT)))
+        self.contact[side] = np.where(
+            air, AIR, np.where(pitch < -1e-4, HEEL, np.where(pitch > 1e-4, TOE, FLAT))
+        )
 
     def _swing(self, side: int, fall: _Footfall, after: _Footfall, s: Array) -> tuple[Array, Array]:
         """From print to print by a cosine, round the standing foot where the chord comes too near it."""
         share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
         start = np.array([fall.print.x, fall.print.y])
         way = np.array([after.print.x, after.print.y]) - start
-        other = max((f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9), key=lambda f: f.strike).print
+        other = max(
+            (f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9), key=lambda f: f.strike
+        ).print
         beside = np.array([-np.sin(other.yaw), np.cos(other.yaw)]) * (1 - 2 * side)
         to = np.array([other.x, other.y])
         u = float(np.clip((to - start) @ way / max(way @ way, 1e-9), 0.0, 1.0))
@@ -290,17 +305,26 @@ class _Plan:
         phase = 0.5 * (np.arange(len(strikes)) - self.prints[2].side)
         knots = np.concatenate([[strikes[0] - span], strikes, [strikes[-1] + span]])
         lin = np.interp(self.times, knots, np.concatenate([[phase[0] - 2], phase, [phase[-1] + 2]]))
-        go = minimum_jerk((self.times - _LEAN + 0.2) / 0.7) * (1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7))
+        go = minimum_jerk((self.times - _LEAN + 0.2) / 0.7) * (
+            1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7)
+        )
         return lin, go
 
     def trunk(self) -> tuple[Array, Array, Array]:
         """Rotations of pelvis and chest (n, 3, 3), and the heading (n,)."""
         heading = self.yaw.mean(axis=0)
         angle, size = 2 * np.pi * self.phase, self.going * self.gait.swing_deg / 15.0
-        turn, lean = np.radians(self.gait.turn_deg) * size * np.cos(angle), np.radians(4.0) * size * np.sin(angle - 0.35)
+        turn, lean = (
+            np.radians(self.gait.turn_deg) * size * np.cos(angle),
+            np.radians(4.0) * size * np.sin(angle - 0.35),
+        )
         tilt = np.radians(4.0) * self.going
         pelvis = rotation("z", heading - turn) @ rotation("x", lean) @ rotation("y", tilt)
-        chest = rotation("z", heading + 0.8 * turn) @ rotation("x", 0.15 * lean) @ rotation("y", np.radians(self.gait.lean_deg) * self.going)
+        chest = (
+            rotation("z", heading + 0.8 * turn)
+            @ rotation("x", 0.15 * lean)
+            @ rotation("y", np.radians(self.gait.lean_deg) * self.going)
+        )
         return pelvis, chest, heading
 
     def pelvis_height(self, pelvis: Array, offset: Array, knee_deg: float) -> Array:
@@ -381,7 +405,11 @@ def walk(
     pelvis, _, heading = plan.trunk()
     offset = -0.012 * rotation("z", heading)[:, :2, 0]
     frames = None
-    for knee in (22.0, gait.knee_deg + 4.0, gait.knee_deg):  # first passes learn where the pelvis is beside the centre
+    for knee in (
+        22.0,
+        gait.knee_deg + 4.0,
+        gait.knee_deg,
+    ):  # first passes learn where the pelvis is beside the centre
         frames = _solve(plan, q, second, plan.pelvis_height(pelvis, offset, knee), shift, look, dt)
         if knee != gait.knee_deg:
             offset = _pelvis_place(figure, frames.q) - plan.com
@@ -395,7 +423,9 @@ def walk(
         frames = _solve(plan, q, second, height, shift, look, dt)
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
-    return Walk(frames, plan.contact.T.copy(), plan.com + shift, plan.zmp, tuple(prints), tuple(plan.strikes), falls)
+    return Walk(
+        frames, plan.contact.T.copy(), plan.com + shift, plan.zmp, tuple(prints), tuple(plan.strikes), falls
+    )
 
 
 def _pelvis_place(figure: Figure, q: Array) -> Array:
@@ -423,9 +453,17 @@ def _solve(
     if figure.gaze is not None:
         eyes, turn = figure.pose(q, figure.gaze)
         before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * turn[:, 0]
-        ahead = np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)]) + 3.0 * rotation("z", heading)[:, :, 0]
+        ahead = (
+            np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
+            + 3.0 * rotation("z", heading)[:, :, 0]
+        )
         to = ahead if look is None else np.broadcast_to(look, ahead.shape)
-        rows.aim(figure.gaze, before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None], 5.0, figure.neck or None)
+        rows.aim(
+            figure.gaze,
+            before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None],
+            5.0,
+            figure.neck or None,
+        )
     rows_posture = _posture(plan, q, start, go)
     return rows.solve(rows_posture, figure.stiffnesses(_STIFF), q, second, dt=dt)
 

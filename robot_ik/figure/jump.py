@@ -6,17 +6,17 @@ zero-moment point from mid foot to the toes and back.  In flight the angular mom
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.actions import STIFF, Motion, placed_motion, quintic, seen_from, to_stance
+from robot_ik.figure.actions import Motion, placed_motion, quintic, seen_from, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_points
 from robot_ik.figure.figure import GRAVITY, HARD, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
 from robot_ik.figure.gait import AIR, FLAT, TOE
+from robot_ik.figure.poses import STIFF
 
 Array = NDArray[np.float64]
 
@@ -206,7 +206,11 @@ def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     rising = top * minimum_jerk((t - up + plan.rising) / plan.rising)
     falling = _LANDED * top * (1 - minimum_jerk((t - down) / (0.9 * absorb)))
     pitch = np.where(air, top * (1 - (1 - _LANDED) * minimum_jerk(s)), np.where(t <= up, rising, falling))
-    lift = np.where(air, plan.height(t) - plan.high + _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3, 0.0)
+    lift = np.where(
+        air,
+        plan.height(t) - plan.high + _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3,
+        0.0,
+    )
     contact = np.where(air, AIR, np.where(pitch > 1e-4, TOE, FLAT))
     return pitch, lift, contact
 
@@ -215,7 +219,9 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     """Angles of the arms: backwards in the crouch, forwards and up in the push, the acting one to its angle at the apex."""
     figure, arm, T = plan.figure, plan.arm, plan.ends
     other = "left" if arm == "right" else "right"
-    knots = np.array([0.0, T[1], T[2] - 0.03, plan.apex - 0.05, plan.apex + 0.05, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3])
+    knots = np.array(
+        [0.0, T[1], T[2] - 0.03, plan.apex - 0.05, plan.apex + 0.05, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3]
+    )
     grid = np.arange(0.0, knots[-1] + 0.1, 0.005)
 
     def curve(values: list[float]) -> Array:
@@ -254,7 +260,9 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
     return q
 
 
-def _frames(plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float) -> tuple[Frames, NDArray[np.int64]]:
+def _frames(
+    plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
+) -> tuple[Frames, NDArray[np.int64]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
     pitch, lift, contact = _feet(plan, t)
@@ -279,11 +287,17 @@ def _frames(plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
     still = still + (1 - minimum_jerk((t - T[3]) / _CALM)) * (t >= T[3])
     rows.momentum(500.0 * still**2)
     deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
-    rows.turned(figure.trunk, rotation("y", np.radians(60.0) * deep), np.where(air, 4.0, 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0))
+    rows.turned(
+        figure.trunk,
+        rotation("y", np.radians(60.0) * deep),
+        np.where(air, 4.0, 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
+    )
     if figure.gaze is not None:
         eyes, look = figure.pose(start, figure.gaze)
         seen = eyes + look[:, 0] * np.linalg.norm(plan.ball - eyes)
-        rows.aim(figure.gaze, seen + (plan.ball - seen) * minimum_jerk(t / 0.6)[:, None], 6.0, figure.neck or None)
+        rows.aim(
+            figure.gaze, seen + (plan.ball - seen) * minimum_jerk(t / 0.6)[:, None], 6.0, figure.neck or None
+        )
     palm = plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
@@ -295,7 +309,9 @@ def _frames(plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
     return rows.solve(posture, stiff, start, speeds="jump", dt=dt, steps=20), contact
 
 
-def _posture(plan: JumpPlan, t: Array, deep: Array, palm: Array, pitch: Array, contact: NDArray[np.int64]) -> Array:
+def _posture(
+    plan: JumpPlan, t: Array, deep: Array, palm: Array, pitch: Array, contact: NDArray[np.int64]
+) -> Array:
     figure = plan.figure
     out = np.tile(figure.home, (len(t), 1))
     bent = {"hip_pitch": 0.06 + 1.2 * deep, "knee_pitch": 0.12 + 1.5 * deep, "ankle_pitch": 0.06 + 0.4 * deep}
@@ -354,6 +370,3 @@ def jump(
     free = (t > plan.ends[5] + 0.1) | (t < 0.2)
     motion = Motion("jump", frames.q, both, frames.miss, zmp, free, arm, ball, "jump")
     return placed_motion(figure, motion, stance)
-
-
-

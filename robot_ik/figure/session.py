@@ -163,7 +163,9 @@ class FigureSession:
         else:
             self._q = motion.q[k]
             self._index += 1
-            frame = self._frame(motion.action, (k + 1) / len(motion), motion.contact[k], motion.zmp[k], motion.speeds)
+            frame = self._frame(
+                motion.action, (k + 1) / len(motion), motion.contact[k], motion.zmp[k], motion.speeds
+            )
             if self._index == len(motion):
                 self._end()
         self._count += 1
@@ -176,7 +178,7 @@ class FigureSession:
         for _ in range(int(round(seconds / self.dt))):
             out.append(self.step())
             if sink is not None:
-                sink.write(out[-1].q)
+                sink.send(out[-1].q, out[-1].t)
         return out
 
     # ------------------------------------------------------------------------------------------ what goes on inside
@@ -212,7 +214,9 @@ class FigureSession:
                 self.decider.obstacles = obstacles
                 self._served = None
 
-    def _frame(self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str) -> FigureFrame:
+    def _frame(
+        self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str
+    ) -> FigureFrame:
         ball = np.full(3, np.nan) if self.ball is None else self.ball
         return FigureFrame(
             (self._count + 1) * self.dt, self._q, action, phase, contact, zmp, ball, self.decision, speeds

@@ -32,6 +32,8 @@ _LONGEST = 0.4
 # What a step costs by itself, beside posture weights of 0.02 and more; and the slack of the hard rows, which
 # keeps their system solvable where they depend on each other.
 _DAMPING, _SLACK = 1e-4, 1e-10
+# … and where they contradict each other, by what the bounds leave: much more, so that they are missed and not fled.
+_YIELDING = 1e-2
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
 _MOMENTUM_SCALE = 0.1
 # How often joints are held at their bounds within one step.
@@ -125,7 +127,11 @@ def carry(tree, body):
         x, y, z = carried[k, 1] - center[0], carried[k, 2] - center[1], carried[k, 3] - center[2]
         carried[k, 0] = m
         carried[k, 1], carried[k, 2], carried[k, 3] = m * x, m * y, m * z
-        carried[k, 4], carried[k, 5], carried[k, 6] = m * (y * y + z * z), m * (x * x + z * z), m * (x * x + y * y)
+        carried[k, 4], carried[k, 5], carried[k, 6] = (
+            m * (y * y + z * z),
+            m * (x * x + z * z),
+            m * (x * x + y * y),
+        )
         carried[k, 7], carried[k, 8], carried[k, 9] = -m * x * y, -m * x * z, -m * y * z
         xx, yy, zz = inertia[k, 4], inertia[k, 5], inertia[k, 6]
         xy, xz, yz = inertia[k, 7], inertia[k, 8], inertia[k, 9]
@@ -342,7 +348,7 @@ def substitute_back(matrix, x, n):
 
 
 @outlined
-def solve_held(body, count):
+def solve_held(body, count, slack):
     """The step with the held joints at their bounds: body.step."""
     factor, matrix, turned, schur = body.factor, body.matrix, body.turned, body.schur
     held, bound, step, row = body.held, body.bound, body.step, body.row
@@ -387,7 +393,7 @@ def solve_held(body, count):
                 s += turned[r, v] * turned[c, v]
             schur[r, c] = s
     for r in range(count):
-        schur[r, r] += _SLACK
+        schur[r, r] += slack
     cholesky(schur, count)
     for r in range(count):
         s = multiplier[r]
@@ -407,13 +413,13 @@ def solve_held(body, count):
 
 
 @outlined
-def take_step(tree, body, q, count):
-    """One step from q, inside the bounds; returns its longest part."""
+def hold_and_solve(body, count, slack):
+    """body.step, with joints held at the bounds that it would cross; returns its longest part."""
     n = body.step.shape[0]
     for v in range(n):
         body.held[v] = 0
     for _ in range(_HOLDS):
-        solve_held(body, count)
+        solve_held(body, count, slack)
         more = False
         for v in range(n):
             if body.held[v] == 0 and not (body.low[v] - 1e-12 <= body.step[v] <= body.high[v] + 1e-12):
@@ -425,6 +431,16 @@ def take_step(tree, body, q, count):
     longest = 0.0
     for v in range(n):
         longest = max(longest, abs(body.step[v]))
+    return longest
+
+
+@outlined
+def take_step(tree, body, q, count):
+    """One step from q, inside the bounds; returns its longest part."""
+    longest = hold_and_solve(body, count, _SLACK)
+    if longest > _LONGEST:
+        longest = hold_and_solve(body, count, _YIELDING)
+    n = body.step.shape[0]
     if longest > _LONGEST:
         for v in range(n):
             body.step[v] *= _LONGEST / longest
