@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,9 +28,18 @@ Array = NDArray[np.float64]
 _GRID = 0.1  # m
 # No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
 _BEHIND = -0.1
-_VERSION = 1
+_VERSION = 2
+ORIGIN, SHAPE = np.array([-1.2, -1.3, -0.1]), (27, 27, 24)
+POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
+# From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
+_FARTHEST = 1.7
+MAP_FILE = "abilities.npz"
+"""Beside a model that ships: its maps."""
+_FAR = -32768
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
 _SLACK = 0.03
+# A point that misses by more has no ball in its cell that is not surely out of reach, m.
+_NO_DOUBT = 0.13
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,74 +161,148 @@ def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
 def load_abilities(
     figure: Figure, *, progress: Callable[[int, int], None] | None = None, folder: Path | None = None
 ) -> Abilities:
-    """Maps from the user's cache, made if need be (a minute or two, once for each model).
+    """Maps that lie beside the model or in the user's cache; made if need be, some minutes, once for each model.
 
     Args:
         figure: Whose.
         progress: Called with points done and points in all.
-        folder: Where the maps are kept; default: the user's cache.
+        folder: Where maps are kept; default: the user's cache.
     """
     where = folder or cache_folder().parents[1] / "abilities"
-    file = where / f"{figure.robot.name}-{_digest(figure)}.npz"
+    digest = _digest(figure)
+    kept = where / f"{figure.robot.name}-{digest}.npz"
     keys = [(kind, arm) for arm in figure.hands for kind in (REACH, BEND)]
-    maps: dict[tuple[str, str], Map] = {}
-    if file.is_file():
-        with np.load(file) as stored:
-            maps = {(k, a): Map(stored[f"{k}-{a}-origin"], stored[f"{k}-{a}"]) for k, a in keys}
-    elif keys:
-        maps = _make_maps(figure, keys, progress)
-        where.mkdir(parents=True, exist_ok=True)
-        arrays: dict[str, NDArray[np.generic]] = {}
-        for (kind, arm), found in maps.items():
-            arrays |= {f"{kind}-{arm}": found.miss, f"{kind}-{arm}-origin": found.origin}
-        part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
-        np.savez_compressed(part, **arrays)  # type: ignore[arg-type]
-        part.replace(file)
+    found = next((m for f in (figure.robot.folder / MAP_FILE, kept) if (m := _read(f, digest, keys))), None)
+    if found is None and keys:
+        found = _make_maps(figure, keys, progress)
+        write_maps(kept, digest, found)
     raised = {arm: _raised(figure, arm) for arm in figure.hands}
-    return Abilities(figure, maps, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+    return Abilities(figure, found or {}, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+
+
+def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[str, str], Map] | None:
+    if not file.is_file():
+        return None
+    with np.load(file) as stored:
+        if str(stored["digest"]) != digest:
+            return None
+        out = {}
+        for kind, arm in keys:
+            code = stored[f"{kind}-{arm}"]
+            miss = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
+            out[kind, arm] = Map(stored["origin"], miss)
+    return out
+
+
+def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
+    """Maps as whole millimetres; -1000 mm is -1, what is not worth a look is ``_FAR``."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
+    for (kind, arm), found in maps.items():
+        code = np.full(found.miss.shape, _FAR, dtype=np.int16)
+        near = np.isfinite(found.miss)
+        # Rounded down: a miss that is told too small only costs a solve.
+        code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
+        arrays |= {f"{kind}-{arm}": code, "origin": found.origin}
+    part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
+    np.savez_compressed(part, **arrays)
+    part.replace(file)
 
 
 def _digest(figure: Figure) -> str:
-    size = mujoco.mj_sizeModel(figure.model)
-    buffer = np.empty(size, dtype=np.uint8)
-    mujoco.mj_saveModel(figure.model, None, buffer)
-    digest = hashlib.sha256(buffer.tobytes())
-    digest.update(repr((_VERSION, _GRID, figure.hands, [f.frame for f in figure.feet.values()])).encode())
-    return digest.hexdigest()[:16]
+    """Of all that the maps depend on: the model, which frames are its hands and feet, and how they are made."""
+    robot = figure.robot
+    if robot.path.is_file():
+        model = robot.path.read_bytes()
+    else:
+        buffer = np.empty(mujoco.mj_sizeModel(robot.model), dtype=np.uint8)
+        mujoco.mj_saveModel(robot.model, None, buffer)
+        model = buffer.tobytes()
+    what = (_VERSION, _GRID, sorted(figure.hands.items()), [f.frame for f in figure.feet.values()])
+    return hashlib.sha256(model + repr(what).encode()).hexdigest()[:16]
 
 
 def _make_maps(
     figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
 ) -> dict[tuple[str, str], Map]:
-    origin, shape = np.array([-1.2, -1.3, -0.1]), (27, 27, 24)
-    points = (
-        origin
-        + np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3) * _GRID
-    )
-    near, jobs = {}, []
-    for kind, arm in keys:
-        shoulder = shoulder_of(figure, arm)
-        # Beyond the straight arm and what the trunk can do nothing is to be had.
-        radius = 1.05 if kind == REACH else 1.75
-        near[kind, arm] = np.flatnonzero(np.linalg.norm(points - shoulder, axis=1) < radius)
-        jobs += [(kind, arm, int(i)) for i in near[kind, arm]]
-    flat = {key: np.full(len(points), np.inf, dtype=np.float32) for key in keys}
+    """Every map; of a figure that is its own mirror image one arm's, and the other's by reflection."""
+    mirrored = _is_mirrored(figure)
+    arms = [arm for arm in figure.hands if not mirrored or arm == "right"]
+    jobs = {arm: _points_near(figure, arm) for arm in arms}
+    flat = {key: np.full(len(POINTS), np.inf, dtype=np.float32) for key in keys}
+    chunks = [(arm, part) for arm, at in jobs.items() for part in np.array_split(at, max(1, len(at) // 100))]
     workers = min(2, os.cpu_count() or 1)
-    done = 0
 
-    def work(part: list[tuple[str, str, int]], mine: Figure) -> int:
-        for kind, arm, i in part:
-            pose = find_pose(mine, points[i], arm, kind)
-            flat[kind, arm][i] = 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
-        return len(part)
+    def work(chunk: tuple[str, NDArray[np.int64]], mine: Figure) -> int:
+        arm, at = chunk
+        for i in at:
+            # What is out of reach for a bend, is so standing; and a palm that misses a point by so much misses
+            # all points nearer to that one.
+            bent = _bound(flat[BEND, arm], i)
+            flat[BEND, arm][i] = bent = bent if bent > _NO_DOUBT else grade(mine, POINTS[i], arm, BEND)
+            upright = max(_bound(flat[REACH, arm], i), bent)
+            flat[REACH, arm][i] = upright if upright > _NO_DOUBT else grade(mine, POINTS[i], arm, REACH)
+        return len(at)
 
-    figures = [figure.copy() for _ in range(workers)]
-    chunks = [jobs[i : i + 200] for i in range(0, len(jobs), 200)]
+    figures, done = [figure.copy() for _ in range(workers)], 0
     with ThreadPoolExecutor(workers) as pool:
         for first in range(0, len(chunks), workers):
-            batch = chunks[first : first + workers]
-            for count in pool.map(work, batch, figures):
+            for count in pool.map(work, chunks[first : first + workers], figures):
                 done += count
                 if progress is not None:
-                    progress(done, len(jobs))
-    return {key: Map(origin, values.reshape(shape)) for key, values in flat.items()}
+                    progress(done, sum(len(at) for at in jobs.values()))
+    maps = {key: Map(ORIGIN, values.reshape(SHAPE)) for key, values in flat.items()}
+    if mirrored:  # the grid is its own mirror image
+        maps |= {
+            (kind, "left"): Map(ORIGIN, maps[kind, "right"].miss[:, ::-1].copy()) for kind in (REACH, BEND)
+        }
+    return maps
+
+
+def _bound(known: NDArray[np.float32], i: int) -> float:
+    """What the points graded so far say that the miss at a point is at least."""
+    at = np.flatnonzero(np.isfinite(known) & (known > 0.0))
+    if not len(at):
+        return 0.0
+    return float((known[at] - np.linalg.norm(POINTS[at] - POINTS[i], axis=1)).max())
+
+
+def grade(figure: Figure, point: Array, arm: str, kind: str) -> float:
+    """What the map says of a point: 0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m."""
+    pose = find_pose(figure, point, arm, kind)
+    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
+
+
+def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:
+    """Points that an arm and what the trunk can do may bring a palm to, in a random order: the first tell most."""
+    near = np.flatnonzero(np.linalg.norm(POINTS - shoulder_of(figure, arm), axis=1) < _FARTHEST)
+    return np.asarray(np.random.default_rng(0).permutation(near))
+
+
+def _is_mirrored(figure: Figure) -> bool:
+    """Whether left is the mirror image of right: the model, by its masses, joints and frames at home."""
+    if set(figure.hands) != {"left", "right"}:
+        return False
+    model, data = figure.model, figure.data
+    data.qpos[:] = figure.home
+    mujoco.mj_forward(model, data)
+    names = [model.body(b).name for b in range(1, model.nbody)]
+    flip = np.array([1.0, -1.0, 1.0])
+    for name in names:
+        other = (
+            "right" + name[4:]
+            if name.startswith("left")
+            else "left" + name[5:]
+            if name.startswith("right")
+            else name
+        )
+        if other not in names:
+            return False
+        a, b = model.body(name), model.body(other)
+        same = np.allclose(data.xpos[a.id], flip * data.xpos[b.id], atol=1e-9) and np.isclose(
+            a.mass[0], b.mass[0]
+        )
+        ranges = [model.jnt_range[int(x.jntadr[0]) : int(x.jntadr[0]) + int(x.jntnum[0])] for x in (a, b)]
+        if not same or (name != other and not np.allclose(*ranges)):
+            return False
+    return True

@@ -58,25 +58,25 @@ class Gait:
         swing_deg: Of the arms.
     """
 
-    length: float = 0.691
-    width: float = 0.027
+    length: float = 0.7
+    width: float = 0.095
     time: float = 0.567
-    double: float = 0.086
-    strike_deg: float = 13.2
-    off_deg: float = 49.2
-    peak: float = 1.334
-    flat: float = 0.066
-    rise: float = 0.443
-    lift: float = 0.059
+    double: float = 0.085
+    strike_deg: float = 13.4
+    off_deg: float = 46.3
+    peak: float = 1.41
+    flat: float = 0.069
+    rise: float = 0.442
+    lift: float = 0.061
     gap: float = 0.11
-    knee_deg: float = 12.1
+    knee_deg: float = 12.4
     toe_out_deg: float = 5.0
-    pressure: tuple[float, float] = (0.033, 0.160)
-    dip: float = 0.008
-    bob: float = 0.025
-    late: float = 0.3
-    turn_deg: float = 4.0
-    lean_deg: float = 0.0
+    pressure: tuple[float, float] = (0.024, 0.157)
+    dip: float = 0.006
+    bob: float = 0.028
+    late: float = 0.014
+    turn_deg: float = 4.5
+    lean_deg: float = -0.4
     swing_deg: float = 15.0
 
 

@@ -29,7 +29,7 @@ STIFF = {
 # Steps towards the ball; the hand's weight grows a hundredfold on the way, so that it goes as far as it can.
 _STEPS = 12
 # A hand that stays farther away comes no nearer by leaning, m.
-_FARTHER = 0.3
+_FARTHER = 0.15
 
 
 def pinned(figure: Figure, q: Array, rows: Rows) -> None:
