@@ -5,16 +5,31 @@ It knows the model, the frames, their rate and which contact each foot claims; n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
+from robot_ik.figure.decide import Decider
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points
-from robot_ik.figure.gait import AIR, FLAT, Walk
+from robot_ik.figure.gait import (
+    AIR,
+    FLAT,
+    SHUFFLE,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    solve_walk_once,
+    walk,
+    walk_prints,
+)
+from robot_ik.figure.jump import jump
 
 Array = NDArray[np.float64]
 
@@ -266,3 +281,140 @@ def describe(measure: MotionMeasure) -> Sequence[str]:
         f"too fast {m.too_fast}; self-contact in {m.self_contact} of {m.frames}",
         f"rad/s: {fastest}; a joint's speed changes by {m.jump:.2f} rad/s a frame at most",
     )
+
+
+# -------------------------------------------------------------------------------------- robot-ik bench figure
+
+
+@dataclass(frozen=True)
+class FigureRow:
+    """One figure beside its target.
+
+    Attributes:
+        motion, what: Of what, and what of it.
+        value, unit: As measured.
+        least, most: The target; infinite on an open side.
+    """
+
+    motion: str
+    what: str
+    value: float
+    unit: str = ""
+    least: float = -np.inf
+    most: float = np.inf
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within its target."""
+        return self.least <= self.value <= self.most
+
+
+def _motion_rows(name: str, m: MotionMeasure, inside: float, close: float, worst: float) -> list[FigureRow]:
+    return [
+        FigureRow(name, "slip of the touching point per frame", m.slip, "mm", most=0.1),
+        FigureRow(name, "drift of a flat foot", m.drift, "mm", most=0.1),
+        FigureRow(name, "penetration of shapes", m.penetration, "mm", most=0.5),
+        FigureRow(name, "zero-moment point inside", 100 * m.inside, "%", least=inside),
+        FigureRow(name, "zero-moment point within 10 mm", 100 * m.close, "%", least=close),
+        FigureRow(name, "zero-moment point, worst", m.worst, "mm", least=worst),
+        FigureRow(name, "frames beyond joint limits", m.outside_limits, most=0),
+        FigureRow(name, "frames beyond speed limits", m.too_fast, most=0),
+        FigureRow(
+            name, "frames with self-contact", m.self_contact, most=0.01 * m.frames if name == "bend" else 0
+        ),
+    ]
+
+
+def measure_walks(figure: Figure) -> Iterator[FigureRow]:
+    """Straight on, along a curve, to the side, and on the spot."""
+    start = prints_of(figure, figure.home)
+    straight = walk(figure, figure.home, walk_prints(figure, start, np.array([5.0, 0.0, 0.0])))
+    m = measure_motion(figure, straight.frames.q, straight.contact)
+    yield from _motion_rows("walk", m, 95, 98, -60)
+    yield FigureRow("walk", "least vertical force", m.force[0], "body weights", least=0.7)
+    yield FigureRow("walk", "largest vertical force", m.force[1], "body weights", most=1.3)
+    yield FigureRow("walk", "fastest knee", m.speed["knee"], "rad/s", most=7.0)
+    g = measure_gait(figure, straight)
+    for joint, least, most in (("hip", 0.97, 6.0), ("knee", 0.96, 8.0), ("ankle", 0.94, 7.0)):
+        yield FigureRow("walk", f"{joint}: correlation with the norm", g.correlation[joint], least=least)
+        yield FigureRow("walk", f"{joint}: RMS from the norm", g.rms_deg[joint], "deg", most=most)
+    yield FigureRow("walk", "speed", g.speed, "m/s", 1.1, 1.25)
+    yield FigureRow("walk", "step", g.step, "m", 0.62, 0.72)
+    yield FigureRow("walk", "cadence", g.cadence, "1/min", 100, 113)
+    yield FigureRow("walk", "stance", 100 * g.stance, "%", 58, 65)
+    yield FigureRow("walk", "pelvis up and down", g.vertical, "mm", 25, 50)
+    yield FigureRow("walk", "pelvis to the sides", g.lateral, "mm", 30, 65)
+    yield FigureRow("walk", "least height of the sole in mid swing", g.clearance, "mm", 10, 25)
+    curve = walk(figure, figure.home, walk_prints(figure, start, np.array([3.0, 2.0, np.pi / 3])))
+    small = {"side steps": (0.0, 0.6, 0.0), "turn on the spot": (0.0, 0.0, np.pi)}
+    walks = {"curve": curve} | {
+        name: walk(figure, figure.home, shuffle_prints(figure, start, np.array(goal)), SHUFFLE)
+        for name, goal in small.items()
+    }
+    for name, found in walks.items():
+        yield from _motion_rows(name, measure_motion(figure, found.frames.q, found.contact), 95, 98, -60)
+
+
+def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[FigureRow]:
+    """Seeded balls that are reached, bent or jumped for; the worst of each."""
+    figure, decider, rng = abilities.figure, Decider(abilities), np.random.default_rng(seed)
+    found: dict[str, list[tuple[MotionMeasure, float]]] = {"reach": [], "bend": [], "jump": []}
+    for _ in range(60 * count):
+        if all(len(rows) >= count for rows in found.values()):
+            break
+        ball = rng.uniform([0.15, -0.5, 0.1], [0.6, 0.5, 2.5])
+        told = decider.decide(ball)
+        if told.action not in found or told.arm is None or len(found[told.action]) >= count:
+            continue
+        if told.action == "jump":
+            motion = jump(figure, figure.home, ball, told.arm, told.speed or 0.0)
+        else:
+            motion = (reach if told.action == "reach" else bend)(figure, figure.home, ball, told.arm)
+        hand = figure.hands[told.arm]
+        miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
+        speeds = "jump" if told.action == "jump" else "daily"
+        measure = measure_motion(figure, motion.q, motion.contact, speeds=speeds)
+        found[told.action].append((measure, min(miss) if told.action == "jump" else miss[-1]))
+    for name, rows in found.items():
+        ms = [m for m, _ in rows]
+        yield FigureRow(name, "balls", len(ms), least=count)
+        yield FigureRow(
+            name, "hand from the ball, worst", 1e3 * max(miss for _, miss in rows), "mm", most=5.0
+        )
+        least = 90.0 if name == "jump" else 100.0
+        inside = 100 * float(np.mean([m.inside for m in ms]))
+        yield FigureRow(name, "zero-moment point inside", inside, "%", least=least)
+        yield FigureRow(name, "slip of the touching point per frame", max(m.slip for m in ms), "mm", most=0.1)
+        yield FigureRow(name, "penetration of shapes", max(m.penetration for m in ms), "mm", most=0.5)
+        beyond = sum(m.outside_limits + m.too_fast for m in ms)
+        yield FigureRow(name, "frames beyond joint or speed limits", beyond, most=0)
+        share = 100 * sum(m.self_contact for m in ms) / sum(m.frames for m in ms)
+        yield FigureRow(name, "frames with self-contact", share, "%", most=1.0 if name == "bend" else 0.0)
+
+
+def measure_times(abilities: Abilities) -> Iterator[FigureRow]:
+    """Processor time of a frame of the walk's rows, and of a decision."""
+    figure = abilities.figure
+    prints = walk_prints(figure, prints_of(figure, figure.home), np.array([4.0, 0.0, 0.0]))
+    walk(figure, figure.home, prints)
+    began = time.thread_time()
+    frames = solve_walk_once(figure, prints)
+    yield FigureRow(
+        "time", "a frame of a walk, with posture", 1e6 * (time.thread_time() - began) / frames, "us", most=200
+    )
+    decider, rng = Decider(abilities), np.random.default_rng(0)
+    near = rng.uniform([0.3, -0.4, 0.9], [0.5, 0.4, 1.5], (40, 3))
+    decider.decide(near[0])
+    began = time.thread_time()
+    for ball in near:
+        decider.decide(ball)
+    yield FigureRow(
+        "time", "a decision with its solve", 1e3 * (time.thread_time() - began) / len(near), "ms", most=3.0
+    )
+
+
+def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iterator[FigureRow]:
+    """All rows, one after the other."""
+    yield from measure_walks(abilities.figure)
+    yield from measure_hands(abilities, count, seed)
+    yield from measure_times(abilities)

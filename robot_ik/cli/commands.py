@@ -92,7 +92,12 @@ COMMANDS: dict[str, Command] = {
                 "BenchCameraOptions",
                 "the camera instead of the methods: errors on pictures whose truth is known",
                 "run_camera",
-            )
+            ),
+            "figure": Command(
+                "robot_ik.cli.bench_figure",
+                "BenchFigureOptions",
+                "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo",
+            ),
         },
     ),
     "run": Command(

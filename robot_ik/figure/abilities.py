@@ -25,11 +25,11 @@ from robot_ik.kernels.jit import cache_folder
 
 Array = NDArray[np.float64]
 
-_GRID = 0.1  # m
+_GRID = 0.15  # m
 # No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
 _BEHIND = -0.1
 _VERSION = 2
-ORIGIN, SHAPE = np.array([-1.2, -1.3, -0.1]), (27, 27, 24)
+ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
 # From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
 _FARTHEST = 1.7
@@ -39,7 +39,7 @@ _FAR = -32768
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
 _SLACK = 0.03
 # A point that misses by more has no ball in its cell that is not surely out of reach, m.
-_NO_DOUBT = 0.13
+_NO_DOUBT = 0.16
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +240,7 @@ def _make_maps(
             # all points nearer to that one.
             bent = _bound(flat[BEND, arm], i)
             flat[BEND, arm][i] = bent = bent if bent > _NO_DOUBT else grade(mine, POINTS[i], arm, BEND)
-            upright = max(_bound(flat[REACH, arm], i), bent)
-            flat[REACH, arm][i] = upright if upright > _NO_DOUBT else grade(mine, POINTS[i], arm, REACH)
+            flat[REACH, arm][i] = bent if bent > 0.0 else grade(mine, POINTS[i], arm, REACH)
         return len(at)
 
     figures, done = [figure.copy() for _ in range(workers)], 0

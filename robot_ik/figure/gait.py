@@ -428,6 +428,16 @@ def walk(
     )
 
 
+def solve_walk_once(
+    figure: Figure, prints: Sequence[Print], gait: Gait = WALK, dt: float = 1.0 / RATE
+) -> int:
+    """Solves the frames of a walk over ``prints`` once, without corrections; returns how many: what a frame costs."""
+    plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
+    pelvis, _, heading = plan.trunk()
+    height = plan.pelvis_height(pelvis, -0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
+    return len(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt).q)
+
+
 def _pelvis_place(figure: Figure, q: Array) -> Array:
     return np.array([figure.pose(row, figure.pelvis)[0][:2] for row in q])
 
