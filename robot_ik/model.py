@@ -507,6 +507,22 @@ def mass_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]
     return table
 
 
+def inertia_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]) -> Array:
+    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in the node's axes, of each node."""
+    mass = mass_table(model, tree, bodies, 0)[: tree.size]
+    whole = np.zeros((tree.size, 3, 3))
+    for body in range(1, model.nbody):
+        at = bodies[body]
+        if at.node < 0:
+            continue
+        place = at.local.compose(Pose(model.body_ipos[body], model.body_iquat[body]))
+        away = place.position - mass[at.node, 1:]
+        turned = place.rotation @ np.diag(model.body_inertia[body]) @ place.rotation.T
+        whole[at.node] += turned + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
+    xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
+    return np.column_stack([mass, xx, yy, zz, xy, xz, yz])
+
+
 def random_q(tree: Tree, home: Array, rng: np.random.Generator) -> Array:
     """A random q (nq,) inside the limits; a floating base within 1 m of home."""
     q = home.copy()

@@ -29,6 +29,7 @@ from robot_ik.model import (
     declared_couplings,
     guess_tool,
     home_qpos,
+    inertia_table,
     joint_names,
     joint_stiffness,
     mass_table,
@@ -230,6 +231,10 @@ class Robot:
         if not table[:, 0].sum() > LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
         return table
+
+    def inertias(self) -> Array:
+        """(n, 10) mass, centre and inertia of what each node carries, see ``model_tree.inertia_table``."""
+        return inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
         """(nv,) the way from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""

@@ -99,6 +99,21 @@ class GalleryScene(_Table):
     view_deg: tuple[float, float] = (-55.0, 16.0)
 
 
+class FigureParts(_Table):
+    """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
+
+    ``bend``: the keyframe that a deep bend looks like.
+    """
+
+    hands: dict[str, str] = {}
+    feet: dict[str, str] = {}
+    gaze: str | None = None
+    neck: tuple[str, ...] = ()
+    pelvis: str
+    trunk: str
+    bend: str | None = None
+
+
 class _Motion(_Table):
     velocity_deg: tuple[float, ...] | None = None
     acceleration_deg: tuple[float, ...] | None = None
@@ -126,6 +141,8 @@ class _File(_Table):
     tools: dict[str, Tool] = {}
     groups: dict[str, tuple[str, ...]] = {}
     motion: _Motion = _Motion()
+    speed_deg: dict[str, dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]]] = {}
+    figure: FigureParts | None = None
     stiffness: dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] = {}
     couplings: dict[str, Coupled] = {}
     reach: ReachScene | None = None
@@ -141,6 +158,8 @@ class RobotFile:
         velocity, acceleration: Per joint, rad/s and rad/s² (m for slides).
         stiffness: Of joints by name: one of 4 moves half as far as one of 1 where both could serve.
         couplings: Joints that follow another, by name.
+        speeds: Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
+        figure: Hands, feet, eyes of a figure.
     """
 
     name: str
@@ -155,6 +174,8 @@ class RobotFile:
     acceleration: Mapping[str, float] = field(default_factory=dict)
     stiffness: Mapping[str, float] = field(default_factory=dict)
     couplings: Mapping[str, Coupled] = field(default_factory=dict)
+    speeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    figure: FigureParts | None = None
     reach: ReachScene | None = None
     gallery: GalleryScene | None = None
     sources: tuple[str, ...] = ()
@@ -196,6 +217,11 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
         acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
         stiffness=parsed.stiffness,
         couplings=parsed.couplings,
+        speeds={
+            name: {joint: math.radians(speed) for joint, speed in speeds.items()}
+            for name, speeds in parsed.speed_deg.items()
+        },
+        figure=parsed.figure,
         reach=parsed.reach,
         gallery=parsed.gallery,
         sources=parsed.provenance.sources,

@@ -121,7 +121,12 @@ COMMANDS: dict[str, Command] = {
                 "BenchCameraOptions",
                 "the camera instead of the methods: errors on pictures whose truth is known",
                 "run_camera",
-            )
+            ),
+            "figure": Command(
+                "robot_ik.cli.bench_figure",
+                "BenchFigureOptions",
+                "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo",
+            ),
         },
     ),
     "run": Command(
@@ -144,6 +149,11 @@ COMMANDS: dict[str, Command] = {
     ),
     "ar": Command(
         "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, on a printed board"
+    ),
+    "figure": Command(
+        "robot_ik.cli.figure",
+        "FigureOptions",
+        "a humanoid sees a ball, decides, and reaches, bends, jumps or walks",
     ),
     "camera": Command(
         "", "", "the camera by hand: find, print markers, calibrate, detect, locate", subcommands=_CAMERA
