@@ -1,5 +1,7 @@
-"""How to get there in time: trajectories, moves, goal sources, the recorder."""
+"""How to get there in time: trajectories, moves, key poses, goal sources, the recorder."""
 
+from robot_ik.motion.key_poses import KeyPoses
+from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.line import line_move
 from robot_ik.motion.profiles import PROFILES
 from robot_ik.motion.record import RecorderSink
@@ -14,6 +16,8 @@ __all__ = [
     "FixedGoal",
     "FollowReport",
     "FollowTick",
+    "KeyPoses",
+    "Keyframes",
     "ManualSource",
     "RandomSource",
     "RecorderSink",
