@@ -5,6 +5,7 @@ from __future__ import annotations
 from robot_ik.goals.base import Goal, Rows, Tolerance
 from robot_ik.goals.frames import AimGoal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.goals.places import HalfSpaceGoal, LineGoal, PlaneGoal
+from robot_ik.goals.pose_prior import PosePrior, PosePriorGoal
 from robot_ik.goals.whole_body import CenterOfMassGoal, PostureGoal
 
 __all__ = [
@@ -17,6 +18,8 @@ __all__ = [
     "OrientationGoal",
     "PlaneGoal",
     "PoseGoal",
+    "PosePrior",
+    "PosePriorGoal",
     "PositionGoal",
     "PostureGoal",
     "Rows",
@@ -33,4 +36,5 @@ GOALS: tuple[type[Goal], ...] = (
     HalfSpaceGoal,
     CenterOfMassGoal,
     PostureGoal,
+    PosePriorGoal,
 )

@@ -57,6 +57,8 @@ GOALS = Layout(
     moments="table",  # … and their work space
     posture="table",  # (g, nq) where a posture wants the joints
     joint_weight="table",  # (g, nv) and how much each counts
+    feature="int_table",  # (n, 3) what a pose prior looks at, see ``pose_prior``; there is one at most
+    prior="table",  # (…, n) its mixture, and its work space
 )
 open_goals = GOALS.open
 
