@@ -62,6 +62,17 @@ _CAMERA = {
     "verify": _camera("verify", "how far the arm is from where its joints say"),
 }
 
+_POSES = {
+    word: Command("robot_ik.cli.key_poses", f"Poses{word.title()}Options", about, f"run_{word}")
+    for word, about in {
+        "list": "the poses and motions of a file",
+        "record": "a pose into a file: from joints, from a recorded frame, by reaching",
+        "play": "a motion in MuJoCo's window",
+        "export": "a motion as frames: CSV or BVH",
+        "import": "motion capture (BVH) onto a figure",
+    }.items()
+}
+
 COMMANDS: dict[str, Command] = {
     "reach": Command(
         "robot_ik.cli.reach",
@@ -98,6 +109,7 @@ COMMANDS: dict[str, Command] = {
     "run": Command(
         "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
     ),
+    "poses": Command("", "", "key poses and motions: record, list, play, export, import", subcommands=_POSES),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",

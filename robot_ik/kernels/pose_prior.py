@@ -21,7 +21,7 @@ from robot_ik.kernels.rotation_rows import inverse_right_jacobian, rotation_back
 NUMBER, LEAN_X, LEAN_Y, TURN_X, TURN_Y, TURN_Z = range(6)
 # Columns of goal.feature.
 WHAT, AT, NODE, FEATURE_SIZE = range(4)
-# Rows of goal.prior: middle, spread, x and g; the numbers for all (E₀ first); H, then L, in its lower triangle;
+# Rows of goal.prior: middle, spread, x and g; numbers for all (E₀ first); H, then L, in its lower triangle;
 # then for each part its mean, its numbers (log of w_k over the norm, log density) and its precision.
 MIDDLE, SPREAD, X, GRADIENT, NUMBERS, HESSIAN = range(6)
 PART_MEAN, PART_NUMBERS, PART_PRECISION = range(3)
