@@ -14,6 +14,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -47,16 +48,21 @@ WALKS = {"walk_slowly": (0.7, 1.3), "walk": (1.0, 1.1), "walk_fast": (1.2, 0.95)
 PEOPLE = 12.0
 RATE = 15.0
 # Where the right hand reaches, metres from between the feet: forward, to the left, up.
-GRID = [(x, y, z) for z in (0.7, 1.0, 1.3, 1.6, 1.9) for y in (-0.5, -0.2, 0.1) for x in (0.25, 0.45)]
-BENDS = [(x, y, z) for z in (0.15, 0.4) for y in (-0.35, 0.0) for x in (0.4, 0.55)]
+GRID = [
+    (x, y, z) for z in (0.8, 1.05, 1.3, 1.55, 1.8) for y in (-0.55, -0.25, 0.05) for x in (0.15, 0.35, 0.5)
+]
+BENDS = [(x, y, z) for z in (0.15, 0.35, 0.55) for y in (-0.35, -0.1, 0.1) for x in (0.4, 0.55)]
 # How much a reach moves each joint, beside a shoulder's 1: the trunk and the girdle only where they must.
 COMFORT = {
     "torso_pitch": 3.0, "torso_yaw": 2.0, "pelvis_pitch": 3.0, "pelvis_roll": 3.0, "head_yaw": 0.5,
-    "head_pitch": 0.5,
+    "head_pitch": 0.5, "root": 2.0,
     **{f"{side}_clavicle_{axis}": 2.0 for side in SIDES for axis in ("yaw", "roll")},
     **{f"{side}_wrist_{axis}": 2.0 for side in SIDES for axis in ("pitch", "yaw")},
 }  # fmt: skip
 HELD_OUT = 5  # every so many motions
+# The picture: by which places the hand is led, and where it ends.
+LED = [(0.1, -0.35, 2.0), (-0.15, -0.75, 1.4), (0.3, -0.6, 0.9)]
+SHOWN = [(0.4, -0.15, 1.15), (0.3, 0.05, 1.5), (0.3, -0.3, 0.9)]
 
 
 def posed(robot: rik.Robot, degrees: Mapping[str, float]) -> Array:
@@ -106,7 +112,7 @@ def reach(robot: rik.Robot, place: Sequence[float], balance: float) -> Array | N
         rik.PositionGoal("right_hand", place),
         rik.CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", soft=True, weight=balance),
         rik.AimGoal("gaze", place, axis="x", soft=True, weight=0.2),
-        rik.PostureGoal(q=home, joints={"root": 0.0, **COMFORT}, soft=True, weight=0.5),
+        rik.PostureGoal(q=home, joints=COMFORT, soft=True, weight=0.5),
     ]
     found = rik.solve(robot, goals, solver="lm", start=home)
     return np.array(found.q) if found.converged else None
@@ -182,7 +188,9 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     ]
     rest = rik.PostureGoal(q=robot.home, joints={"root": 0.0}, soft=True)
     ways = {"goals alone": [], "with a posture goal": [rest], "with the prior": [PosePriorGoal(prior=prior)]}
-    poses = [found[name][k] for name in held for k in (len(found[name]) // 2, len(found[name]) - 1)]
+    poses = [
+        found[name][int(part * (len(found[name]) - 1))] for name in held for part in (0.3, 0.5, 0.75, 1.0)
+    ]
     rows = {}
     for label, extra in ways.items():
         q, miss, seconds = zip(*(answers(robot, truth, extra) for truth in poses), strict=True)
@@ -205,18 +213,32 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     }  # fmt: skip
 
 
+def led(robot: rik.Robot, place: Sequence[float], extra: Sequence[rik.Goal]) -> Array:
+    """Where the figure ends when its right hand is led round about to a place: overhead, far aside, there."""
+    goals: list[rik.Goal] = [
+        rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES
+    ]
+    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", place), *extra])
+    stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(place)]
+    solver, q = make_solver("lm"), np.array(robot.home)
+    for one, two in pairwise(stations):
+        for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
+            problem.retarget(one + share * (two - one), len(goals))
+            q = np.array(solver.solve(problem, q).q)
+    return q
+
+
 def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
-    """The right hand at three places: with the goals alone, and with the prior."""
+    """The right hand led to three places: with the goals alone, and with the prior."""
     size, rows = (300, 420), []
     for extra in ([], [PosePriorGoal(prior=prior)]):
         row = []
-        for place in ((0.45, -0.15, 1.1), (0.35, 0.15, 1.45), (0.45, -0.3, 0.75)):
-            goals = [rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES]
-            found = rik.solve(robot, [*goals, rik.PositionGoal("right_hand", place), *extra], solver="lm")
-            points = np.concatenate([surface(robot.model, robot.qpos(q)) for q in (robot.home, found.q)])
+        for place in SHOWN:
+            q = led(robot, place, extra)
+            points = np.concatenate([surface(robot.model, robot.qpos(one)) for one in (robot.home, q)])
             optics = lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
-            row.append(photograph(robot.model, robot.qpos(found.q), camera, optics, 0.0).image)
+            row.append(photograph(robot.model, robot.qpos(q), camera, optics, 0.0).image)
         rows.append(np.hstack(row))
     ok, data = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert ok

@@ -31,8 +31,8 @@ NEAR = 2e-3
 LEAN, REACH, HOLD = 0.7, 0.9, 0.4
 # rad/s: quick for a lion, slow for his joints.
 _SPEED = 4.0
-# Eyes follow, but do not lead: beside a posture's 1.
-_GAZE = 0.3
+# Farther aside than this from straight ahead he does not try to look, degrees.
+_ASIDE_DEG = 100.0
 # A paw whose pose is not found by then is taken to be out of reach.
 _SEARCH = Budget(iterations=1200, restarts=6)
 _FRAME = Budget(iterations=60, restarts=0)
@@ -161,10 +161,21 @@ class Lion:
     def _posed(self, standing: Sequence[str], ball: Array, mass: Array, more: Sequence[Goal]) -> Array:
         goals = [
             *self._needed(standing, mass), *more,
-            AimGoal("gaze", ball, axis="x", soft=True, weight=_GAZE),
-            PostureGoal(self.relaxed, joints={_root(self.robot): 0.3}, soft=True),
+            AimGoal("gaze", self._looked_at(ball), axis="x", soft=True),
+            PostureGoal(self.relaxed, joints={_root(self.robot): 0.3}, soft=True, priority=1),
         ]  # fmt: skip
         return np.array(solve(self.robot, goals, solver="lm", start=self.relaxed, budget=_SEARCH).q)
+
+    def _looked_at(self, ball: Array) -> Array:
+        """The ball, or where he looks at most when it lies behind him."""
+        eye = self.robot.forward(self.relaxed, "gaze").position
+        way = ball - eye
+        ahead = self.robot.forward(self.relaxed, _body_of(self.robot)).rotation[:, 0]
+        most, aside = np.radians(_ASIDE_DEG), way - float(way @ ahead) * ahead
+        if np.linalg.norm(aside) < 1e-9 or np.arctan2(np.linalg.norm(aside), way @ ahead) <= most:
+            return ball
+        across = aside / np.linalg.norm(aside)
+        return np.asarray(eye + np.linalg.norm(way) * (np.cos(most) * ahead + np.sin(most) * across))
 
     def _needed(self, standing: Sequence[str], mass: Array) -> list[Goal]:
         prints: list[Goal] = [PoseGoal.at(paw, self._prints[paw]) for paw in standing]
@@ -229,6 +240,12 @@ def _ball(ball: ArrayLike) -> Array | None:
     """Its place, if it has one."""
     place = np.asarray(ball, dtype=float)
     return place if place.shape == (3,) and bool(np.isfinite(place).all()) else None
+
+
+def _body_of(robot: Robot) -> str:
+    """The body that the free base carries."""
+    joint = int(robot.tree.joint_ids[0])
+    return str(robot.model.body(int(robot.model.jnt_bodyid[joint])).name)
 
 
 def _root(robot: Robot) -> str:

@@ -24,7 +24,9 @@ from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 
 # A solve of one tick begins a tick away from its answer: no search.
-_BUDGET = Budget(iterations=40, restarts=0)
+_BUDGET = Budget(iterations=20, restarts=0)
+# m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
+_LEASH = 0.06
 # So often a step that is too fast is halved before the figure rests for a tick.
 _HALVINGS = 8
 
@@ -153,9 +155,12 @@ class Drag:
         Returns:
             (nq,) the new joint vector, no farther from the last than the speed limits allow.
         """
-        wanted = self._point if target is None else vector(target, 3, "target")
-        q = self._towards(wanted, self._mass)
-        return np.array(q)
+        wanted = self._point if target is None or self.dragged is None else vector(target, 3, "target")
+        if target is not None and self.dragged is not None:
+            self._point = self.robot.forward(self.q, self.dragged).position
+            way = wanted - self._point
+            wanted = self._point + way * min(1.0, _LEASH / max(float(np.linalg.norm(way)), 1e-12))
+        return np.array(self._towards(wanted, self._mass))
 
     def shift_weight(self, onto: str | Sequence[str], seconds: float = 1.0) -> Iterator[Array]:
         """Frames in which the centre of mass goes over the middle of some pinned frames, and stays there.

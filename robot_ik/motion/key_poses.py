@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,9 @@ from robot_ik.files import read_toml, shown, write_atomically
 from robot_ik.kernels.tree import Q_WIDTH
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
-from robot_ik.robot import Robot
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
 
 
 @dataclass(frozen=True)

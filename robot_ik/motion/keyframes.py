@@ -16,6 +16,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +28,9 @@ from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.motion.limits import require_positive
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Array
-from robot_ik.robot import Robot
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
 
 # rad or m: so far a key may lie beyond a limit, or the last key of a loop beside the first.
 _SLACK = 1e-6
