@@ -3,7 +3,8 @@
     python examples/07_poses.py            prints what it made
     python examples/07_poses.py FOLDER     and writes poses.toml, motion.csv and motion.bvh there
 
-Natural poses: each reach takes the likeliest of all poses that put the hand there (a learned prior).
+Each reach takes the likeliest of all poses that put the hand there (a learned prior).  Prints how long the
+motion is, how high the hand goes and how far the figure walks.
 """
 
 import sys

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError, OutputError, close_matches
+from robot_ik.errors import ConfigError, OutputError, TrajectoryError, close_matches
 
 if TYPE_CHECKING:
     from robot_ik.motion import Keyframes, KeyPoses
@@ -52,18 +52,19 @@ class PosesRecordOptions:
     It starts from another pose, changes joints, and brings frames to places by inverse kinematics while the
     feet, if there are any, stay where they are.
 
-        robot-ik poses record my.toml wave --set left_elbow_pitch=90 --reach right_hand 0.3 -0.3 1.7
+        robot-ik poses record my.toml wave --set left_elbow_pitch=90
+        robot-ik poses record my.toml up --reach right_hand 0.3 -0.3 1.6
 
     Exit code 0: recorded. 1: a place is out of reach, and nothing is recorded. 2: wrong input.
     """
 
-    file: Positional[str]
+    file: Annotated[Positional[str], arg(metavar="FILE")]
     """Key poses, TOML."""
-    name: Positional[str]
+    name: Annotated[Positional[str], arg(metavar="NAME")]
     """What the pose is called."""
     robot: _RobotName = "humanoid"
     """Whose pose."""
-    start: Annotated[str, arg(name="from", metavar="POSE", help_behavior_hint="(default: home)")] = ""
+    begin: Annotated[str, arg(metavar="POSE", help_behavior_hint="(default: home)")] = ""
     """A pose of the file or a keyframe of the model."""
     frames: Annotated[str, arg(metavar="FRAMES.csv", help_behavior_hint="")] = ""
     """Start from a frame of a recorded motion instead."""
@@ -86,7 +87,7 @@ class PosesPlayOptions:
     Exit code 0: played. 2: wrong input, or no display.
     """
 
-    motion: Positional[str]
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
     """A motion or pose of the file, or a file of frames (.csv)."""
     file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
     """Key poses, TOML."""
@@ -109,9 +110,9 @@ class PosesExportOptions:
     Exit code 0: written. 2: wrong input.
     """
 
-    motion: Positional[str]
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
     """A motion or pose of the file, or a file of frames (.csv)."""
-    out: Positional[str]
+    out: Annotated[Positional[str], arg(metavar="OUT")]
     """FILE.csv or FILE.bvh."""
     file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
     """Key poses, TOML."""
@@ -134,9 +135,9 @@ class PosesImportOptions:
     Exit code 0: written. 2: wrong input.
     """
 
-    bvh: Positional[str]
+    bvh: Annotated[Positional[str], arg(metavar="BVH")]
     """The motion: any skeleton whose joints the map names."""
-    out: Positional[str]
+    out: Annotated[Positional[str], arg(metavar="OUT")]
     """FILE.csv: frames of the figure."""
     robot: _RobotName = "humanoid"
     """Who shall move."""
@@ -185,7 +186,10 @@ def run_record(options: PosesRecordOptions) -> int:
             console.say("out of reach; nothing was recorded", "red")
             return console.NOT_ACHIEVED
         q = found
-    book.record(options.name, q, replace=options.replace)
+    try:
+        book.record(options.name, q, replace=options.replace)
+    except TrajectoryError as error:
+        raise wrong("pose", str(error.args[0]), hint=error.hint) from error
     book.save(path)
     console.say(f"{options.name} is in {path}, which has {len(book.poses)} poses")
     return console.DONE
@@ -272,7 +276,13 @@ def _motion(robot: Robot, name: str, file: str, speed: float) -> Keyframes:
 
     if name.endswith(".csv"):
         return Keyframes.load_csv(name, robot)
-    return _book(robot, file).motion(name, speed=speed)
+    book = _book(robot, file)
+    known = [*book.motions, *book.poses]
+    if name not in known:
+        close = close_matches(name, known)
+        hint = f"did you mean {close[0]!r}?" if close else ""
+        raise wrong("motion", f"there is no {name!r}", f"{', '.join(known[:20])}, or a .csv file", hint)
+    return book.motion(name, speed=speed)
 
 
 def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
@@ -282,18 +292,18 @@ def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
 
     if options.frames:
         return Keyframes.load_csv(options.frames, robot).at(options.at)
-    if not options.start:
+    if not options.begin:
         return np.array(robot.home)
-    if options.start in book.poses:
-        return book[options.start]
+    if options.begin in book.poses:
+        return book[options.begin]
     keys = [robot.model.key(k).name for k in range(robot.model.nkey)]
-    if options.start in keys:
-        return np.array(robot.model.key(options.start).qpos[qpos_places(robot)])
+    if options.begin in keys:
+        return np.array(robot.model.key(options.begin).qpos[qpos_places(robot)])
     known = [*book.poses, *keys]
-    close = close_matches(options.start, known)
+    close = close_matches(options.begin, known)
     raise wrong(
         "--from",
-        f"there is no pose {options.start!r}",
+        f"there is no pose {options.begin!r}",
         ", ".join(known),
         f"did you mean {close[0]!r}?" if close else "",
     )

@@ -179,7 +179,7 @@ def _print_help() -> None:
 
     screen = console.out()
     screen.print("usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help", markup=False)
-    screen.print("\nFrom a robot model and a goal to joint angles, on simulated or real servos.\n")
+    screen.print("From a robot model and a goal to joint angles, on simulated or real servos.\n")
     rows = console.table("command", "what it does")
     for name, command in COMMANDS.items():
         rows.add_row(name, command.about)

@@ -25,9 +25,9 @@ def test_the_poses_that_ship_are_listed(robot_ik: Any) -> None:
 def test_poses_are_recorded_by_joints_by_reaching_and_from_frames(robot_ik: Any, tmp_path: Path) -> None:
     file, robot = tmp_path / "my.toml", load_robot("humanoid")
     words = ("poses", "record", file)
-    assert robot_ik(*words, "squat", "--from", "squat").code == 0
+    assert robot_ik(*words, "squat", "--begin", "squat").code == 0
     assert robot_ik(*words, "wave", "--set", "left_elbow_pitch=90", "head_yaw=-20").code == 0
-    assert robot_ik(*words, "up", "--from", "wave", "--reach", "right_hand", 0.3, -0.3, 1.6).code == 0
+    assert robot_ik(*words, "up", "--begin", "wave", "--reach", "right_hand", 0.3, -0.3, 1.6).code == 0
     book = KeyPoses.load(file, robot)
     elbow = robot.tree.qadr[robot.joints.index("left_elbow_pitch")]
     assert book["wave"][elbow] == pytest.approx(np.pi / 2)
@@ -43,7 +43,7 @@ def test_poses_are_recorded_by_joints_by_reaching_and_from_frames(robot_ik: Any,
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("record", "my.toml", "a", "--from", "squad"), "did you mean 'squat'"),
+        (("record", "my.toml", "a", "--begin", "squad"), "did you mean 'squat'"),
         (("record", "my.toml", "a", "--set", "left_elbow=90"), "left_elbow_pitch"),
         (("record", "my.toml", "a", "--set", "left_elbow_pitch=much"), "HINGE=DEGREES"),
         (("record", "my.toml", "a", "--set", "left_elbow_pitch=300"), "outside its limits"),
