@@ -26,6 +26,7 @@ from robot_ik.kernels.residuals import (
     WHOLE,
 )
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, V_WIDTH
+from robot_ik.pose_prior import PosePrior
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -707,6 +708,54 @@ class PostureGoal(Goal):
         return metres, radians
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class PosePriorGoal(Goal):
+    """A pose as likely as can be under a ``PosePrior``: what looks natural.  Always soft; one a problem.
+
+    It is wanted, never needed: among the poses that meet all needed goals, the likeliest nearby.
+
+    Attributes:
+        prior: ``PosePrior.of(robot)``, or one that you learned.
+        weight: On the rows, whose half square is the energy over its least: it counts squared.
+
+    Raises:
+        InvalidGoalError: No prior, a negative weight, or asked to be needed.
+    """
+
+    frame: str | None = field(default=None, init=False)
+    prior: PosePrior | None = None
+    weight: float = field(default=1.0, kw_only=True)
+    soft: bool = field(default=True, kw_only=True)
+
+    name: ClassVar[str] = "pose prior goal"
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.prior, PosePrior):
+            raise InvalidGoalError(
+                f"a pose prior goal needs a PosePrior, not {self.prior!r}", hint="PosePrior.of(robot)"
+            )
+        if not self.soft:
+            raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
+        self._set(weight=positive_number(self.weight, "weight"))
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(of=OF_PRIOR)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return 0.0, self.weight
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        return *super().signature, self.prior
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        return 0.0, 0.0
+
+
 GOALS: tuple[type[Goal], ...] = (
     PositionGoal,
     OrientationGoal,
@@ -717,4 +766,5 @@ GOALS: tuple[type[Goal], ...] = (
     HalfSpaceGoal,
     CenterOfMassGoal,
     PostureGoal,
+    PosePriorGoal,
 )

@@ -24,8 +24,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUseError, UnsupportedJointError
 from robot_ik.geometry import Pose, turn_z_to
-from robot_ik.goals import Array, Goal, PostureGoal, Tolerance, numbers, rotation_matrix, vector
+from robot_ik.goals import (
+    Array,
+    Goal,
+    PosePriorGoal,
+    PostureGoal,
+    Tolerance,
+    numbers,
+    rotation_matrix,
+    vector,
+)
 from robot_ik.kernels import residuals, workspace
+from robot_ik.kernels.pose_prior import FEATURE_SIZE, NODE
 from robot_ik.kernels.residuals import (
     BLOCK,
     HOW_SIZE,
@@ -146,6 +156,8 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "tied": np.array(tied, dtype=np.int64).reshape(-1, 3),
         "posture": np.zeros((count, robot.nq)),
         "joint_weight": np.zeros((count, robot.nv)),
+        "feature": np.zeros((0, FEATURE_SIZE), dtype=np.int64),
+        "prior": np.zeros((0, 0)),
     }  # fmt: skip
     masses: list[Array] = []
     rows = 0
@@ -157,6 +169,9 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         if isinstance(goal, PostureGoal):
             set_posture(robot, arrays, g, goal)
             rows += len(dofs)
+            continue
+        if isinstance(goal, PosePriorGoal):
+            rows += _set_prior(robot, arrays, goal)
             continue
         rows += 3 * ((asked.place != NO_PLACE) + (asked.turn != NO_TURN))
         if asked.of == OF_MASS:
@@ -194,6 +209,20 @@ def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal)
         )
     arrays["posture"][g] = goal.q
     arrays["joint_weight"][g] = goal.heed(robot)
+
+
+def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int:
+    """Puts a pose prior into the arrays; returns how many rows it makes.
+
+    Raises:
+        InvalidGoalError: There is one already.
+        UnknownJointError: The robot lacks a joint of the prior.
+    """
+    if len(arrays["feature"]):
+        raise InvalidGoalError("a problem has one pose prior at most", hint="learn one from all the motions")
+    assert goal.prior is not None
+    arrays["feature"], arrays["prior"] = goal.prior.places(robot), goal.prior.table()
+    return len(arrays["feature"]) + 1
 
 
 def _table(rows: list[list[bool]], width: int) -> Ints:
@@ -237,6 +266,8 @@ def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
     if isinstance(goal, PostureGoal):
         heed = goal.heed(robot)
         return {int(tree.dof_node[v]) for v in range(tree.nv) if heed[v] > 0.0}
+    if isinstance(goal, PosePriorGoal) and goal.prior is not None:
+        return {int(node) for node in goal.prior.places(robot)[:, NODE]}
     if goal.rows.of == OF_MASS:
         carried = np.flatnonzero(robot.masses(goal.frame)[:-1, 0] > 0.0)
         return {k for node in carried for k in tree.ancestors(int(node))}

@@ -93,6 +93,17 @@ _CAMERA = {
     "verify": _camera("robot_ik.cli.camera_verify", "verify", "how far the arm is from where its joints say"),
 }
 
+_POSES = {
+    word: Command("robot_ik.cli.key_poses", f"Poses{word.title()}Options", about, f"run_{word}")
+    for word, about in {
+        "list": "the poses and motions of a file",
+        "record": "a pose into a file: from joints, from a recorded frame, by reaching",
+        "play": "a motion in MuJoCo's window",
+        "export": "a motion as frames: CSV or BVH",
+        "import": "motion capture (BVH) onto a figure",
+    }.items()
+}
+
 COMMANDS: dict[str, Command] = {
     "reach": Command(
         "robot_ik.cli.reach",
@@ -132,6 +143,7 @@ COMMANDS: dict[str, Command] = {
     "run": Command(
         "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
     ),
+    "poses": Command("", "", "key poses and motions: record, list, play, export, import", subcommands=_POSES),
     "sim-bus": Command(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",
@@ -349,7 +361,7 @@ def _print_help() -> None:
 
     screen = console.out()
     screen.print("usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help", markup=False)
-    screen.print("\nFrom a robot model and a goal to joint angles, on simulated or real servos.\n")
+    screen.print("From a robot model and a goal to joint angles, on simulated or real servos.\n")
     rows = console.table("command", "what it does")
     for name, command in COMMANDS.items():
         rows.add_row(name, command.about)

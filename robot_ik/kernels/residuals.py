@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import entry, kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity, slope_of
+from robot_ik.kernels.pose_prior import prior_column, prior_rows
 from robot_ik.kernels.tree import BALL, FREE, SLIDE, open_tree
 from robot_ik.kernels.workspace import open_work
 
@@ -195,7 +196,8 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 #
 #     place   all three coordinates, some of them in the axes of the target, or one side of a plane only
 #     turn    the whole orientation, one axis along the target's, or one axis aimed at the target's origin
-#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves
+#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves, one by one or
+#             by a pose prior (``pose_prior.py``)
 #
 # The axis that counts is always z: ``Problem`` turns frame and target so that it is.
 
@@ -205,7 +207,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 
 NO_PLACE, WHOLE, SOME_AXES, ONE_SIDE = range(4)
 NO_TURN, ALL_AXES, ONE_AXIS, AIMED = range(4)
-OF_FRAME, OF_MASS, OF_JOINTS = range(3)
+OF_FRAME, OF_MASS, OF_JOINTS, OF_PRIOR = range(4)
 # Columns of goal.how; BLOCK is the first row of the goal's masses.
 PLACE, TURN, OF, BLOCK, HOW_SIZE = range(5)
 
@@ -357,6 +359,9 @@ def partial_rows(tree, goal, work, g):
     how, frames, residual, miss = goal.how, work.frames, work.residual, work.miss
     if how[g, OF] == OF_JOINTS:
         return joint_rows(tree, goal, work, g)
+    if how[g, OF] == OF_PRIOR:
+        miss[g, 0], miss[g, 1] = 0.0, 0.0
+        return prior_rows(goal, work, g), True
     if how[g, OF] == OF_MASS:
         mass_center(tree, goal, work, g)
     else:
@@ -390,6 +395,12 @@ def partial_column(tree, goal, work, g, u, v, moves):
             jacobian[row + i, u] = 0.0
         if moves > 0.0:
             joint_column(tree, goal, work, g, u, v)
+        return
+    if how[g, OF] == OF_PRIOR:
+        for i in range(goal.feature.shape[0] + 1):
+            jacobian[row + i, u] = 0.0
+        axis = v - tree.vadr[k]
+        prior_column(goal, work, g, u, k, axis - 3 if tree.kind[k] == FREE else axis)
         return
     ax, ay, az, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
     if how[g, OF] == OF_MASS:
@@ -470,6 +481,8 @@ GOALS = Layout(
     moments="table",  # … and their work space
     posture="table",  # (g, nq) where a posture wants the joints
     joint_weight="table",  # (g, nv) and how much each counts
+    feature="int_table",  # (n, 3) what a pose prior looks at, see ``pose_prior``; there is one at most
+    prior="table",  # (…, n) its mixture, and its work space
 )
 open_goals = GOALS.open
 

@@ -1,5 +1,7 @@
-"""How to get there in time: trajectories, moves, goal sources, the recorder."""
+"""How to get there in time: trajectories, moves, key poses, goal sources, the recorder."""
 
+from robot_ik.motion.key_poses import KeyPoses
+from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.line import line_move
 from robot_ik.motion.sources import CurveSource, FixedGoal, ManualSource, RandomSource, ScriptSource
 from robot_ik.motion.timing import PROFILES
@@ -9,6 +11,8 @@ __all__ = [
     "PROFILES",
     "CurveSource",
     "FixedGoal",
+    "KeyPoses",
+    "Keyframes",
     "ManualSource",
     "RandomSource",
     "RecorderSink",
