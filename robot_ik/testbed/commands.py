@@ -81,7 +81,7 @@ class SetOption(Command):
 
     instance: Index
     name: Annotated[str, Field(max_length=100)]
-    value: bool | int | Number | Annotated[str, Field(max_length=100)]
+    value: bool | int | Annotated[float, Field(allow_inf_nan=False)] | Annotated[str, Field(max_length=100)]
     rebuilds: ClassVar[bool] = True
 
 
@@ -326,5 +326,3 @@ class CommandLog:
             else:
                 commands.append((tick, command_from(values, here)))
         return cls(start, tuple(commands), ticks, digest)
-
-

@@ -149,7 +149,8 @@ class Instance:
             drag: What is dragged.
             grip: (3,) the grabbed point in the frame of that body, metres.
             fallback: Where the instance's own method serves no position of such a part.
-            goals, ball: What the miss is measured by meanwhile.
+            goals: What the miss is measured by meanwhile.
+            ball: Likewise.
         """
         body = self.robot.model.body(drag.body).id
         frame, local = frame_on(self.robot, body)
@@ -201,11 +202,8 @@ class Instance:
 
     def view(self) -> InstanceView:
         """What is seen of it."""
-        options = (
-            ()
-            if self.solver is None
-            else tuple((item.name, getattr(self.solver, item.name)) for item in dataclasses.fields(self.solver))
-        )
+        items = () if self.solver is None else dataclasses.fields(self.solver)
+        options = tuple((item.name, getattr(self.solver, item.name)) for item in items)
         return InstanceView(
             "" if self.solver is None else self.solver.name,
             options,

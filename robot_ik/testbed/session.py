@@ -164,7 +164,9 @@ class Session:
         RobotIkError: There is no such robot.
     """
 
-    def __init__(self, start: Start | None = None, *, beside: bool = True, arm: ArmLink | None = None) -> None:
+    def __init__(
+        self, start: Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
+    ) -> None:
         self.start = Start() if start is None else start
         self._queue: queue.SimpleQueue[Command] = queue.SimpleQueue()
         self._log: list[tuple[int, Command]] = []
@@ -179,7 +181,9 @@ class Session:
         self.arm = arm
         self.name = self.start.robot
         self._stand(load_robot(self.name), self.start.count)
-        self._preparer = _Preparer(Setup.of(self.start), self.robot, self._queue.put if beside else self._adopt)
+        self._preparer = _Preparer(
+            Setup.of(self.start), self.robot, self._queue.put if beside else self._adopt
+        )
         if beside:
             self._preparer.begin()
         self._preparer.ask(None)
@@ -430,7 +434,7 @@ class _Preparer:
     def __init__(self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None]) -> None:
         self._setup, self._robot, self._done = setup, robot, done
         self._ready: Ready | None = None
-        self._jobs: queue.SimpleQueue[Command | None | type[_Preparer]] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._waiting = 0
         self._lock = threading.Lock()

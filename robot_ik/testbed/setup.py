@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
@@ -27,6 +26,7 @@ from robot_ik.goals import (
     PositionGoal,
     PostureGoal,
 )
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -165,7 +165,9 @@ class Setup:
         return replace(
             self,
             extras=tuple(
-                replace(extra, on=command.on, priority=command.priority) if extra.name == command.name else extra
+                replace(extra, on=command.on, priority=command.priority)
+                if extra.name == command.name
+                else extra
                 for extra in extras
             ),
         )
@@ -209,7 +211,9 @@ class Goals:
                 if ranked:
                     goals.append(goal)
             elif extra.name == _GAZE:
-                goals.append(AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority if ranked else 0))
+                goals.append(
+                    AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority if ranked else 0)
+                )
             elif goal is not None:
                 goals.append(goal if ranked else replace(goal, priority=0))
         return goals
@@ -237,13 +241,10 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
     if verb == "balance":
         return CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", priority=extra.priority)
     if verb == "posture":
-        free = [joint for joint in robot.joints if _is_free(robot, joint)]
+        kinds = zip(robot.joints, robot.tree.kind.tolist(), strict=True)
+        free = [joint for joint, kind in kinds if kind == FREE]
         return PostureGoal(q=home, joints=dict.fromkeys(free, 0.0), priority=extra.priority)
     return None
-
-
-def _is_free(robot: Robot, joint: str) -> bool:
-    return bool(robot.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_FREE)
 
 
 def is_figure(robot: Robot) -> bool:
@@ -270,7 +271,7 @@ def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
     others = [name for name in tools if name not in (robot.tool, _GAZE, *keep)]
     if figure:
         found += [ExtraGoal(f"hold {n}", False, 3, f"{n} stays at its place") for n in others[:_HOLD_GOALS]]
-    found.append(ExtraGoal("posture", figure, 4 if figure else 1, "joints as near to home as the rest allows"))
+    found.append(ExtraGoal("posture", figure, 4 if figure else 1, "joints as near to home as can be"))
     return tuple(found)
 
 
@@ -323,7 +324,9 @@ def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[st
     Raises:
         RobotIkError: No such method or option.
     """
-    setup = _able(completed(setup, loaded), loaded)
+    if before is not None and is_figure(before.loaded) is not is_figure(loaded):
+        setup = replace(setup, choices=())  # an arm's methods do not suit a figure, nor a figure's an arm
+    setup = completed(setup, loaded)
     assert setup.kind is not None and setup.extras is not None
     same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
     used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
@@ -346,17 +349,6 @@ def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[st
         able = [solver for solver, why in zip(solvers, refused, strict=True) if not why]
         curve = reachable_curve(used, goals, able[0] if able else drag_solver)
     return Ready(setup, used, goals, solvers, drag_solver, loaded, curve, tuple(refused))
-
-
-def _able(setup: Setup, robot: Robot) -> Setup:
-    """Methods of another robot that cannot serve a figure's goals give way to ones that can."""
-    if not is_figure(robot):
-        return setup
-    able = [
-        choice if choice.method in WHOLE_BODY_METHODS or choice.method in ("auto", "combined") else Choice(usual)
-        for choice, usual in zip(setup.choices, WHOLE_BODY_METHODS, strict=True)
-    ]
-    return replace(setup, choices=tuple(able))
 
 
 def _tried(robot: Robot, goals: Goals, solver: Solver, ball: Pose) -> str:
@@ -396,15 +388,15 @@ def branches_of(robot: Robot, goal: Goal, start: Array) -> tuple[Branch, ...]:
 def without_limits(robot: Robot) -> Robot:
     """The robot whose hinges and slides may go anywhere; balls keep their cones."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
-    for joint, at in zip(robot.joints, robot.tree.vadr.tolist(), strict=True):
-        if robot.model.joint(joint).type[0] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+    for kind, at in zip(robot.tree.kind.tolist(), robot.tree.vadr.tolist(), strict=True):
+        if kind in (HINGE, SLIDE):
             lower[at], upper[at] = -np.inf, np.inf
     tree = robot.tree.with_limits(lower, upper)
     return dataclasses.replace(robot, tree=tree, lower=lower, upper=upper)
 
 
 def first_ball(robot: Robot) -> Pose:
-    """Where the ball is before it moves: the place that the robot's gallery picture reaches for, else home."""
+    """Where the ball is before it moves: what the robot's gallery picture reaches for, else home."""
     home = robot.measure(robot.home)  # by MuJoCo: nothing has to be compiled for the first picture
     goals = robot.file.gallery.goals if robot.file.gallery else {}
     if robot.tool not in goals:
