@@ -13,7 +13,7 @@ import pytest
 from robot_ik.testbed.commands import Command, Start
 from robot_ik.testbed.session import Session, View, run
 
-PATIENCE = 60.0
+PATIENCE = 40.0
 """A safety limit for what a browser without a GPU does on a busy machine, seconds."""
 
 
@@ -55,9 +55,11 @@ def serve(start: Start, **options: Any) -> Iterator[Bed]:
             real(command)
 
         session.send = send  # type: ignore[method-assign]
-        with Page(session, port=8610, **options) as page:
+        with Page(session, port=8610, shadows=False, **options) as page:
             bed.page = page
-            loop = threading.Thread(target=run, args=(session, page.draw, stop), name="testbed-loop")
+            loop = threading.Thread(  # drawn at 15 Hz: a browser without a GPU is no quicker
+                target=run, args=(session, page.draw, stop), kwargs={"every": 4}, name="testbed-loop"
+            )
             loop.start()
             try:
                 yield bed

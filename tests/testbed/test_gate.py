@@ -18,7 +18,6 @@ import msgspec
 import pytest
 
 from robot_ik.testbed.commands import Start
-
 from tests.testbed.conftest import Bed, serve
 
 pytest.importorskip("viser", reason="needs the extra web")
@@ -254,7 +253,7 @@ def test_one_browser_drives_the_others_watch_and_stop_works_from_all(bed: Bed, b
 
 
 def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
-    body, handle = bed.page._scene.bodies[-1]
+    handle = bed.page._scene.bodies[-1][1]
     drag = {
         "type": "SceneNodeDragMessage", "phase": "start", "name": handle.name, "instance_index": 0,
         "start_position": [0.0, 0.0, 1.0], "start_screen_pos": [0.5, 0.5], "end_position": [0.1, 0.1, 1.0],

@@ -57,6 +57,7 @@ class Page:
         dark: Dark to begin with.
         token: Ask for a token on loopback, too.
         names: Further names under which this machine is known.
+        shadows: Draw them; without a GPU the browser is quicker without.
         camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
 
     Attributes:
@@ -75,6 +76,7 @@ class Page:
         dark: bool = False,
         token: bool = False,
         names: tuple[str, ...] = (),
+        shadows: bool = True,
         camera: Callable[[], tuple[Image, str] | None] | None = None,
     ) -> None:
         self.session, self._dark, self._view = session, dark, session.view()
@@ -90,7 +92,7 @@ class Page:
         self._theme(dark)
         gui.set_panel_label("robot_ik testbed")
         self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
-        self.server.scene.configure_default_lights(cast_shadow=True)
+        self.server.scene.configure_default_lights(cast_shadow=shadows)
         self._controls(gui)
         self._readings(gui, camera)
         self._keys(gui)
@@ -157,8 +159,10 @@ class Page:
     def _show(self, gui: viser.GuiApi) -> None:
         self._trails = gui.add_checkbox("Trails and labels", True, hint="Over the scene (L)")
         Control(self._trails, self._show_overlay)
-        handles = gui.add_checkbox("Goal handles", True, hint="Arrows and arcs to move and turn the ball")
+        handles = gui.add_checkbox("Goal handles", True, hint="Arrows that move the ball along one axis")
         Control(handles, lambda value: setattr(self._gizmo, "visible", value))
+        arcs = gui.add_checkbox("Turn handles", False, hint="Arcs that turn the ball's pose")
+        Control(arcs, lambda value: setattr(self._gizmo, "disable_rotations", not value))
         self._axes = gui.add_checkbox("Tool frames", False, hint="x red, y green, z blue")
         Control(self._axes, lambda value: self._scene and self._scene.show_axes(value))
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
@@ -225,7 +229,7 @@ class Page:
 
     def _add_gizmo(self) -> None:
         self._gizmo = self.server.scene.add_transform_controls(
-            "/goal", scale=0.2, line_width=3.0, disable_sliders=True, depth_test=False
+            "/goal", scale=0.2, line_width=3.0, disable_sliders=True, disable_rotations=True, depth_test=False
         )
 
         @self._gizmo.on_update
