@@ -69,8 +69,8 @@ def run(options: VideoOptions) -> int:
     with claimed(options.csv, overwrite=options.overwrite), console.progress() as bar:
         task = bar.add_task("filming", total=None, note="")
         view = film(
-            log, out, numbers=options.csv, seconds=options.seconds, rate_hz=options.rate, size=(width, height),
-            backend=options.backend, overwrite=options.overwrite,
+            log, out, numbers=options.csv, seconds=options.seconds, rate_hz=options.rate,
+            size=(width, height), backend=options.backend, overwrite=options.overwrite,
             on_tick=lambda view, count: bar.update(task, total=count, completed=view.tick),
         )  # fmt: skip
     console.say(
