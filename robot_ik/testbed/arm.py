@@ -93,7 +93,7 @@ class ArmLink:
 
     def follow(self, robot: Robot, q: Array, running: bool) -> None:
         """Leaves the newest joint angles (nq,) of a robot for the arm; another robot's are none of them."""
-        if robot.joints != self._robot.joints or robot.model is not self._robot.model:
+        if robot.joints != self._robot.joints or robot.path != self._robot.path:
             self._message = f"the arm is a {self._robot.name}: it holds"
         elif running:
             self._wanted = q[self._order].copy(), time.monotonic()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import hashlib
 import math
@@ -10,6 +11,7 @@ import random
 import re
 import socket
 import struct
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -354,3 +356,25 @@ def test_a_websocket_key_is_answered_as_the_standard_says(port: int) -> None:
     wanted = hashlib.sha1((key + "258EAFA5-E914-47DA-95CA-C5AB0DC85B11").encode()).digest()
     assert headers["Sec-WebSocket-Accept"] == base64.b64encode(wanted).decode()
     browser.close()
+
+
+def test_an_event_set_from_another_thread_wakes_all_who_wait() -> None:
+    from robot_ik.testbed.frontends.gate import SharedEvent
+
+    async def story() -> int:
+        loop = asyncio.get_running_loop()
+        event = SharedEvent(loop)
+        waiters = [asyncio.ensure_future(event.wait()) for _ in range(20)]
+        await asyncio.sleep(0.0)
+
+        def other() -> None:
+            event.set()
+            loop.call_soon_threadsafe(event.set)  # as viser does
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        done, _ = await asyncio.wait(waiters, timeout=10.0)
+        thread.join()
+        return len(done)
+
+    assert asyncio.run(story()) == 20

@@ -251,7 +251,8 @@ class Page:
             self._show_reach(True)
         self._gizmo.scale = _GIZMO * scene.stage.extent
         for client in self.server.get_clients().values():
-            self._fit_camera(client)
+            # On the server's thread: a browser's own messages have no lock.
+            self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
         self._panel_due = self._table_due = 0.0
 
     async def _drag_ball(self, event: Any) -> None:

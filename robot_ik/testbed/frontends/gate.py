@@ -7,6 +7,7 @@ full name, while ``ViserServer`` is made; ``open_server`` puts its own ``serve``
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import hmac
 import http
@@ -348,6 +349,30 @@ def quiet() -> Iterator[None]:
         yield
 
 
+class SharedEvent(asyncio.Event):
+    """An event that any thread may set.
+
+    viser sets the event of its outgoing messages from the thread that draws, and asyncio's own then goes
+    through waiters that the server's thread may be changing: with two browsers that raises, now and then.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__()
+        self._own = loop
+
+    def set(self) -> None:
+        """On the loop's thread: wakes all that wait.  On others: is set; viser asks the loop to do the rest."""
+        self._value = True
+        try:
+            here = asyncio.get_running_loop()
+        except RuntimeError:
+            return
+        if here is self._own:
+            for waiter in list(self._waiters):
+                if not waiter.done():
+                    waiter.set_result(True)
+
+
 _PATCHING = threading.Lock()
 
 
@@ -407,5 +432,9 @@ def open_server(
         ) from error
     for kind in (vm.ShareUrlRequest, vm.ShareUrlDisconnect):  # no tunnel to outside, whoever asks
         server._websock_server.unregister_handler(kind)
+    buffer = server._websock_server._broadcast_buffer
+    event = SharedEvent(buffer.event_loop)
+    event.set()  # what was queued up to now
+    buffer.message_event = event
     gate.watch(server)
     return server, gate

@@ -99,6 +99,7 @@ class Scene:
         self.bodies: list[tuple[int, Any]] = []
         self._ghosts: dict[str, Ghosts] = {}
         self._cloud: Any = None
+        self._axes: Any = None
         self._trails_shown = True
         with server.atomic():
             self.root = server.scene.add_frame("/robot", show_axes=False)
@@ -106,10 +107,6 @@ class Scene:
             self._add_ball()
             self._trails = [self._trail(k) for k in range(count)]
             self._labels = [self._label(k) for k in range(count)]
-            self._axes = server.scene.add_batched_axes(
-                "/robot/tools", *_poses(count), axes_length=0.1 * self.stage.extent,
-                axes_radius=0.004 * self.stage.extent, visible=False,
-            )  # fmt: skip
 
     def _add_bodies(self) -> None:
         for n, (body, mesh) in enumerate(body_meshes(self.robot.model)):
@@ -171,7 +168,13 @@ class Scene:
 
     def show_axes(self, on: bool) -> None:
         """The tool's frame of each instance."""
-        self._axes.visible = on
+        if on and self._axes is None:
+            self._axes = self._server.scene.add_batched_axes(
+                "/robot/tools", *_poses(self.count), axes_length=0.1 * self.stage.extent,
+                axes_radius=0.004 * self.stage.extent,
+            )  # fmt: skip
+        if self._axes is not None:
+            self._axes.visible = on
 
     def show_cloud(self, points: Array | None) -> None:
         """Places (n, 3) that the tool can reach, or None."""
@@ -198,7 +201,7 @@ class Scene:
                 handle.batched_positions = xpos[:, body]
                 handle.batched_wxyzs = xquat[:, body]
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
-            if self._axes.visible:
+            if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)
             for k, one in enumerate(view.instances if self._trails_shown else ()):
                 if len(one.trail) > 2:

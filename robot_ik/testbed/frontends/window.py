@@ -307,7 +307,7 @@ class SessionWindow:
     def __init__(self, session: Session, limit: float = OPEN_LIMIT) -> None:
         self.session, self._limit = session, limit
         self._view = session.view()
-        self._overlay, self._placed = True, np.full(3, np.nan)
+        self._overlay = True
         self._robot: Robot | None = None
         self._mujoco = import_mujoco()
         self._open()
@@ -321,6 +321,7 @@ class SessionWindow:
         """A window for the session's robot; another robot needs another one."""
         mujoco, robot = self._mujoco, self.session.robot
         self._robot, self._count = robot, self._view.count
+        self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
         self._stage = staged(robot, self._count)
         self._model, self._ball = _with_ball(mujoco, robot, self._stage.extent)
         _light(self._model)
