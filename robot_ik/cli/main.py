@@ -105,6 +105,9 @@ _POSES = {
 }
 
 COMMANDS: dict[str, Command] = {
+    "view": Command(
+        "robot_ik.cli.view", "ViewOptions", "the interactive testbed, in the browser or in MuJoCo's window"
+    ),
     "reach": Command(
         "robot_ik.cli.reach",
         "ReachOptions",
@@ -169,6 +172,9 @@ COMMANDS: dict[str, Command] = {
     ),
     "camera": Command(
         "", "", "the camera by hand: find, print markers, calibrate, detect, locate", subcommands=_CAMERA
+    ),
+    "video": Command(
+        "robot_ik.cli.video", "VideoOptions", "a film of the testbed without a screen, from its command log"
     ),
     "doctor": Command(
         "robot_ik.cli.doctor",

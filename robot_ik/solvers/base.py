@@ -40,9 +40,13 @@ def option(
     high: float | None = None,
     unit: str = "",
     choices: tuple[str, ...] = (),
+    usual: tuple[float, float] | None = None,
 ) -> Any:
-    """A field of a solver: its default, range (numbers only) or choices, unit and one line of help."""
-    metadata = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices}
+    """A field of a solver: its default, range (numbers only) or choices, unit and one line of help.
+
+    ``usual`` is the part of the range that people try: what a slider spans.  Without it the option is rare.
+    """
+    metadata = {"help": help, "low": low, "high": high, "unit": unit, "choices": choices, "usual": usual}
     return field(default=default, metadata=metadata)
 
 
@@ -392,9 +396,13 @@ class JacobianSolver(IterativeSolver):
     first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
     try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(8, "steps without progress before a try is given up", low=1, high=1000)
-    clamp: float = option(0.5, "longest residual of a goal taken in one step", low=1e-3, high=1e6, unit="rad")
-    max_step: float = option(0.4, "largest change of one joint in a step", low=1e-4, high=1e6, unit="rad")
-    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0)
+    clamp: float = option(
+        0.5, "longest residual of a goal taken in one step", low=1e-3, high=1e6, unit="rad", usual=(0.0, 2.0)
+    )
+    max_step: float = option(
+        0.4, "largest change of one joint in a step", low=1e-4, high=1e6, unit="rad", usual=(0.0, 2.0)
+    )
+    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0))
     alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
 
     def common(self) -> tuple[float, ...]:

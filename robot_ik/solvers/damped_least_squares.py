@@ -42,9 +42,13 @@ CONSTANT, ADAPTIVE, SVD = range(3)
 class DampedLeastSquares(JacobianSolver):
     """Smooth and predictable; slower near the solution than ``lm``."""
 
-    damping: float = option(0.05, "λ, in the units of the scaled Jacobian", low=1e-6, high=10.0)
+    damping: float = option(
+        0.05, "λ, in the units of the scaled Jacobian", low=1e-6, high=10.0, usual=(0.0, 0.2)
+    )
     mode: str = option("constant", "how the damping is chosen, and the step made", choices=MODES)
-    threshold: float = option(0.1, "w₀: manipulability below which ``adaptive`` damps", low=1e-12, high=1e6)
+    threshold: float = option(
+        0.1, "w₀: manipulability below which ``adaptive`` damps", low=1e-12, high=1e6, usual=(0.0, 0.2)
+    )
 
     name: ClassVar[str] = "dls"
     title: ClassVar[str] = "damped least squares, clamped steps"

@@ -72,10 +72,17 @@ class Fabrik(BoneSolver):
     try_steps: int = option(100, "passes granted to a try from a random point", low=1, high=100_000)
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
-    pull: float = option(0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0)
-    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
+    pull: float = option(
+        0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+    )
+    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
     kick: float = option(
-        0.1, "how far a straight chain is bent before it reaches inwards", low=0.0, high=1.0, unit="bones"
+        0.1,
+        "how far a straight chain is bent before it reaches inwards",
+        low=0.0,
+        high=1.0,
+        unit="bones",
+        usual=(0.0, 0.5),
     )
 
     name: ClassVar[str] = "fabrik"

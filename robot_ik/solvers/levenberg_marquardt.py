@@ -160,16 +160,24 @@ class LevenbergMarquardt(IterativeSolver):
     try_steps: int = option(30, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(2, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.3, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
-    damping: float = option(0.2, "damping per unit of cost at the start of a try", low=1e-9, high=1e3)
-    increase: float = option(10.0, "factor on the damping when a step failed", low=1.01, high=100.0)
-    decrease: float = option(0.7, "factor on the damping when a step helped", low=0.01, high=1.0)
+    damping: float = option(
+        0.2, "damping per unit of cost at the start of a try", low=1e-9, high=1e3, usual=(0.0, 2.0)
+    )
+    increase: float = option(
+        10.0, "factor on the damping when a step failed", low=1.01, high=100.0, usual=(1.0, 20.0)
+    )
+    decrease: float = option(
+        0.7, "factor on the damping when a step helped", low=0.01, high=1.0, usual=(0.0, 1.0)
+    )
     least: float = option(0.02, "smallest damping per unit of cost", low=0.0, high=1e3)
-    stride: float = option(1.2, "largest change of a joint in one step", low=1e-3, high=100.0, unit="rad, m")
+    stride: float = option(
+        1.2, "largest change of a joint in one step", low=1e-3, high=100.0, unit="rad, m", usual=(0.0, 3.0)
+    )
     floor: float = option(1e-12, "damping that always remains", low=0.0, high=1.0)
     clamp: float = option(
         _NO_CLAMP, "longest residual of a goal taken in one step", low=1e-3, high=_NO_CLAMP, unit="rad"
     )
-    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0)
+    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0))
     alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
 
     name: ClassVar[str] = "lm"

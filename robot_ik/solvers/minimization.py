@@ -362,9 +362,13 @@ class Minimization(IterativeSolver):
     patience: int = option(8, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     draws: int = option(4, "random points of which a try takes the best", low=1, high=1000)
-    max_step: float = option(1.0, "largest change of one joint in a step", low=1e-4, high=1e6, unit="rad")
+    max_step: float = option(
+        1.0, "largest change of one joint in a step", low=1e-4, high=1e6, unit="rad", usual=(0.0, 2.0)
+    )
     decrease: float = option(1e-4, "share of the promised descent that a step must bring", low=1e-9, high=0.4)
-    curvature: float = option(0.3, "share of the slope that may be left after a step", low=0.1, high=0.999)
+    curvature: float = option(
+        0.3, "share of the slope that may be left after a step", low=0.1, high=0.999, usual=(0.1, 0.999)
+    )
 
     name: ClassVar[str] = "bfgs"
     title: ClassVar[str] = "minimisation by a variable metric (BFGS), projected on the limits"

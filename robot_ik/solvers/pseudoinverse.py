@@ -200,11 +200,17 @@ class Pseudoinverse(JacobianSolver):
     """The shortest step that solves the linear model; fast near a solution, rough near singularities."""
 
     cutoff: float = option(
-        1e-4, "singular values below this share of the largest count as zero", low=1e-12, high=1.0
+        1e-4,
+        "singular values below this share of the largest count as zero",
+        low=1e-12,
+        high=1.0,
+        usual=(0.0, 0.1),
     )
     aim: str = option("none", "what the null space is used for", choices=AIMS)
-    aim_gain: float = option(0.2, "share of the aim in each step", low=0.0, high=1e3)
-    halvings: int = option(0, "times a step may be halved until it lands; 0: never", low=0, high=60)
+    aim_gain: float = option(0.2, "share of the aim in each step", low=0.0, high=1e3, usual=(0.0, 1.0))
+    halvings: int = option(
+        0, "times a step may be halved until it lands; 0: never", low=0, high=60, usual=(0, 20)
+    )
     landing: float = option(0.1, "how far from its subgoal a step may land", low=1e-9, high=1e3, unit="rad")
 
     name: ClassVar[str] = "pseudoinverse"

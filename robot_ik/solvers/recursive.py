@@ -63,7 +63,7 @@ class Recursive(BoneSolver):
     try_steps: int = option(1, "tries from a random point", low=1, high=100_000)
     patience: int = option(1, "tries in vain before a start is given up", low=1, high=1000)
     guard: bool = option(True, "drag bones only where the bones before them can follow", low=0, high=1)
-    sweeps: int = option(10, "rounds over joints that share an anchor", low=1, high=100)
+    sweeps: int = option(10, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 30))
 
     name: ClassVar[str] = "recursive"
     title: ClassVar[str] = "a chain of rings pulled by its end; undone whole where it fails"

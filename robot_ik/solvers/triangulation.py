@@ -64,8 +64,10 @@ class Triangulation(BoneSolver):
     patience: int = option(5, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     improved: bool = option(True, "turn each bone no farther than the rest needs", low=0, high=1)
-    pull: float = option(0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0)
-    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
+    pull: float = option(
+        0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+    )
+    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
 
     name: ClassVar[str] = "triangulation"
     title: ClassVar[str] = "triangles by the law of cosines, root to tip; balls without limits in one pass"

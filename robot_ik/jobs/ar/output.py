@@ -25,7 +25,7 @@ from robot_ik.files import claimed, claimed_folder, folder_for_results, write_at
 
 Image = NDArray[np.uint8]
 
-FILMS = (".mp4", ".mkv", ".mov")
+FILMS = (".mp4", ".mkv", ".mov", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")
 # Quality of H.264: 18 is nearly free of visible loss.
 _CRF = "20"
@@ -78,7 +78,7 @@ class _Closing:
 
 
 class Film(_Closing):
-    """A film, H.264; each picture is shown at the time it was taken."""
+    """A film, H.264, or a GIF of 256 colours; each picture is shown at the time it was taken."""
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         self._path = path
@@ -109,10 +109,11 @@ class Film(_Closing):
     def _open(self, image: Image) -> None:
         import av
 
+        gif = self._path.suffix.lower() == ".gif"
         try:
             self._container = av.open(str(self._part), "w")
             self._stream = self._container.add_stream(
-                "libx264", rate=Fraction(self._rate).limit_denominator(1000)
+                "gif" if gif else "libx264", rate=Fraction(self._rate).limit_denominator(1000)
             )
         except (OSError, ValueError) as error:
             raise OutputError(
@@ -120,8 +121,8 @@ class Film(_Closing):
             ) from error
         height, width = _even(image).shape[:2]
         self._stream.width, self._stream.height = width, height
-        self._stream.pix_fmt = "yuv420p"
-        self._stream.options = {"crf": _CRF, "preset": "veryfast"}
+        self._stream.pix_fmt = "rgb8" if gif else "yuv420p"
+        self._stream.options = {} if gif else {"crf": _CRF, "preset": "veryfast"}
         self._stream.codec_context.time_base = Fraction(1, _TICKS)
 
     def close(self) -> Path | None:
