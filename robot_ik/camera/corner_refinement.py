@@ -3,6 +3,7 @@
 ``corners`` is what others call; ``kernel`` is the whole of it compiled, made of ``sides`` (a marker's
 sides as bent curves, and the pixels beside them) and ``edges`` (the fit of one straight edge).
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -56,9 +57,6 @@ from robot_ik.kernels.jit import announce, kernel, outlined
 
 # ------------------------------------------------------------------------------------------
 # The whole refinement of marker corners as one compiled entry point.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # What a perfect fit still leaves: print, paper, pixel response.

@@ -11,6 +11,7 @@ as they are, never resampled, so their noise is independent and the covariance i
 All pixels of one column (or row) across the edge share t, so the normal equations are sums over a column of
 products of three numbers, spread over the seven parameters once a column instead of once a pixel.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -20,9 +21,6 @@ import numpy as np
 
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
 from robot_ik.kernels.jit import outlined
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # What is known of an edge.  Fitted: offset at both ends, ln blur, middle at both ends, contrast at both ends;
 # then the variances of the two offsets and their covariance (px^2), and the noise (grey levels).
@@ -254,9 +252,6 @@ def variances(work, variance, edge):
 #
 # A side that runs more along x than along y is crossed by picture columns, the others by rows; below ``main``
 # is the coordinate along and ``cross`` the one across.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Pixels per edge are limited by taking at most this many columns (or rows) across it.

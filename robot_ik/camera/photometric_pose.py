@@ -5,6 +5,7 @@ that the corners give, the print is fitted to the pixels directly: Gauss and New
 with light and blur of each marker as further unknowns.  What is best seen so is the tilt of a board that
 faces the camera, which the corners know worst.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -40,9 +41,6 @@ from robot_ik.kernels.jit import announce, kernel, outlined
 # along u and v: of error functions, of r times bells, of r^2 / 2 times bells times their places, ….
 # Source: Pearson, Mathematical contributions to the theory of evolution VII, Phil. Trans. R. Soc. A 195,
 # 1900.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 #: Unknowns: twist of the body (translation, rotation about its origin, camera axes), ln blur, dark and

@@ -3,6 +3,7 @@
 Residuals are differences of undistorted normalised coordinates, weighted by the derivative of the lens
 mapping and by the covariance of the corners: they are in units of standard deviations.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -26,9 +27,6 @@ from robot_ik.kernels.jit import announce, kernel, outlined
 #
 # Residuals are differences of undistorted normalised coordinates, turned into standard deviations by one
 # matrix ("block") for each group of corners whose errors are correlated: the four of a marker.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 _STEPS = 30

@@ -6,6 +6,7 @@ here it is put nearest to the next point, so that offsets along the axis, and ro
 bones.  Under a goal that asks for an orientation it is put nearest to the axis before it, where a wrist's
 axes meet.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
@@ -13,9 +14,6 @@ from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward, frame_pose, turn_quat
 from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # Columns of ``links`` (points, LINK_COLUMNS), int64.  Points are the nodes, then the goals.
 UP, FIRST, NEXT, THROUGH, STACK, PATH, LINK_COLUMNS = range(7)
@@ -211,9 +209,6 @@ def third_side_angle(a, c, b):
 # A cos φ + B sin φ, where A = tr M − uᵀ M u and B = u · Σ w p × d (Wang & Chen, IEEE T-RA 7(4), 1991).
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 # ``sums``: M row by row, and how many vectors there are; then how much a hinge heeds the goals themselves
 # beside the next points (0 = not at all), and how much a ball does.
 # In KEPT, the pose of a joint before it turns.
@@ -284,9 +279,6 @@ def turn_axis(sums):
 #
 # ``settle`` turns the joints, root to tip, each about its real axis and inside its limits, to the exact
 # optimum of its own: q is feasible at all times.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Columns of ``links`` after those of ``bones``, one for each goal: 1 where it hangs on the node.

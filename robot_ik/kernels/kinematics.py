@@ -3,6 +3,7 @@
 ``mj_kinematics`` and ``mj_jac`` are the judges in the tests.  Poses are rows of twelve numbers
 (position, rotation row by row); ``tree`` is the open bundle of a tree (``tree.py``) throughout.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
@@ -16,9 +17,6 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 #
 # Cody & Waite's reduction to [−π/4, π/4] and the polynomials of fdlibm's ``__kernel_sin`` and
 # ``__kernel_cos`` (Sun Microsystems, 1993); within 2.3e-16 of the exact values.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Beyond this angle, rad, a multiple of the first part of π/2 is no longer exact: the library's turn.
@@ -56,9 +54,6 @@ def sine_cosine(angle):
 # Only hinges and slides can be coupled; a leader never follows anybody itself, ``model_tree`` sees to it.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 @outlined
 def follow(tree, q):
     """Puts every tied joint where its leader wants it, in place."""
@@ -77,9 +72,6 @@ def slope_of(tree, c, q):
     law = tree.law
     x = q[tree.qadr[tree.tied[c, 1]]] - law[c, 1]
     return law[c, 3] + x * (2.0 * law[c, 4] + x * (3.0 * law[c, 5] + x * 4.0 * law[c, 6]))
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # A quaternion shorter than this is taken for the identity, as in MuJoCo (mjMINVAL).

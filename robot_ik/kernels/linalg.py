@@ -1,13 +1,11 @@
 """Small dense algebra, written out: at 6 x 6 it beats a LAPACK call several times, and needs no SciPy."""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
 from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # A joint with less room than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
@@ -294,9 +292,6 @@ def svd(matrix, left, sigma, right):
 #
 # ``hits`` (n, m) and ``counts`` (n,) list for every column the rows in which it may not be zero: in a
 # tree most joints move few of the goals.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @outlined

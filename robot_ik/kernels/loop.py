@@ -11,6 +11,7 @@ A solver's kernel is five lines and its own step:
 Written once here: check before step, measurement, tolerance, budget, joint limits, restarts, stall,
 best so far, trace.  What changes during a solve lives in the arrays of ``work``.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
@@ -76,9 +77,6 @@ from robot_ik.kernels.workspace import (
 # Random starts, the same for the same seed.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 @pure
 def uniform(state):
     """Next number in [0, 1): xorshift64* (Vigna 2016), so that a seed gives the same bits everywhere."""
@@ -119,9 +117,6 @@ def draw(tree, nodes, start, state, q):
 
 # ------------------------------------------------------------------------------------------
 # Taking a step inside the joint limits, and how far it may go.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @outlined
@@ -192,9 +187,6 @@ def finite(q):
 # The rows of a trace: one for each step.  The caller empties the table before it is full.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 @outlined
 def record(tolerance, work):
     """One trace row; of goals that are only wanted, and of parts not asked for, the miss does not count."""
@@ -222,9 +214,6 @@ def record(tolerance, work):
 # A goal for a place farther away than all links laid end to end cannot be met from any start.  The goals
 # beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
 # vanishing weight costs the others nothing.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @pure
@@ -287,9 +276,6 @@ def some_within_reach(goal, work):
 def may_restart(state):
     """Whether another random start may help: not towards what is proven out of reach."""
     return state[RESTARTS] < state[MAX_RESTARTS] and (state[BEYOND] == 0 or state[SEARCH] == SEARCHING)
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # A later try replaces the best only when it is better by more than this share of the cost, so that
@@ -580,9 +566,6 @@ def advance(tree, goal, work):
 
 # ------------------------------------------------------------------------------------------
 # Whether a solve starts near its goal, asked before a method is chosen.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.

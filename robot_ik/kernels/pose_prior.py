@@ -15,7 +15,7 @@ does.  The root is real: the bound's least value, E − ½ |L⁻¹ g|², is no l
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.residuals import inverse_right_jacobian, rotation_back
+from robot_ik.kernels.rotations import inverse_right_jacobian, rotation_back
 
 # Kinds of features: a number of q, the world's up in the base's x and y, parts of a ball's rotation vector.
 NUMBER, LEAN_X, LEAN_Y, TURN_X, TURN_Y, TURN_Z = range(6)

@@ -9,6 +9,7 @@ earlier levels are restored, and the step is kept only when none of them lost an
 
 Levels of soft goals come last, and ask for the nearest that the others leave open: never met, never searched.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
@@ -64,9 +65,6 @@ from robot_ik.kernels.workspace import (
     open_run,
     open_work,
 )
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # Damping of levels that are served already: nothing where they are met, else in proportion to their cost.
 _HELD_DAMPING = 1e-12
@@ -417,9 +415,6 @@ def keep_levels(work):
 #
 # Near the answer all levels are served by one and the same step.  Where that leads nowhere, level after level
 # is; random restarts are for the first level only, and not towards what is proven out of reach.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Steps without progress before a level is left as it is, and the share of its cost that counts as progress.

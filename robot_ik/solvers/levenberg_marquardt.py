@@ -6,6 +6,7 @@ pseudoinverse, ICRA 1988) have it; a step that made things worse is taken back a
 (Marquardt 1963).  Short tries from random starts, each the best of a few draws, replace long ones
 that creep; in these a joint with a whole turn of room goes round rather than stop at its limit.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, room
 from robot_ik.kernels.priorities import lm_levels
-from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, curvature, goal_jacobian, open_goals
+from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, goal_jacobian, open_goals
+from robot_ik.kernels.rotations import curvature
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import (
     ACCEPTED,
@@ -54,9 +56,6 @@ from robot_ik.solvers.base import Answers, IterativeSolver, option
 #
 # Near a goal that can be met the residual vanishes and this with it.  Near the nearest point to a goal that
 # cannot, it decides how quickly a descent ends: without it each step takes off a fixed share of the way.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Beyond so many joints the matrix costs more than the steps that it saves: its factors grow with the cube.
@@ -133,9 +132,6 @@ def second_order(tree, goal, work, out):
                 for r in range(turned, turned + 3):
                     product += jacobian[r, i] * jacobian[r, j]
                 out[i, j] += weight * weight * s * ease[i] * hessian - product
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 Array = NDArray[np.float64]

@@ -6,6 +6,7 @@ active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line
 rises within a try.  Their linear equalities between joints are kept by construction (coupled joints have
 no columns of their own), their rigidity of joints is the robot's stiffness.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, room
-from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.rotations import rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, TRY_STEPS, UPDATES, open_work
 from robot_ik.solvers.base import IterativeSolver, option
@@ -29,9 +31,6 @@ from robot_ik.solvers.base import IterativeSolver, option
 # edge point to the next by the shortest rotation between their axes, and slopes are compared without their
 # parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
 # zero at the minimum, would spoil what the metric learns.)
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # A ball this near to the edge of its cone, rad, is on it; one with a smaller cone does not move at all.
@@ -174,9 +173,6 @@ def carry(tree, goal, work):
 #     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
 #
 # n is a coordinate for hinges and slides; ``cones.py`` has the cones of balls.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # A joint with less room than this, rad or m, stands at its bound.
@@ -341,9 +337,6 @@ def learn(work):
         for j in range(n):
             metric[i, j] += factor * s[i] * s[j] - inverse * (image[i] * s[j] + s[i] * image[j])
     work.state[UPDATES] += 1
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Points tried along one direction before it is given up.

@@ -5,6 +5,7 @@ Whitney (Resolved motion rate control of manipulators, IEEE T-MMS 10(2), 1969); 
 animation, 2000, section 4.6): a step that does not land near enough to its (sub)goal is undone and half
 the way tried.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import follow, integrate
 from robot_ik.kernels.linalg import svd
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
-from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.rotations import rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
 from robot_ik.solvers.base import JacobianSolver, option
@@ -38,9 +40,6 @@ from robot_ik.solvers.base import JacobianSolver, option
 #
 # Liégeois (Automatic supervisory control of the configuration and behavior of multibody mechanisms, IEEE
 # T-SMC 7(12), 1977): d = J⁺ e + (I − J⁺J) φ, φ the slope of what is wanted besides the goals.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # What the null space is used for; ``AIMS[code]`` is the name of the option.
@@ -190,9 +189,6 @@ def add_null_motion(work, cutoff):
             step[u] -= part * right[i, u]
     for u in range(step.shape[0]):
         step[u] += aim[u]
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from robot_ik.goals import (
     PostureGoal,
     axis_vector,
 )
-from robot_ik.kernels.residuals import residual_and_jacobian, rotation_error
+from robot_ik.kernels.residuals import residual_and_jacobian
+from robot_ik.kernels.rotations import rotation_error
 from robot_ik.model import pose_row
 from robot_ik.problem import Problem
 

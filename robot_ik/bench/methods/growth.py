@@ -1,4 +1,5 @@
 """Cost of the kinematics alone, and how the cost of a step grows with joints and with goals."""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -22,9 +23,6 @@ from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem, Tolerance
 from robot_ik.robot import Robot, robot_from_model
 from robot_ik.solvers.base import Solver
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 Array = NDArray[np.float64]
 

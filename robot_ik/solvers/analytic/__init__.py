@@ -5,6 +5,7 @@ a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the answer i
 nearest to the start.  At singular poses the free angle stays as near to the start as can be.  Where there is
 no answer, a proof is tried that nothing within tolerance can be reached (``proof.py``).
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -73,9 +74,6 @@ from robot_ik.solvers.base import Answers, Solver, take_start
 # The entry points of the closed forms of two and of six hinges.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 _PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
 _SHOULDER = int(Family.SPHERICAL_SHOULDER)
 
@@ -128,9 +126,6 @@ def closed_form_many(tree, goals, work, form, family, targets, starts, q, status
 # The entry points of a limb's closed form; compiled only for robots that have one.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 @outlined
 def answer_limb(tree, goal, work, form, mode):
     """Solves from work.start; fills best and status, and the branches if they are asked for."""
@@ -177,9 +172,6 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
 # The entry points for a point to a place and for an aim; compiled only where they are asked for.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 _AIM = int(Family.LIMB_AIM)
 
 
@@ -221,9 +213,6 @@ def closed_part_many(tree, goals, work, form, family, targets, starts, q, status
 
 # ------------------------------------------------------------------------------------------
 # The entry points of the proofs, one for each family: compiled when a goal is first missed.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @pure
@@ -309,9 +298,6 @@ PROOFS: dict[Family, Callable[[Any, Any, Any, Any], None]] = {
     Family.THREE_PARALLEL: prove_parallel,
     Family.LIMB: prove_limb,
 }
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 Array = NDArray[np.float64]

@@ -6,6 +6,7 @@ joint limit cuts the circle of swivel angles at places that are known in closed 
 Between two cuts either all or none of the angles are inside the limits, so that no such interval is
 missed, however narrow; inside them the angle nearest to the start is searched for.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -30,9 +31,6 @@ from robot_ik.solvers.analytic.swivel import (
 
 # ------------------------------------------------------------------------------------------
 # The search for the swivel angle nearest to the start, inside the joint limits.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Places at which a range of swivel angles is looked at, besides its cuts: a wide one, and one near the start.
@@ -282,9 +280,6 @@ def scan(form, lower, upper, every, nearest):
             low = max(cuts[max(j - 1, 0)], cuts[j] - spacing)
             high = min(cuts[min(j + 1, count - 1)], cuts[j] + spacing)
             weigh(form, lower, upper, cuts[j], low, high, math.inf)
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Metres by which the reach may be missed through rounding.

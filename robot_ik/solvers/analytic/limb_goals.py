@@ -7,6 +7,7 @@ motion of all joints would bring it, as seen from the start (one linear step ins
 joint must do all the work.  Where that is impossible inside the limits or leads far astray, it is held as
 at the start, or one more joint is moved: a search along one number, the closed form at each of its values.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -25,9 +26,6 @@ from robot_ik.solvers.analytic.swivel import START, apply_back, make_parts, put_
 
 # ------------------------------------------------------------------------------------------
 # Where the joints beyond a limb's shoulder hold the hand's point and axis.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Rows of form.extra: the point as the joints of the moment hold it, the point and the axis at q = 0, the
@@ -77,9 +75,6 @@ def carry_hand(form, left_out):
 #
 # The turn must bring that place to the goal's direction u; what is left free is a turn about u.  That is the
 # swivel angle once more, so that its ranges inside the joint limits are known exactly (``search.py``).
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Nearer than this (m) to the goal an axis hardly has a direction, and a centre cannot be turned about.
@@ -190,9 +185,6 @@ def turn_wrist(form, lower, upper, mode, nearest):
             )
         put_column(m, START, j, vx, vy, vz)
     return turn_about(form, types.int64(1), lower, upper, mode, nearest, x, y, z)
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Damping of the least motion, as a share of the largest entry of JᵀJ.

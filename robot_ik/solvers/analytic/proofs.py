@@ -5,6 +5,7 @@ wrist's centre is known to the tolerance of the position and what that of the an
 length.  Where every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.
 Near singular poses the intervals grow until nothing is proven; they never grow too little.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -19,9 +20,6 @@ from robot_ik.solvers.analytic.subproblems import angle_between, turn
 #
 # An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:
 # the true set lies inside, so that an empty one is a proof.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Rounding allowed for: of angles (an arc cosine near 1 loses half the digits) and of metres or cosines.
@@ -104,9 +102,6 @@ def length(x, y, z):
 def centre_error(tolerance, lever):
     """How far the wrist's centre may be off, at ``lever`` metres from the frame."""
     return tolerance[0, 0] + chord(tolerance[0, 1], lever) + PAD
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @outlined
@@ -277,9 +272,6 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
 
 # ------------------------------------------------------------------------------------------
 # The proof of ``proof.py`` for arms with three parallel axes (Universal Robots).
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @outlined

@@ -5,6 +5,7 @@ Both work on the product of exponentials T(q) = e₁(q₁) … e₆(q₆) M at t
 the wrist centre in the world at q = 0, the same seen from the tool, and the rows of M's rotation.
 Nothing else of the model counts, so names, link frames, base and tool are free.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -12,9 +13,6 @@ import math
 
 from robot_ik.kernels.jit import keep_apart, outlined, pure
 from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside, turn
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
 ALIGNED = 1e-7
@@ -279,9 +277,6 @@ def three_parallel(axes, extra, target, start, branches):
 
 # ------------------------------------------------------------------------------------------
 # Closed form of two parallel hinges that bring a point to a place: the law of cosines.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Metres off the plane of motion, or beyond the reach, that still are rounding.

@@ -3,6 +3,7 @@
 After Paden (Kinematics and control of robot manipulators, 1986) and Elias & Wen (IK-Geo: unified robot
 inverse kinematics using subproblem decomposition, 2022, subproblems 1, 3 and 4).
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -13,9 +14,6 @@ from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
 from robot_ik.kernels.workspace import BEST_COST, BLOCKED, CONVERGED, COST, ITERATIONS, STALLED, STATUS
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # Cosines beyond 1 by less than this are rounding of an arm that is just stretched (its square root is the
 # angle that is lost: 1e-10 -> 1e-5 rad of joint, 1e-10 of reach).
@@ -111,9 +109,6 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
 # The arrays that a closed form works on, and what all of them share: the look at the start, the answer.
 
 
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
-
 # n numbers of q belong to the chain: one for a hinge, four for a ball.
 FORM = Layout(
     "Form",
@@ -200,9 +195,6 @@ def invert(target, inverse):
 
 # ------------------------------------------------------------------------------------------
 # Which branch: the one inside the limits that is nearest to the start.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 @outlined

@@ -4,6 +4,7 @@ With the shoulder at p, the wrist's centre at w and n the unit vector between th
 known and what is left is a turn about n: S(φ) = R(n, φ) S₀.  S₀ is the start's own rotation brought to
 the goal by the smallest turn, so that φ = 0 is the swivel of the start.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -14,9 +15,6 @@ from numba import types
 from robot_ik.kernels.jit import keep_apart, outlined, pure
 from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES
 from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside, turn
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
-
 
 # Rows of form.matrices: the start's shoulder, S₀, the goal's rotation of all joints, S₀ with the elbow's
 # turn, then the rotations of shoulder and wrist at the swivel angle of the moment.
@@ -162,9 +160,6 @@ def swing(form, g, c, s):
 
 # ------------------------------------------------------------------------------------------
 # Joint angles of a limb's shoulder and wrist: three hinges that meet, or a ball, for one rotation.
-
-
-# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 
 # Sine below which axes 1 and 3 are nearly in line, and the formulas take more care of digits.
