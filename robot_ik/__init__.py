@@ -29,12 +29,13 @@ if TYPE_CHECKING:
         PoseGoal,
         PositionGoal,
         PostureGoal,
+        Tolerance,
     )
     from robot_ik.inverse_kinematics import solve, solve_all, solve_batch, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
-    from robot_ik.problem import Budget, Problem, Tolerance
+    from robot_ik.problem import Budget, Problem
     from robot_ik.robot import Robot, load_robot, make_chain
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Miss, Solution, Status
@@ -55,11 +56,12 @@ _HOME = {
         "PoseGoal",
         "PositionGoal",
         "PostureGoal",
+        "Tolerance",
     ),
     "robot_ik.motion.line": ("line_move",),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
-    "robot_ik.problem": ("Budget", "Problem", "Tolerance"),
+    "robot_ik.problem": ("Budget", "Problem"),
     "robot_ik.robot": ("Robot", "load_robot", "make_chain"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),

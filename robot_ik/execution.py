@@ -24,7 +24,8 @@ from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, 
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
 
 if TYPE_CHECKING:
-    from robot_ik.problem import Problem, Tolerance
+    from robot_ik.goals import Tolerance
+    from robot_ik.problem import Problem
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import LARGEST, Goal, PoseGoal, PositionGoal, numbers
+from robot_ik.goals import LARGEST, Goal, PoseGoal, PositionGoal, Tolerance, numbers
 from robot_ik.model import pose_row
-from robot_ik.problem import Budget, Problem, Tolerance, checked_goals, goal_kind, require_options
+from robot_ik.problem import Budget, Problem, checked_goals, goal_kind, require_options
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution, Status, short_numbers
 from robot_ik.solvers import make_solver

@@ -13,10 +13,10 @@ from robot_ik.errors import (
     UnsupportedGoalError,
     UnsupportedJointError,
 )
-from robot_ik.goals import PositionGoal, PostureGoal
+from robot_ik.goals import PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.residuals import residual_and_jacobian
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
 

@@ -79,7 +79,7 @@ def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
     import_mujoco()
     from robot_ik.bench.methods.results import Results, Settings, need_matplotlib, this_machine
-    from robot_ik.problem import Tolerance
+    from robot_ik.goals import Tolerance
 
     solvers, robots = _solvers(options), _robots(options)
     Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive

@@ -67,7 +67,8 @@ class SolveOptions:
 def run(options: SolveOptions) -> int:
     """Solves and prints; 0 converged, 1 not."""
     import_mujoco()
-    from robot_ik.problem import Budget, Problem, Tolerance
+    from robot_ik.goals import Tolerance
+    from robot_ik.problem import Budget, Problem
     from robot_ik.robot import load_robot
     from robot_ik.solvers import make_solver
 

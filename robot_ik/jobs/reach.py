@@ -28,7 +28,7 @@ from robot_ik.errors import (
 )
 from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
@@ -47,7 +47,7 @@ from robot_ik.jobs.verdict import (
 from robot_ik.jobs.vision import Seen, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.robot_file import find_robot
 from robot_ik.solvers import make_solver
 from robot_ik.testbed.frontends.window import Solid

@@ -19,7 +19,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 
 if TYPE_CHECKING:
-    from robot_ik.problem import Tolerance
+    from robot_ik.goals import Tolerance
     from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]

@@ -142,7 +142,8 @@ def line_move(
 def _nearest(robot: Robot, frame: str, solver: str | Solver) -> Callable[[Pose, Array], Array | None]:
     """The function that solves one pose of ``frame`` from a start, None where it did not converge."""
     # Here, because these load the compiler, which other parts of this package do without.
-    from robot_ik.problem import Problem, Tolerance
+    from robot_ik.goals import Tolerance
+    from robot_ik.problem import Problem
     from robot_ik.solvers import make_solver
 
     method = make_solver(solver)

@@ -14,11 +14,11 @@ import pytest
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.execution import follow
 from robot_ik.geometry import Pose
-from robot_ik.goals import GOALS, PoseGoal, PositionGoal
+from robot_ik.goals import GOALS, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve, solve_all, solve_batch
 from robot_ik.motion import RecorderSink, ScriptSource
 from robot_ik.ports import VirtualClock
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver

@@ -8,8 +8,8 @@ import pytest
 
 from robot_ik.bench.floors import hinge_chain
 from robot_ik.errors import InvalidGoalError, ModelError, UnsupportedGoalError
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver

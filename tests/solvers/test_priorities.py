@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import AimGoal, CenterOfMassGoal, PlaneGoal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Tolerance
+from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS

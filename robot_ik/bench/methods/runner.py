@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from robot_ik.bench.methods.problems import SLACK, Judge, ProblemSet
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver

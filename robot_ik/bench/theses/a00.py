@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, make_chain
 from robot_ik.solvers import SOLVERS, make_solver
 

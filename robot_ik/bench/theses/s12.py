@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
 from robot_ik.errors import MissingExtraError
 from robot_ik.geometry import Pose
-from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver

@@ -21,8 +21,8 @@ from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.scene import Table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import PoseGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import PoseGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 

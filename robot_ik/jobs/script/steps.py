@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from robot_ik.errors import apart
 from robot_ik.execution import follow
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.reach import SOLVE_TOLERANCE
 from robot_ik.jobs.script.report import StepResult
@@ -26,7 +26,7 @@ from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_class
 from robot_ik.motion.line import line_move
 from robot_ik.motion.sources import CurveSource
 from robot_ik.motion.trajectory import joint_move
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
 
 if TYPE_CHECKING:
