@@ -20,6 +20,7 @@ from robot_ik.kernels.residuals import (
     OF_FRAME,
     OF_JOINTS,
     OF_MASS,
+    OF_PRIOR,
     ONE_AXIS,
     ONE_SIDE,
     SOME_AXES,

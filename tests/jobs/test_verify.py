@@ -20,7 +20,8 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
 from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.arm_camera import handeye, measuring, verify
+from robot_ik.jobs import vision
+from robot_ik.jobs.arm_camera import handeye, verify
 from robot_ik.jobs.arm_camera.error_picture import error_picture
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, regions, run_verify, summary
 
@@ -125,7 +126,7 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
         setup = made[0]
         return Drawn(handeye.stage_for(setup.robot, setup.frame).scene(setup.robot), setup.true_q)
 
-    monkeypatch.setattr(measuring, "open_source", opened)
+    monkeypatch.setattr(vision, "open_source", opened)
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
     CameraExtrinsics(

@@ -54,11 +54,12 @@ def run(code: str, **environment: str | Path) -> subprocess.CompletedProcess[str
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     """A copy of the compiled part of the package, to be changed at will."""
-    for part in ("kernels", "solvers", "errors"):
+    for part in ("kernels", "solvers"):
         shutil.copytree(
             PACKAGE / part, tmp_path / "lib" / "robot_ik" / part, ignore=shutil.ignore_patterns("__pycache__")
         )
-    shutil.copy(PACKAGE / "__init__.py", tmp_path / "lib" / "robot_ik")
+    for file in ("__init__.py", "errors.py"):
+        shutil.copy(PACKAGE / file, tmp_path / "lib" / "robot_ik")
     return tmp_path / "lib"
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from robot_ik.bench.floors import hinge_chain
+from robot_ik.bench.methods.growth import hinge_chain
 from robot_ik.errors import InvalidGoalError, ModelError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem

@@ -93,29 +93,29 @@ class Row:
         yield from measure(effort)
 
 
-_HERE = "robot_ik.bench."
+_HERE = "robot_ik.bench.camera."
 
 ROWS: tuple[Row, ...] = (
-    Row("corners", "corners of one marker", _HERE + "camera_accuracy:corners"),
-    Row("marker", "pose of one 50 mm marker", _HERE + "camera_accuracy:marker"),
-    Row("board", "pose of a board of 2×2 markers", _HERE + "camera_accuracy:board"),
-    Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "camera_accuracy:occlusion"),
-    Row("overlay", "where a robot on the board is drawn", _HERE + "camera_optics:overlay"),
-    Row("clutter", "goals from pictures that hold no marker", _HERE + "camera_accuracy:clutter"),
-    Row("photographs", "real pictures, of --photographs", _HERE + "camera_world:photographs"),
-    Row("projection", "drawn spheres against OpenCV's projection", _HERE + "camera_optics:projection"),
-    Row("gl", "the same, drawn by OpenGL", _HERE + "camera_optics:gl_projection"),
-    Row("calibration", "intrinsics from 20 views of a board", _HERE + "camera_optics:calibration"),
-    Row("handeye", "camera on the hand, from 15 poses", _HERE + "camera_optics:handeye"),
+    Row("corners", "corners of one marker", _HERE + "accuracy:corners"),
+    Row("marker", "pose of one 50 mm marker", _HERE + "accuracy:marker"),
+    Row("board", "pose of a board of 2×2 markers", _HERE + "accuracy:board"),
+    Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "accuracy:occlusion"),
+    Row("overlay", "where a robot on the board is drawn", _HERE + "accuracy:overlay"),
+    Row("clutter", "goals from pictures that hold no marker", _HERE + "accuracy:clutter"),
+    Row("photographs", "real pictures, of --photographs", _HERE + "photographs:photographs"),
+    Row("projection", "drawn spheres against OpenCV's projection", _HERE + "accuracy:projection"),
+    Row("gl", "the same, drawn by OpenGL", _HERE + "accuracy:gl_projection"),
+    Row("calibration", "intrinsics from 20 views of a board", _HERE + "accuracy:calibration"),
+    Row("handeye", "camera on the hand, from 15 poses", _HERE + "accuracy:handeye"),
     Row(
         "offsets",
         "joint zeros from 30 pictures of a board in the hand",
-        _HERE + "camera_arm:offsets",
+        _HERE + "arm:offsets",
     ),
-    Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "camera_motion:prediction"),
-    Row("times", "finding and measuring a marker in a picture", _HERE + "camera_speed:times"),
-    Row("drawing", "drawing a robot over a picture", _HERE + "camera_speed:drawing"),
-    Row("loop", "picture to goal, solution and overlay", _HERE + "camera_speed:loop"),
-    Row("delay", "from the grab of a picture to its goal", _HERE + "camera_speed:delay"),
-    Row("first", "the first command, without camera and display", _HERE + "camera_world:first_command"),
+    Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "arm:prediction"),
+    Row("times", "finding and measuring a marker in a picture", _HERE + "speed:times"),
+    Row("drawing", "drawing a robot over a picture", _HERE + "speed:drawing"),
+    Row("loop", "picture to goal, solution and overlay", _HERE + "speed:loop"),
+    Row("delay", "from the grab of a picture to its goal", _HERE + "speed:delay"),
+    Row("first", "the first command, without camera and display", _HERE + "photographs:first_command"),
 )
