@@ -51,8 +51,8 @@ def found(page_image: np.ndarray, dictionary: str = "DICT_5X5_50") -> dict[int, 
 @pytest.mark.parametrize("page", ["a4", "letter"])
 @pytest.mark.parametrize("kind", ["marker", "board", "charuco", "chessboard"])
 def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKind, page: str) -> None:
-    sheet = SheetRequest(kind, ids=(3, 4) if kind == "marker" else (), page=page)
-    sheet = make_sheet_page(sheet)
+    asked = SheetRequest(kind, ids=(3, 4) if kind == "marker" else (), page=page)
+    sheet = make_sheet_page(asked)
     data = pdf_bytes(sheet)
     size, boxes = pdf_boxes(data)
     papers = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}
@@ -70,10 +70,10 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
         side = cells[np.abs(cells[:, 1] - first[1]) < 0.01]
         # A marker's upper row is all black: 7 cells without a gap.
         assert side[:, 0].max() + side[0, 2] - first[0] == pytest.approx(
-            50.0 if len(side) == 7 else 50.0 + sheet.gap + 50.0, abs=0.01
+            50.0 if len(side) == 7 else 50.0 + asked.gap + 50.0, abs=0.01
         )
     else:
-        square = sheet.size
+        square = asked.size
         squares = cells[np.isclose(cells[:, 2], square, atol=0.01)]
         assert len(squares) == (24 if kind == "charuco" else 35)
         steps = np.diff(np.unique(squares[:, 0].round(3)))
@@ -81,9 +81,9 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
 
 
 def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> None:
-    sheet = SheetRequest("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
+    asked = SheetRequest("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
     path = tmp_path / "board.png"
-    write_sheet(make_sheet_page(sheet), path, dpi=int(DPI))
+    write_sheet(make_sheet_page(asked), path, dpi=int(DPI))
     data = path.read_bytes()
     place = data.index(b"pHYs")
     assert struct.unpack(">IIB", data[place + 4 : place + 13]) == (round(DPI / 0.0254),) * 2 + (1,)
@@ -95,7 +95,7 @@ def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> N
         # The detector's integer corners are half a pixel inside: 0.17 mm here.
         assert sides == pytest.approx(np.full(4, 42.0), abs=0.3)
     # Where the markers are is what the body says; pictures have y down.
-    body = body_of(sheet)
+    body = body_of(asked)
     middle = np.mean(list(centres.values()), axis=0)
     for marker, (size, pose) in body.markers.items():
         assert size == pytest.approx(0.042)
@@ -105,8 +105,8 @@ def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> N
 
 def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
     """To 0.1 mm, from the grey of the pixels that an edge cuts."""
-    sheet = SheetRequest("marker", size_mm=50.0)
-    sheet = make_sheet_page(sheet)
+    asked = SheetRequest("marker", size_mm=50.0)
+    sheet = make_sheet_page(asked)
     image = rasterize(sheet, DPI).astype(float)
     cells = sheet.boxes[np.isclose(sheet.boxes[:, 2], 50.0 / 7.0)]
     left, top = cells[:, :2].min(axis=0)
@@ -141,24 +141,24 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    "sheet",
+    "asked",
     [
         SheetRequest("board", 36.0, 3, 2),
         SheetRequest("charuco", 22.0, 7, 6),
         SheetRequest("chessboard", 18.0, 7, 5),
     ],
 )
-def test_the_sheet_says_what_other_commands_call_the_board(sheet: SheetRequest) -> None:
-    page = make_sheet_page(sheet)
+def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
+    page = make_sheet_page(asked)
     (text,) = [w.text for w in page.words if "--board" in w.text]
-    board = parse_board(text.split("--board ")[1], sheet.dictionary)
+    board = parse_board(text.split("--board ")[1], asked.dictionary)
     if isinstance(board, PatternBoard):
-        kind: PatternKind = "charuco" if sheet.kind == "charuco" else "chessboard"
-        true = PatternRequest(kind, sheet.columns, sheet.rows, sheet.size).pattern()
+        kind: PatternKind = "charuco" if asked.kind == "charuco" else "chessboard"
+        true = PatternRequest(kind, asked.columns, asked.rows, asked.size).pattern()
         assert type(board.pattern) is type(true) and board.pattern.corners == true.corners
         assert board.pattern.black() == pytest.approx(true.black())
     else:
-        markers = body_of(sheet).markers
+        markers = body_of(asked).markers
         assert list(board.layout) == list(markers)
         for marker, (size, pose) in markers.items():
             assert board.layout[marker][0] == pytest.approx(size)
@@ -169,12 +169,12 @@ def test_the_sheet_says_what_other_commands_call_the_board(sheet: SheetRequest) 
 # ------------------------------------------------------------------------------ its file
 
 
-@pytest.mark.parametrize("sheet", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")])
-def test_the_body_file_is_read_back(sheet: SheetRequest, tmp_path: Path) -> None:
+@pytest.mark.parametrize("asked", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")])
+def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(body_file(sheet, "mine"))
-    body, true = load_bodies(path)["mine"], body_of(sheet)
-    assert body.dictionary == sheet.dictionary
+    path.write_text(body_file(asked, "mine"))
+    body, true = load_bodies(path)["mine"], body_of(asked)
+    assert body.dictionary == asked.dictionary
     assert list(body.markers) == list(true.markers)
     for marker, (size, pose) in true.markers.items():
         assert body.markers[marker][0] == pytest.approx(size)
@@ -185,7 +185,7 @@ def test_the_body_file_is_read_back(sheet: SheetRequest, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("sheet", "message", "hint"),
+    ("asked", "message", "hint"),
     [
         (SheetRequest("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
         (SheetRequest("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
@@ -199,16 +199,16 @@ def test_the_body_file_is_read_back(sheet: SheetRequest, tmp_path: Path) -> None
         (SheetRequest("marker", page="a7"), "unknown paper 'a7'", "a4"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(sheet: SheetRequest, message: str, hint: str) -> None:
+def test_what_cannot_be_printed_is_refused(asked: SheetRequest, message: str, hint: str) -> None:
     with pytest.raises((CameraError, CalibrationError), match=message) as caught:
-        make_sheet_page(sheet)
+        make_sheet_page(asked)
     assert hint in caught.value.hint
 
 
 def test_the_size_that_is_said_to_fit_fits() -> None:
-    sheet = SheetRequest("charuco", size_mm=55.0)
+    asked = SheetRequest("charuco", size_mm=55.0)
     with pytest.raises(CameraError) as caught:
-        make_sheet_page(sheet)
+        make_sheet_page(asked)
     size = float(caught.value.hint.split()[1])
     make_sheet_page(SheetRequest("charuco", size_mm=size))
     with pytest.raises(CameraError):
