@@ -46,7 +46,7 @@ def test_a_motion_passes_through_its_keys_inside_limits_and_speed_limits(robot: 
     motion = Keyframes.through(robot, keys, speed=0.5)
     for t, key in zip(motion.times, keys, strict=True):
         assert np.abs(robot.difference(motion.at(t), key)).max() < 1e-12
-    rate = 200.0
+    rate = 100.0
     count = int(motion.duration * rate)
     rows = np.array([motion.at(k / rate) for k in range(count + 1)])
     assert not [k for k, row in enumerate(rows) if robot.outside(row, 1e-6)]
