@@ -188,7 +188,7 @@ class _Measures:
         self.ankle = float(_middle(self.places, "ankle")[2] - min(self.foot_height(robot, rest)))
 
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
-        """(n, 3) what may touch the floor, from the foot's frame: it, and all sites of the foot and below it."""
+        """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
         model, foot = robot.model, robot.model.body(self.frames[role]).id
         below = {foot}
         for body in range(foot + 1, model.nbody):
