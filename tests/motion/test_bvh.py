@@ -177,7 +177,7 @@ def test_our_own_file_is_taken_over_where_it_was(humanoid: rik.Robot) -> None:
 
 
 def test_a_walk_is_taken_over_without_sliding_or_sinking(humanoid: rik.Robot) -> None:
-    walk = KeyPoses.load(humanoid.folder / "poses.toml", humanoid).motion("walk", velocity=12.0)
+    walk = KeyPoses.load(humanoid.folder / "poses.toml", humanoid).motion("walk")
     taken = retarget(export_bvh(walk, 30.0), humanoid)
     motion = taken.motion
     assert motion.q[-1, 0] - motion.q[0, 0] == pytest.approx(walk.q[-1, 0] - walk.q[0, 0], rel=0.05)

@@ -228,6 +228,19 @@ def test_a_wrong_file_says_where(text: str, words: str, tmp_path: Path) -> None:
         KeyPoses.load(tmp_path / "poses.toml", rik.load_robot("puma560"))
 
 
+def test_durations_hold_unless_a_stated_speed_limit_says_no(humanoid: rik.Robot) -> None:
+    book = KeyPoses.load(humanoid.folder / "poses.toml", humanoid)
+    assert book.motion("walk").duration == pytest.approx(1.1)  # its file states no limits
+    puma = KeyPoses(rik.load_robot("puma560"))
+    one, two = random_keys(puma.robot, 2)
+    puma.record("one", one)
+    puma.record("two", two)
+    puma.record_motion("quick", ["one", "two"], [0.01])
+    motion = puma.motion("quick")
+    assert (motion.peak_velocity_of_segments() <= puma.robot.velocity * (1 + 1e-6)).all()
+    assert motion.duration > 0.2
+
+
 def test_names_that_are_not_there_are_answered_with_the_close_ones() -> None:
     book = KeyPoses(rik.load_robot("puma560"))
     book.record("stand", book.robot.home)
