@@ -44,8 +44,6 @@ SHOULDER = np.array([-23.7, -22.0, -14.7, -5.2, 3.5, 6.3, 0.1, -5.1, -12.4, -19.
 ELBOW = np.array([26.7, 25.7, 29.2, 36.5, 45.1, 50.4, 49.0, 39.2, 31.7, 28.5])
 # Sizes of the walks, and the seconds of a cycle.
 WALKS = {"walk_slowly": (0.7, 1.3), "walk": (1.0, 1.1), "walk_fast": (1.2, 0.95)}
-# rad/s: what people move at in a walk (figure.md a); the model's own limits are for servos.
-PEOPLE = 12.0
 RATE = 15.0
 # Where the right hand reaches, metres from between the feet: forward, to the left, up.
 GRID = [
@@ -147,7 +145,7 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
     """Frames (m, nq) of every motion by name."""
     found: dict[str, Array] = {}
     for name in book.motions:
-        found[name] = np.array(book.motion(name, velocity=PEOPLE).sampled(RATE).q)
+        found[name] = np.array(book.motion(name).sampled(RATE).q)
     for places, word, balance in ((GRID, "reach", 2.0), (BENDS, "bend", 4.0)):
         for place in places:
             end = reach(robot, place, balance)

@@ -18,8 +18,6 @@ from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.bvh import export_bvh
 
 PLACES = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}
-# rad/s and m/s: people move faster than the model's limits, which are for servos.
-SPEED = 6.0
 
 
 def recorded(figure: rik.Robot) -> KeyPoses:
@@ -38,8 +36,8 @@ def recorded(figure: rik.Robot) -> KeyPoses:
 def main(folder: str = "") -> None:
     figure = rik.load_robot("humanoid")
     book = recorded(figure)
-    greet = book.motion("greet", velocity=SPEED)
-    walk = KeyPoses.load(figure.folder / "poses.toml", figure).motion("walk", velocity=2 * SPEED)
+    greet = book.motion("greet")
+    walk = KeyPoses.load(figure.folder / "poses.toml", figure).motion("walk")
     both: Keyframes = greet.blended(walk, 0.4)
     frames = both.sampled(60.0)
     hand = np.array([figure.forward(q, "right_hand").position for q in frames.q])

@@ -15,6 +15,7 @@ over by ``robot_ik.motion.retarget``.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +42,9 @@ _ALONG = 1e-9
 _HINGE_STEPS, _HINGE_LEFT = 30, 1e-6
 # A frame time stands for the whole rate from which it differs by less than this part: 0.00833 means 120 Hz.
 _RATE_ROUNDING = 2e-3
+# Where the numbers begin; without it so much of a file is looked at for what is wrong.
+_FRAME_TIME, _LONGEST_HEAD = re.compile(r"Frame\s+Time:\s*\S+", re.IGNORECASE), 1 << 20
+_MOST_FRAMES = 10_000_000
 # m: End Site of a body that carries no site.
 _END = 0.05
 
@@ -192,7 +196,11 @@ class _Reader:
 
     def __init__(self, file: Path, text: str) -> None:
         self.file = file
-        self.words = [(word, k) for k, line in enumerate(text.splitlines(), 1) for word in line.split()]
+        time = _FRAME_TIME.search(text)
+        end = time.end() if time else _LONGEST_HEAD
+        self.rest = text[end:]
+        head = text[:end].splitlines()
+        self.words = [(word, k) for k, line in enumerate(head, 1) for word in line.split()]
         self.next = 0
 
     def error(self, problem: str, allowed: str = "") -> ConfigError:
@@ -233,20 +241,33 @@ class _Reader:
         joints = self.hierarchy()
         self.word("MOTION")
         self.word("Frames:")
-        frames = self.count(10_000_000)
+        frames = self.count(_MOST_FRAMES)
         self.word("Frame")
         self.word("Time:")
         frame_time = self.number()
         if not frame_time > 0.0:
             raise self.error(f"a frame time of {frame_time:g} s", "above zero")
-        width = sum(len(joint.channels) for joint in joints)
-        if len(self.words) - self.next != frames * width:
+        values, width = self.numbers(), sum(len(joint.channels) for joint in joints)
+        if len(values) != frames * width:
             raise self.error(
-                f"{len(self.words) - self.next} numbers for {frames} frames",
-                f"{frames} times {width}, one for each channel",
+                f"{len(values)} numbers for {frames} frames", f"{frames} times {width}, one for each channel"
             )
-        values = np.array([self.number() for _ in range(frames * width)]).reshape(frames, width)
-        return Bvh(tuple(joints), frame_time, values)
+        return Bvh(tuple(joints), frame_time, values.reshape(frames, width))
+
+    def numbers(self) -> Array:
+        """All that comes after the frame time, at once: takes may have millions of numbers."""
+        try:
+            values = np.array(self.rest.split(), dtype=float)
+        except ValueError:
+            values = np.array([np.nan])
+        if np.isfinite(values).all():
+            return values
+        first = self.words[-1][1]
+        for k, line in enumerate(self.rest.splitlines(), first):
+            self.words, self.next = [(word, k) for word in line.split()], 0
+            while self.next < len(self.words):
+                self.number()
+        raise self.error("a number that is not finite")
 
     def hierarchy(self) -> list[BvhJoint]:
         joints: list[BvhJoint] = []

@@ -101,7 +101,8 @@ class KeyPoses:
         Args:
             name: Of a motion; that of a pose is the pose, held.
             speed: As in ``Keyframes.through``.
-            velocity: As in ``Keyframes.through``.
+            velocity: (nv,) speed limits, rad/s or m/s; None: the robot's.  Where a motion has durations, only
+                limits that the robot's file states: those of other joints are a cautious guess.
         """
         if name in self.poses and name not in self.motions:
             return Keyframes(self.robot, [0.0], [self.poses[name]])
@@ -109,6 +110,8 @@ class KeyPoses:
             wanted = self.motions[name]
         except KeyError:
             raise _unknown("motion", name, [*self.motions, *self.poses]) from None
+        if velocity is None and wanted.durations:
+            velocity = _stated_limits(self.robot)
         keys = [self[pose] for pose in wanted.poses]
         if wanted.loop:
             keys.append(keys[0])
@@ -168,6 +171,12 @@ class KeyPoses:
             with _in_file(file, f"motions.{name}"):
                 book.record_motion(name, motion.poses, motion.durations, loop=motion.loop)
         return book
+
+
+def _stated_limits(robot: Robot) -> Array:
+    """(nv,) the robot's speed limits, none for joints of which its file says nothing."""
+    stated = np.array([robot.joints[int(node)] in robot.file.velocity for node in robot.tree.dof_node])
+    return np.where(stated, robot.velocity, np.inf)
 
 
 @contextmanager

@@ -219,8 +219,8 @@ class Keyframes:
                 return motion
             least = least * np.maximum(worst, 1.0)
             motion = cls(robot, np.append(0.0, np.cumsum(least)), keys, loop=loop)
-        over = float((motion.peak_velocity_of_segments() / top).max(initial=1.0))
-        return cls(robot, motion.times * over, keys, loop=loop)
+        longest = float((motion.peak_velocity_of_segments() / top).max(initial=1.0))
+        return cls(robot, motion.times * longest, keys, loop=loop)
 
     def __len__(self) -> int:
         return len(self.times)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.goals import PosePrior
@@ -71,7 +71,7 @@ def _other_side(name: str) -> str:
     return name
 
 
-def thinned(x: Array, count: int, seed: int = 0) -> Array:
+def thinned(x: Array, count: int, seed: int = 0) -> NDArray[np.int64]:
     """Indices of ``count`` rows of x (m, n) that lie far from each other (farthest point, Gonzalez 1985)."""
     if len(x) <= count:
         return np.arange(len(x))
@@ -172,7 +172,7 @@ def _part_logs(x: Array, weights: Array, means: Array, covariances: Array) -> Ar
     return logs
 
 
-def _clusters(x: Array, count: int, seed: int) -> Array:
+def _clusters(x: Array, count: int, seed: int) -> NDArray[np.int64]:
     """(m,) cluster of each row: k-means from k-means++ (Arthur & Vassilvitskii 2007)."""
     rng = np.random.default_rng(seed)
     centres = [x[rng.integers(len(x))]]

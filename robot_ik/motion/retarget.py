@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -149,8 +149,8 @@ class Retargeted:
     """
 
     motion: Keyframes
-    hand_miss: Array
-    rests: Array
+    hand_miss: Array = field(repr=False)
+    rests: NDArray[np.bool_] = field(repr=False)
     scale: float
 
 
@@ -163,7 +163,7 @@ class _Targets:
     feet: tuple[list[Pose], list[Pose]]
     hands: tuple[Array, Array]
     elbows: tuple[Array, Array]
-    rests: Array
+    rests: NDArray[np.bool_]
 
 
 class _Measures:
@@ -184,7 +184,21 @@ class _Measures:
         self.offsets = {
             role: robot.measure(rest, body).position - self.places[role] for role, body in bodies.items()
         }
+        self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
         self.ankle = float(_middle(self.places, "ankle")[2] - min(self.foot_height(robot, rest)))
+
+    def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
+        """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
+        model, foot = robot.model, robot.model.body(self.frames[role]).id
+        below = {foot}
+        for body in range(foot + 1, model.nbody):
+            if int(model.body_parentid[body]) in below:
+                below.add(body)
+        origin = self.places[role] + self.offsets[role]
+        places = [
+            data.site_xpos[s] - origin for s in range(model.nsite) if int(model.site_bodyid[s]) in below
+        ]
+        return np.array([np.zeros(3), *places])
 
     def foot_height(self, robot: Robot, q: Array) -> list[float]:
         """Height of both foot frames."""
@@ -251,7 +265,7 @@ def _targets(
         hands.append(from_shoulder + arms * places[f"{side}_wrist"] + palm * along)
     rests = np.stack([_rests(ankle, ours.ankle, bvh.rate) for ankle in ankles], axis=1)
     feet = [
-        _foot_path(ankles[k], deltas[f"{side}_ankle"], ours.offsets[f"{side}_ankle"], rests[:, k], bvh.rate)
+        _foot_path(ankles[k], deltas[f"{side}_ankle"], ours, side, rests[:, k], bvh.rate)
         for k, side in enumerate(SIDES)
     ]
     head = [Pose.from_rotation(turn) for turn in deltas["head"]]
@@ -290,10 +304,16 @@ def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _foot_path(
-    ankle: Array, turns: Array, offset: Array, rests: NDArray[np.bool_], rate: float
+    ankle: Array, turns: Array, ours: _Measures, side: str, rests: NDArray[np.bool_], rate: float
 ) -> list[Pose]:
-    """The sole's pose in each frame: where it rests one pose, flat on the floor; smoothly there and back."""
-    free = [Pose.from_rotation(turn, place + turn @ offset) for turn, place in zip(turns, ankle, strict=True)]
+    """The sole's pose in each frame: where it rests one pose, flat on the floor; smoothly there and back.
+
+    No end of it goes under the floor.
+    """
+    places = ankle + turns @ ours.offsets[f"{side}_ankle"]
+    lowest = (places[:, None, :] + ours.soles[side] @ turns.transpose(0, 2, 1))[..., 2].min(axis=1)
+    places[:, 2] -= np.minimum(lowest, 0.0)
+    free = [Pose.from_rotation(turn, place) for turn, place in zip(turns, places, strict=True)]
     path = list(free)
     fade = max(1, round(_PIN_BLEND * rate))
     for first, end in _runs(rests):

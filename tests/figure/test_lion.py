@@ -15,7 +15,7 @@ BALLS = {
     "hind_left_paw": (-0.95, 0.25, 0.35),
     "hind_right_paw": (-0.9, -0.3, 0.2),
 }
-RATE = 30.0
+RATE = 15.0
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError, UnsupportedJointError
-from robot_ik.motion import Keyframes
+from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, own_motion
 from robot_ik.motion.retarget import SkeletonMap, retarget
 
@@ -173,6 +174,21 @@ def test_our_own_file_is_taken_over_where_it_was(humanoid: rik.Robot) -> None:
     assert again.scale == pytest.approx(0.01)
     assert np.abs(humanoid.measure(end, "right_hand").position - place).max() < 5e-3
     assert np.median(again.hand_miss) < 2e-3
+
+
+def test_a_walk_is_taken_over_without_sliding_or_sinking(humanoid: rik.Robot) -> None:
+    walk = KeyPoses.load(humanoid.folder / "poses.toml", humanoid).motion("walk")
+    taken = retarget(export_bvh(walk, 30.0), humanoid)
+    motion = taken.motion
+    assert motion.q[-1, 0] - motion.q[0, 0] == pytest.approx(walk.q[-1, 0] - walk.q[0, 0], rel=0.05)
+    assert taken.hand_miss.max() < 5e-3 and taken.rests.any(axis=0).all() and not taken.rests.all()
+    for k, side in enumerate(("left", "right")):
+        ends = [[humanoid.measure(q, f"{side}_{end}").position for end in ("heel", "toe")] for q in motion.q]
+        assert np.array(ends)[..., 2].min() > -1e-3
+        rest = np.flatnonzero(taken.rests[:, k])
+        for one, two in pairwise(rest.tolist()):
+            if two == one + 1:
+                assert np.abs(np.array(ends[one]) - np.array(ends[two])).max() < 3e-4
 
 
 def test_a_figure_that_the_map_does_not_know_is_named(humanoid: rik.Robot, tmp_path: Path) -> None:

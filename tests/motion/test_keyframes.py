@@ -46,7 +46,7 @@ def test_a_motion_passes_through_its_keys_inside_limits_and_speed_limits(robot: 
     motion = Keyframes.through(robot, keys, speed=0.5)
     for t, key in zip(motion.times, keys, strict=True):
         assert np.abs(robot.difference(motion.at(t), key)).max() < 1e-12
-    rate = 200.0
+    rate = 100.0
     count = int(motion.duration * rate)
     rows = np.array([motion.at(k / rate) for k in range(count + 1)])
     assert not [k for k, row in enumerate(rows) if robot.outside(row, 1e-6)]
@@ -226,6 +226,19 @@ def test_a_wrong_file_says_where(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "poses.toml").write_text(text)
     with pytest.raises(ConfigError, match=words):
         KeyPoses.load(tmp_path / "poses.toml", rik.load_robot("puma560"))
+
+
+def test_durations_hold_unless_a_stated_speed_limit_says_no(humanoid: rik.Robot) -> None:
+    book = KeyPoses.load(humanoid.folder / "poses.toml", humanoid)
+    assert book.motion("walk").duration == pytest.approx(1.1)  # its file states no limits
+    puma = KeyPoses(rik.load_robot("puma560"))
+    one, two = random_keys(puma.robot, 2)
+    puma.record("one", one)
+    puma.record("two", two)
+    puma.record_motion("quick", ["one", "two"], [0.01])
+    motion = puma.motion("quick")
+    assert (motion.peak_velocity_of_segments() <= puma.robot.velocity * (1 + 1e-6)).all()
+    assert motion.duration > 0.2
 
 
 def test_names_that_are_not_there_are_answered_with_the_close_ones() -> None:

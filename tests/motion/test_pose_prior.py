@@ -166,7 +166,7 @@ def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik
 
 def test_the_prior_that_ships_knows_the_motions_that_ship(humanoid: rik.Robot) -> None:
     prior, book = PosePrior.of(humanoid), KeyPoses.load(humanoid.folder / "poses.toml", humanoid)
-    walk: Keyframes = book.motion("walk", velocity=12.0)
+    walk: Keyframes = book.motion("walk")
     energy = prior.energy(humanoid, walk.sampled(20.0).q)
     assert (energy < prior.contour).mean() > 0.8
     assert walk.q[-1, 0] - walk.q[0, 0] > 0.9  # metres in a cycle of two steps
