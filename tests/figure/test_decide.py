@@ -1,12 +1,14 @@
 """Decisions: what a ball's place means, and an independent checker of reach and bend."""
 
+import importlib.util
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from judge import Judge
 
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, Abilities, grade
@@ -14,6 +16,12 @@ from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, d
 from robot_ik.figure.figure import Figure, load_figure, rotation
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.robot import load_robot
+
+# The judge lies beside this file; it is nobody's package.
+_spec = importlib.util.spec_from_file_location("figure_judge", Path(__file__).with_name("judge.py"))
+assert _spec is not None and _spec.loader is not None
+_judge: Any = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(_judge)
 
 BALLS = {
     "reach": (0.45, -0.25, 1.2),
@@ -131,7 +139,7 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
 def checked(abilities: Abilities, count: int, seed: int, starts: int) -> tuple[int, int, list[str]]:
     """(balls, border cases, disagreements) of decisions and the independent judge."""
     rng = np.random.default_rng(seed)
-    judge, decider = Judge(abilities.figure), Decider(abilities)
+    judge, decider = _judge.Judge(abilities.figure), Decider(abilities)
     border, wrong = 0, []
     for k in range(count):
         ball = rng.uniform([0.1, -0.7, 0.1], [0.9, 0.7, 2.0])

@@ -166,6 +166,7 @@ def test_the_center_of_mass_follows_its_zero_moment_point() -> None:
         (0.0, np.zeros(2)),
         (0.5, np.array([0.0, 0.1])),
         (1.0, np.array([0.1, -0.1])),
+        (1.4, np.array([0.1, 0.0])),
         (3.5, np.array([0.1, 0.0])),
     ]
     omega = 3.2
