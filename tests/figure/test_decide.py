@@ -124,7 +124,7 @@ def test_decisions_do_not_depend_on_place_and_heading(
 
 @pytest.mark.parametrize("kind", [REACH, BEND])
 def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilities, kind: str) -> None:
-    """Some of its points made anew."""
+    """Some of its points made anew, within what ``Map.surely_out`` allows for local minima."""
     rng = np.random.default_rng(3)
     flat = abilities.maps[kind, "right"].miss.ravel()
     sure = np.flatnonzero(np.isfinite(flat) & ((flat == 0.0) | (flat > 0.01)))
@@ -132,8 +132,8 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
         told = grade(figure, POINTS[i], "right", kind)
         if flat[i] == 0.0:
             assert told == 0.0
-        else:  # the map may only say too little
-            assert told >= flat[i] - 0.03
+        else:  # else the map would hide a ball
+            assert told >= flat[i] - 0.1
 
 
 def checked(abilities: Abilities, count: int, seed: int, starts: int) -> tuple[int, int, list[str]]:
