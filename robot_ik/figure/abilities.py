@@ -37,7 +37,7 @@ MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
-_SLACK = 0.03
+_SLACK = 0.1
 # A point that misses by more has no ball in its cell that is not surely out of reach, m.
 _NO_DOUBT = 0.16
 

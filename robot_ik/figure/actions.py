@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 # Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least durations, s.
 _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
+# Fastest glance, rad/s (head turns of 3 to 6, a usual value).
+_GLANCE = 2.5
 # A zero-moment point off its plan by less than this, m, is let be.
 _STEADY = 0.015
 # A motion that is left decays into the next in this time, s.
@@ -93,8 +95,16 @@ def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: f
     if figure.gaze is None:
         return
     eyes, turn = figure.pose(q, figure.gaze)
-    seen = eyes + turn[:, 0] * np.linalg.norm(ball - eyes)
-    rows.aim(figure.gaze, seen + (ball - seen) * minimum_jerk(t / within)[:, None], 8.0, figure.neck or None)
+    far = max(float(np.linalg.norm(ball - eyes)), 0.1)
+    ahead, to = turn[:, 0], (ball - eyes) / far
+    angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
+    s = minimum_jerk(t / max(within, 1.875 * angle / _GLANCE))[:, None]
+    # Along the arc: half way between two points that are seen in opposite directions lies the head.
+    arc = (
+        np.sin((1 - s) * angle) * ahead + np.sin(s * angle) * to if angle > 1e-3 else (1 - s) * ahead + s * to
+    )
+    arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
+    rows.aim(figure.gaze, (eyes + far * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
@@ -194,7 +204,7 @@ def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: floa
         rows.turned(figure.trunk, turns, 20.0 if kind == REACH else 3.0)
         if kind == REACH:
             rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-        _look(figure, rows, start, ball, t, within=0.45 if kind == REACH else 0.7 * duration)
+        _look(figure, rows, start, ball, t, within=0.6 if kind == REACH else 0.7 * duration)
         return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
 
     frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)

@@ -141,8 +141,9 @@ class Decider:
         local = rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0])
         arms = self._arms(local, last)
         found = self._here(local, arms)
-        if found is None and last is not None and last.action in (REACH, BEND, "jump") and last.arm in arms:
-            found = self._still(local, last)
+        if last is not None and last.action in (REACH, BEND, "jump") and last.arm in arms:
+            if found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action):
+                found = self._still(local, last) or found
         return found or self._walk(point, stance, arms)
 
     def _look(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, hull_margin
-from robot_ik.figure.figure import Figure, Rows, lowest_points, rotation
+from robot_ik.figure.figure import HARD, Figure, Rows, lowest_points, rotation
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ STIFF = {
 }  # fmt: skip
 # Steps towards the ball; the hand's weight grows a hundredfold on the way, so that it goes as far as it can.
 _STEPS = 12
-# A hand that stays farther away comes no nearer by leaning, m.
-_FARTHER = 0.15
+# A hand that stays farther away comes no nearer by leaning, m; frames of the last millimetres.
+_HOPELESS, _POLISH = 0.3, 24
 
 
 def pinned(figure: Figure, q: Array, rows: Rows) -> None:
@@ -94,37 +94,72 @@ class Pose:
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``), feet where they are."""
     limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
-    pose = _attempt(figure, ball, arm, kind, limits, None)
-    if AT_BALL < pose.miss < _FARTHER:  # leaning farther
-        pose = _attempt(figure, ball, arm, kind, limits, None, upright=0.5)
-    if pose.flaw.startswith("balance"):
-        center = figure.center(pose.q)[:2]
-        pose = _attempt(figure, ball, arm, kind, limits, _inside(_support(figure), center, BALANCED + 0.002))
-    elif (
-        pose.flaw.startswith(("its", "the")) and pose.miss <= AT_BALL
-    ):  # another swivel of the arm, or a flat hand
+    pose = _attempt(figure, ball, arm, kind, limits)
+    if not pose.flaw or pose.miss > _HOPELESS:
+        return pose
+    if pose.miss > AT_BALL or pose.flaw.startswith("balance"):
+        pose = _farther(figure, ball, arm, kind, limits, pose)
+    if pose.miss <= AT_BALL and pose.flaw:  # another swivel of the arm, or a flat hand
         flat = pose.flaw.endswith("floor")
-        other = _attempt(figure, ball, arm, kind, limits, None, aside=0.0 if flat else 0.7, flat=flat)
-        pose = other if not other.flaw else pose
+        for aside in (0.0,) if flat else (0.7, 1.2):
+            other = _attempt(figure, ball, arm, kind, limits, aside=aside, flat=flat)
+            if other.flaw and other.miss < _HOPELESS:
+                other = _polished(figure, ball, arm, limits, other.q)
+            if not other.flaw:
+                return other
     return pose
 
 
+def _farther(
+    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], pose: Pose
+) -> Pose:
+    """Leaning and stretching as far as balance allows: from two poses, then the balance put right."""
+    found = [pose]
+    for share in (1.0, 0.3) if kind == BEND else (1.0,):
+        lean = _attempt(figure, ball, arm, kind, limits, upright=0.5, share=share)
+        lean = _polished(figure, ball, arm, limits, lean.q)
+        if lean.flaw.startswith("balance"):
+            center = _inside(_support(figure), figure.center(lean.q)[:2], BALANCED + 0.002)
+            lean = _polished(figure, ball, arm, limits, lean.q, center)
+        if not lean.flaw:
+            return lean
+        found.append(lean)
+    return min(found, key=lambda one: one.miss)
+
+
+def _polished(
+    figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array, center: Array | None = None
+) -> Pose:
+    """From a pose nearby, with hardly any posture of its own: the hand first, then the centre of mass."""
+    rows = Rows(figure, _POLISH)
+    feet = figure.feet_at_home
+    rows.feet({side: at[0] for side, at in feet.items()}, {side: at[1] for side, at in feet.items()})
+    to = support_middle(figure) if center is None else center
+    rows.center(np.array([*to, 0.0]), 0.5 if center is None else HARD, axes="xy")
+    rows.position(figure.hands[arm], ball, 1e4)
+    frames = rows.solve(
+        q, np.minimum(figure.stiffnesses(STIFF), 0.01), q, limits=limits, speeds=None, steps=6
+    )
+    return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
+
+
+def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
+    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
+    return Pose(q, miss, flaw_of(figure, q, ball, arm, hard))
+
+
 def _attempt(
-    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], center: Array | None,
-    aside: float = 0.0, flat: bool = False, upright: float = 30.0,
+    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], *,
+    aside: float = 0.0, flat: bool = False, upright: float = 30.0, share: float = 1.0,
 ) -> Pose:  # fmt: skip
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
-    deep = 0.0 if kind == REACH else depth(figure, ball)
+    deep = 0.0 if kind == REACH else share * depth(figure, ball)
     rows = Rows(figure, _STEPS)
     feet = figure.feet_at_home
     rows.feet({s: pose[0] for s, pose in feet.items()}, {s: pose[1] for s, pose in feet.items()})
     here = figure.center_at_home[:2]
-    to = support_middle(figure) if center is None else center
-    way = np.column_stack([here + (to - here) * s[:, None], np.zeros(_STEPS)])
-    if center is None:
-        rows.center(way, upright, axes="xy")
-    else:
-        rows.center(way, axes="xy")
+    way = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
+    rows.center(way, upright, axes="xy")
     hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
     rows.turned(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
@@ -139,9 +174,7 @@ def _attempt(
     posture = start + (goal - start) * s[:, None]
     stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
     frames = rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=6)
-    q = frames.q[-1]
-    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-    return Pose(q, miss, flaw_of(figure, q, ball, arm, frames.miss[-1]))
+    return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
 
 def _support(figure: Figure) -> Array:

@@ -22,8 +22,8 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError, NotConvergedError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Box, Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, SIDES, Figure, rotation
-from robot_ik.figure.gait import AIR, CONTACTS
+from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
+from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, Start
 from robot_ik.files import read_csv, write_atomically
 from robot_ik.jobs.ar.output import open_sink
@@ -229,11 +229,11 @@ def _digits(value: float) -> str:
 
 
 def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
-    """(3,) the world point that must not move: the lowest of a foot that stands; NaN in the air."""
+    """(3,) the world point that must not move: of a flat foot its frame, else where it touches; NaN in the air."""
     if frame.contact[side] == AIR:
         return np.full(3, np.nan)
-    from robot_ik.figure.figure import lowest_points
-
+    if frame.contact[side] == FLAT:
+        return figure.pose(frame.q, figure.feet[SIDES[side]].frame)[0]
     foot, data = figure.feet[SIDES[side]], figure.data
     data.qpos[:] = frame.q
     mujoco.mj_kinematics(figure.model, data)

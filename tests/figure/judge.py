@@ -1,4 +1,4 @@
-"""Ground truth of "reach" and "bend": seeded starts of SciPy's least squares on MuJoCo, sharing nothing with the product.
+"""Ground truth of "reach" and "bend": seeded random starts of damped Gauss-Newton on MuJoCo; nothing is shared with the product.
 
 A pose is admissible (figure.md f) when it is inside limits, both feet stand where they stood, the centre of mass is over
 the soles, the palm at the ball, no shape but the soles under the floor, and no body runs into another.
@@ -7,7 +7,6 @@ the soles, the palm at the ball, no shape but the soles under the floor, and no 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial import ConvexHull
 
 from robot_ik.figure.figure import Figure
@@ -107,39 +106,72 @@ class Judge:
         rng: np.random.Generator,
         inside: float,
     ) -> Array:
-        nv, m = self.model.nv, self.model
+        """Damped Gauss-Newton from a random start; joints at a limit that push outwards are left out."""
+        m, d, nv = self.model, self.data, self.model.nv
         spread = 0.25 if kind == "reach" else 0.5
         bend = rng.uniform(0, 1) if kind == "bend" else 0.0
-        squat = self.model.key("squat").qpos
-        start = self.home[7:] + bend * (squat[7:] - self.home[7:]) + spread * rng.normal(size=nv - 6)
-        x0 = np.concatenate([np.zeros(6), np.clip(start, low + 1e-6, high - 1e-6)])
-        x0[2] = bend * (squat[2] - self.home[2])
-        rest = x0[6:].copy()
+        squat = m.key("squat").qpos
+        q = self.home.copy()
+        q[2] += bend * (squat[2] - self.home[2])
+        middle = self.home[7:] + bend * (squat[7:] - self.home[7:])
+        q[7:] = np.clip(middle + spread * rng.normal(size=nv - 6), low, high)
+        rest, damping, best = q[7:].copy(), 1e-2, np.inf
+        jp, jr, jc = np.zeros((3, nv)), np.zeros((3, nv)), np.zeros((3, nv))
 
-        def pose(x: Array) -> Array:
-            q = self.home.copy()
-            mujoco.mj_integratePos(m, q, np.concatenate([x[:6], np.zeros(nv - 6)]), 1.0)
-            q[7:] = x[6:]
-            return q
-
-        def residual(x: Array) -> Array:
-            self.place(pose(x))
-            out = []
+        def rows() -> tuple[Array, Array]:
+            out, jac = [], []
             for side, (place, turn) in self.feet.items():
+                i = m.site(f"{side}_foot").id
                 p, r = self.site(f"{side}_foot")
-                e = r @ turn.T
+                mujoco.mj_jacSite(m, d, jp, jr, i)
+                e = turn @ r.T
                 out += [
-                    10 * (p - place),
-                    5 * np.array([e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]]),
+                    10 * (place - p),
+                    2.5 * np.array([e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]]),
                 ]
-            out.append(10 * (self.site(f"{arm}_hand")[0] - ball))
-            out.append(np.array([30 * min(0.0, self.over() - inside - 0.003)]))
-            out.append(1e-3 * (x[6:] - rest))
-            return np.concatenate(out)
+                jac += [10 * jp.copy(), 5 * jr.copy()]
+            mujoco.mj_jacSite(m, d, jp, jr, m.site(f"{arm}_hand").id)
+            out.append(10 * (ball - self.site(f"{arm}_hand")[0]))
+            jac.append(10 * jp.copy())
+            mujoco.mj_jacSubtreeCom(m, d, jc, 0)
+            over = self.hull[:, :2] @ d.subtree_com[0][:2] + self.hull[:, 2] + inside + 0.002
+            out.append(-10 * np.maximum(over, 0.0))
+            jac.append(10 * (over > 0)[:, None] * (self.hull[:, :2] @ jc[:2]))
+            return np.concatenate(out), np.vstack(jac)
 
-        bounds = (np.concatenate([np.full(6, -3.0), low]), np.concatenate([np.full(6, 3.0), high]))
-        x0 = np.clip(x0, bounds[0] + 1e-9, bounds[1] - 1e-9)
-        return pose(least_squares(residual, x0, bounds=bounds, max_nfev=40, xtol=1e-10, ftol=1e-12).x)
+        self.place(q)
+        e, jac = rows()
+        for _ in range(80):
+            weak = np.concatenate([np.zeros(6), 2e-3 * (rest - q[7:])])
+            step = np.zeros(nv)
+            free = np.ones(nv, dtype=bool)
+            for _ in range(3):
+                a = jac[:, free]
+                step[:] = 0.0
+                step[free] = np.linalg.solve(
+                    a.T @ a + (damping + 2e-3) * np.eye(free.sum()), a.T @ e + weak[free]
+                )
+                out = np.concatenate(
+                    [np.zeros(6, dtype=bool), (q[7:] + step[6:] < low) | (q[7:] + step[6:] > high)]
+                )
+                if not (out & free).any():
+                    break
+                free &= ~out
+            new = q.copy()
+            mujoco.mj_integratePos(m, new, step, 1.0)
+            new[7:] = np.clip(new[7:], low, high)
+            self.place(new)
+            after, slope = rows()
+            if after @ after < e @ e:
+                q, e, jac, damping = new, after, slope, max(damping / 3, 1e-7)
+                if abs(best - e @ e) < 1e-12 and e @ e < 1e-8:
+                    break
+                best = float(e @ e)
+            else:
+                damping *= 4
+                if damping > 1e3:
+                    break
+        return q
 
     def label(self, ball: Array, starts: int, seed: int) -> str | None:
         """``reach``, ``bend``, ``neither``; None where another margin gives another answer (a border case)."""
