@@ -218,8 +218,28 @@ def _middle(places: Mapping[str, Array], role: str) -> Array:
     return np.asarray(0.5 * (places[f"left_{role}"] + places[f"right_{role}"]))
 
 
-def _trunk(places: Mapping[str, Array]) -> float:
-    return float(np.linalg.norm(_middle(places, "shoulder") - _middle(places, "hip")))
+def _lengths(places: Mapping[str, Array]) -> Array:
+    """(4,) of a leg, an arm, the trunk, and from shoulder to shoulder."""
+    trunk = np.linalg.norm(_middle(places, "shoulder") - _middle(places, "hip"))
+    girdle = np.linalg.norm(places["left_shoulder"] - places["right_shoulder"])
+    legs, arms = _length(places, "hip", "knee", "ankle"), _length(places, "shoulder", "elbow", "wrist")
+    return np.array([legs, arms, trunk, girdle])
+
+
+def _ratios(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> list[float]:
+    """Our metres for a unit of the file, by leg, arm, trunk and girdle.
+
+    Raises:
+        TrajectoryError: The file's has no length.
+    """
+    lengths = _lengths(theirs)
+    for length, part in zip(lengths, ("legs", "arms", "trunk", "girdle"), strict=True):
+        if not length > 1e-9:
+            raise TrajectoryError(
+                f"the {part} of the file's rest pose have no length",
+                hint="is some joint named for two roles? see the map of joints",
+            )
+    return [float(ratio) for ratio in _lengths(ours) / lengths]
 
 
 def _alignment(rest: Mapping[str, Array], up: str) -> Array:
@@ -245,16 +265,13 @@ def _targets(
     moved, turns = bvh.poses()
     places = {role: moved[:, j] @ axes.T for role, j in joints.items()}
     deltas = {r: axes @ turns[:, j] @ turned[0, j].T @ axes.T for r, j in joints.items()}
-    legs = _length(ours.places, "hip", "knee", "ankle") / _length(upright, "hip", "knee", "ankle")
-    arms = _length(ours.places, "shoulder", "elbow", "wrist") / _length(upright, "shoulder", "elbow", "wrist")
-    girdle = np.linalg.norm(ours.places["left_shoulder"] - ours.places["right_shoulder"])
-    girdle /= np.linalg.norm(upright["left_shoulder"] - upright["right_shoulder"])
+    legs, arms, trunk, girdle = _ratios(ours.places, upright)
     lowest = np.minimum(places["left_ankle"][:, 2], places["right_ankle"][:, 2])
     floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
     ankles = [legs * (places[f"{side}_ankle"] - floor) for side in SIDES]
     pelvis = legs * (_middle(places, "hip") - floor)
     chest = _middle(places, "shoulder")
-    ours_chest = pelvis + _trunk(ours.places) / _trunk(upright) * (chest - _middle(places, "hip"))
+    ours_chest = pelvis + trunk * (chest - _middle(places, "hip"))
     hands, elbows = [], []
     for side in SIDES:
         shoulder = places[f"{side}_shoulder"]
@@ -387,7 +404,7 @@ def _thinned(bvh: Bvh, rate: float | None) -> Bvh:
 
 
 def _goals(robot: Robot, bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
-    """Of one frame; the order is that of ``retarget`` in ``_solve_frames``."""
+    """Of one frame, always in the same order: what is compiled for the first serves all."""
     goals: list[Goal] = [
         PoseGoal(bodies[f"{side}_ankle"], feet[k].position, feet[k].wxyz, tolerance=_FOOT_TOLERANCE)
         for side, feet in zip(SIDES, wanted.feet, strict=True)

@@ -201,6 +201,13 @@ def test_a_figure_that_the_map_does_not_know_is_named(humanoid: rik.Robot, tmp_p
         retarget(Bvh(tuple(joints), 0.01, take.values), humanoid)
     with pytest.raises(ModelError, match="has no map of joints"):
         retarget(take, rik.load_robot("puma560"))
+    joints = list(take.joints)
+    joints[12] = BvhJoint(joints[12].name, 11, (0.0, 0.0, 0.0), joints[12].channels)
+    joints[13] = BvhJoint(joints[13].name, 12, (0.0, 0.0, 0.0), joints[13].channels)
+    for k in (16, 17):
+        joints[k] = BvhJoint(joints[k].name, joints[k].parent, (0.0, 0.0, 0.0), joints[k].channels)
+    with pytest.raises(TrajectoryError, match="the arms of the file's rest pose have no length"):
+        retarget(Bvh(tuple(joints), 0.01, take.values), humanoid)
     (tmp_path / "map.toml").write_text('schema = 1\n[roles.head]\nbody = "head"\nname = ["x"]\n')
     with pytest.raises(ConfigError, match=r"roles\.head\.name: unknown key"):
         SkeletonMap.load(tmp_path / "map.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -203,3 +204,21 @@ def test_changing_its_weight_needs_no_new_problem(humanoid: rik.Robot) -> None:
     problem.exchange([PosePriorGoal(prior=prior, weight=2.0)])
     two, _ = rows_at(problem, humanoid.home)
     np.testing.assert_allclose(two, 2.0 * one)
+
+
+def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    found = json.loads((docs / "pose_prior.json").read_text(encoding="utf-8"))
+    page = (docs / "poses.md").read_text(encoding="utf-8")
+    labels = {"goals alone": "goals alone", "with a posture goal": "with a soft posture (home)"}
+    for name, row in found["rows"].items():
+        degrees, inside, nearest, miss = (
+            row["rms of elbows and spine, degrees"], row["inside the 99 % contour"], row["nearest pose"],
+            row["largest miss of the hand, mm"],
+        )  # fmt: skip
+        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {miss:.2f} mm |"
+        assert line.replace("%", " %") in page
+    assert f"Held out were {found['held out']} of {found['motions']} motions" in page
+    assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
+    with_prior, plain = found["rows"]["with the prior"], found["rows"]["goals alone"]
+    assert with_prior["rms of elbows and spine, degrees"] < 0.5 * plain["rms of elbows and spine, degrees"]
