@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _GRID = 0.15  # m
 # No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
 _BEHIND = -0.1
-_VERSION = 2
+_VERSION = 3
 ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
 # From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
@@ -37,7 +37,7 @@ MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
-_SLACK = 0.1
+_SLACK = 0.05
 # A point that misses by more has no ball in its cell that is not surely out of reach, m.
 _NO_DOUBT = 0.16
 
