@@ -152,6 +152,7 @@ def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
 
 def test_moving_figure(tmp_path: Path) -> None:
     out = run("07_moving_figure.py", tmp_path)
-    assert re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE) == ["reach", "bend", "walk", "reach"]
+    actions = re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE)
+    assert actions == ["reach", "bend", "walk", "reach"]
     misses = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]
     assert len(misses) == 3 and max(misses) <= 5.0

@@ -122,7 +122,9 @@ COMMANDS: dict[str, Command] = {
         "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, on a printed board"
     ),
     "figure": Command(
-        "robot_ik.cli.figure", "FigureOptions", "a humanoid sees a ball, decides, and reaches, bends, jumps or walks"
+        "robot_ik.cli.figure",
+        "FigureOptions",
+        "a humanoid sees a ball, decides, and reaches, bends, jumps or walks",
     ),
     "camera": Command(
         "", "", "the camera by hand: find, print markers, calibrate, detect, locate", subcommands=_CAMERA

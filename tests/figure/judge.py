@@ -1,6 +1,8 @@
-"""Ground truth of "reach" and "bend": seeded random starts of damped Gauss-Newton on MuJoCo; nothing is shared with the product.
+"""Ground truth of "reach" and "bend": seeded random starts of damped Gauss-Newton on MuJoCo; nothing is
+shared with the product.
 
-A pose is admissible (figure.md f) when it is inside limits, both feet stand where they stood, the centre of mass is over
+A pose is admissible (figure.md f) when it is inside limits, both feet stand where they stood, the centre
+of mass is over
 the soles, the palm at the ball, no shape but the soles under the floor, and no body runs into another.
 """
 
@@ -74,9 +76,9 @@ class Judge:
             return False
         for g in range(self.model.ngeom):
             name = self.model.body(self.model.geom_bodyid[g]).name
-            if self.model.geom_contype[g] and not name.endswith(("_foot", "_toes")):
-                if min(p[2] for p in self.lowest(g)) < 0.0:
-                    return False
+            touches = self.model.geom_contype[g] and not name.endswith(("_foot", "_toes"))
+            if touches and min(p[2] for p in self.lowest(g)) < 0.0:
+                return False
         mujoco.mj_forward(self.model, self.data)
         return all(self.data.contact[c].dist > -0.002 for c in range(self.data.ncon))
 
@@ -97,7 +99,14 @@ class Judge:
         return False
 
     def solve(
-        self, ball: Array, arm: str, kind: str, low: Array, high: Array, rng: np.random.Generator, inside: float
+        self,
+        ball: Array,
+        arm: str,
+        kind: str,
+        low: Array,
+        high: Array,
+        rng: np.random.Generator,
+        inside: float,
     ) -> Array:
         """Damped Gauss-Newton from a random start; joints at a limit that push outwards are left out."""
         m, d, nv = self.model, self.data, self.model.nv
@@ -118,7 +127,10 @@ class Judge:
                 p, r = self.site(f"{side}_foot")
                 mujoco.mj_jacSite(m, d, jp, jr, i)
                 e = turn @ r.T
-                out += [10 * (place - p), 2.5 * np.array([e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]])]
+                out += [
+                    10 * (place - p),
+                    2.5 * np.array([e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]]),
+                ]
                 jac += [10 * jp.copy(), 5 * jr.copy()]
             mujoco.mj_jacSite(m, d, jp, jr, m.site(f"{arm}_hand").id)
             out.append(10 * (ball - self.site(f"{arm}_hand")[0]))
@@ -138,8 +150,12 @@ class Judge:
             for _ in range(3):
                 a = jac[:, free]
                 step[:] = 0.0
-                step[free] = np.linalg.solve(a.T @ a + (damping + 2e-3) * np.eye(free.sum()), a.T @ e + weak[free])
-                out = np.concatenate([np.zeros(6, dtype=bool), (q[7:] + step[6:] < low) | (q[7:] + step[6:] > high)])
+                step[free] = np.linalg.solve(
+                    a.T @ a + (damping + 2e-3) * np.eye(free.sum()), a.T @ e + weak[free]
+                )
+                out = np.concatenate(
+                    [np.zeros(6, dtype=bool), (q[7:] + step[6:] < low) | (q[7:] + step[6:] > high)]
+                )
                 if not (out & free).any():
                     break
                 free &= ~out
@@ -160,7 +176,8 @@ class Judge:
         return q
 
     def label(self, ball: Array, starts: int, seed: int) -> str | None:
-        """``reach``, ``bend``, ``neither``; None where another margin gives another answer (a border case)."""
+        """``reach``, ``bend``, ``neither``; None where another margin gives another answer (a border
+        case)."""
         answers = set()
         for near, inside in ((0.005, 0.010), (0.015, 0.0)):
             answer = "neither"
