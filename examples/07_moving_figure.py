@@ -3,7 +3,8 @@
     python examples/07_moving_figure.py                  three balls, one after the other
     python examples/07_moving_figure.py 0.5 -0.2 0.3     a ball of your own
 
-Prints the decision for each ball and why, how long the motion took, and how far MuJoCo says the hand ended from it.
+Prints the decision for each ball and why, how long the motion took, and how far MuJoCo says the hand ended
+from it.
 """
 
 import sys
@@ -31,9 +32,10 @@ def main(*ball: float) -> None:
             continue
         hand = session.figure.robot.measure(frame.q, session.figure.hands[frame.decision.arm])
         miss = np.linalg.norm(hand.position - frame.ball)
-        print(
-            f"         after {frames / RATE:.1f} s the {frame.decision.arm} hand is {1e3 * miss:.2f} mm from the ball"
+        told = (
+            f"after {frames / RATE:.1f} s the {frame.decision.arm} hand is {1e3 * miss:.2f} mm from the ball"
         )
+        print(f"         {told}")
 
 
 if __name__ == "__main__":

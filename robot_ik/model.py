@@ -508,7 +508,7 @@ def mass_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]
 
 
 def inertia_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]) -> Array:
-    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in the node's axes, of each node."""
+    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in its axes, of each node."""
     mass = mass_table(model, tree, bodies, 0)[: tree.size]
     whole = np.zeros((tree.size, 3, 3))
     for body in range(1, model.nbody):

@@ -137,7 +137,7 @@ def test_lion(tmp_path: Path) -> None:
 
 
 def test_poses(tmp_path: Path) -> None:
-    out = run("07_poses.py", tmp_path, str(tmp_path))
+    out = run("08_poses.py", tmp_path, str(tmp_path))
     assert number(r"in ([\d.]+) s", out) == pytest.approx(0.8 + 0.6 + 0.8 + 1.1 - 0.4, abs=0.3)
     assert number(r"and ([\d.]+) m high", out) == pytest.approx(1.6, abs=0.02)
     assert 1.0 < number(r"went ([\d.]+) m", out) < 2.0
@@ -160,11 +160,7 @@ def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
 
 def test_moving_figure(tmp_path: Path) -> None:
     out = run("07_moving_figure.py", tmp_path)
-    assert re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE) == [
-        "reach",
-        "bend",
-        "walk",
-        "reach",
-    ]
+    actions = re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE)
+    assert actions == ["reach", "bend", "walk", "reach"]
     misses = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]
     assert len(misses) == 3 and max(misses) <= 5.0

@@ -1,10 +1,12 @@
 """The figure's motion judged by MuJoCo alone: true shapes, inverse dynamics, contacts of its own.
 
-It knows the model, the frames, their rate and which contact each foot claims; nothing of how they were planned.
+It knows the model, the frames, their rate and which contact each foot claims; nothing of how they were
+planned.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,9 +40,11 @@ NORM_DEG: Mapping[str, tuple[float, ...]] = {
     "knee": (5.6, 18.6, 16.5, 10.1, 6.2, 11.6, 33.9, 58.2, 49.8, 18.7, 5.4),
     "ankle": (-2.1, -2.1, 5.2, 8.6, 11.1, 10.4, -13.8, -11.2, 1.1, 1.0, -2.3),
 }
-"""Flexion each 10 % of the cycle from heel strike, free speed: Schwartz, Rozumalski & Trost, J. Biomech. 41:1639, 2008."""
+"""Flexion each 10 % of the cycle from heel strike, free speed: Schwartz, Rozumalski & Trost, J. Biomech.
+41:1639, 2008."""
 
-# Shapes within 3 mm of the floor support; a zero-moment point at less force than this share of the weight means nothing.
+# Shapes within 3 mm of the floor support; a zero-moment point at less force than this share of the weight
+# means nothing.
 _NEAR, _LEAST_FORCE = 0.003, 0.2
 
 
@@ -114,7 +118,6 @@ def measure_motion(
     figure: Figure, q: Array, contact: NDArray[np.int64], dt: float = 1.0 / RATE, speeds: str = "daily"
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
-    model = figure.model
     soles, place, turn = _soles(figure, q)
     zmp, force = zero_moment_points(figure, q, dt)
     weight = force / (figure.mass * GRAVITY)
@@ -156,7 +159,7 @@ def measure_motion(
 
 
 def _slips(soles: _Soles, place: Array, turn: Array, contact: NDArray[np.int64]) -> tuple[float, float]:
-    """Largest way of a material point that touches from one frame to the next, and of a foot that stays flat."""
+    """Largest way of a material point that touches from frame to frame, and of a flat foot."""
     slip = drift = 0.0
     for side in (0, 1):
         since = None
@@ -222,14 +225,17 @@ class GaitMeasure:
 
 
 def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeasure:
-    """Joint curves over the middle strides and the numbers of the steps; a straight walk along x of 4 m or more."""
+    """Joint curves over the middle strides and the numbers of the steps.
+
+    A straight walk along x of 4 m or more.
+    """
     q, strikes = walk.frames.q, walk.strikes
     times = np.arange(1, len(q) + 1) * dt
     strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
     stance: list[float] = []
     for side, name in enumerate(SIDES):
         falls = walk.falls[side]
-        for (_, strike, off), (_, after, ends) in zip(falls[1:-1], falls[2:], strict=True):
+        for (_, strike, off), (_, after, ends) in itertools.pairwise(falls):
             if strike < strikes[1] or not np.isfinite(ends):
                 continue
             at = strike + np.linspace(0, 1, 11) * (after - strike)
@@ -260,7 +266,7 @@ def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
     """Least height of a swinging sole between 30 and 80 % of the swings of whole steps, m."""
     low = np.inf
     for side, falls in enumerate(walk.falls):
-        for (_, _, off), (_, strike, ends) in zip(falls[1:-1], falls[2:], strict=True):
+        for (_, _, off), (_, strike, ends) in itertools.pairwise(falls):
             if not np.isfinite(ends):
                 continue
             share = (times - off) / (strike - off)
@@ -276,7 +282,8 @@ def describe(measure: MotionMeasure) -> Sequence[str]:
     fastest = ", ".join(f"{part} {speed:.1f}" for part, speed in m.speed.items())
     return (
         f"slip {m.slip:.3f} mm a frame, drift {m.drift:.4f} mm, penetration {m.penetration:.3f} mm",
-        f"zero-moment point inside {100 * m.inside:.1f} %, within 10 mm {100 * m.close:.1f} %, worst {m.worst:.0f} mm",
+        f"zero-moment point inside {100 * m.inside:.1f} %, within 10 mm {100 * m.close:.1f} %, "
+        f"worst {m.worst:.0f} mm",
         f"force {m.force[0]:.2f} to {m.force[1]:.2f} body weights; beyond limits {m.outside_limits} frames, "
         f"too fast {m.too_fast}; self-contact in {m.self_contact} of {m.frames}",
         f"rad/s: {fastest}; a joint's speed changes by {m.jump:.2f} rad/s a frame at most",

@@ -27,7 +27,8 @@ _SHOWN = (0.45, -0.25, 1.45), (0.5, -0.2, 0.2), (2.2, 0.8, 1.2), (2.6, 0.9, 2.35
 class FigureOptions:
     """A figure sees a ball, decides what to do, and does it: reach, bend, jump, walk, or nothing.
 
-    Without a ball it is shown four, one after the other. Frames are 60 a second; a run ends when nothing goes on.
+    Without a ball it is shown four, one after the other. Frames are 60 a second; a run ends when nothing
+    goes on.
 
         robot-ik figure --ball 0.5 -0.2 0.2 --record bend.mp4
         robot-ik figure --balls balls.csv > decisions.jsonl

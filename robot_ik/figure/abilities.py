@@ -1,6 +1,7 @@
 """What a figure can do: reach standing, bend, jump; computed from its own model, and kept as a map on disk.
 
-All balls here are seen from the middle between the feet, x ahead: what a figure can do depends on nothing else.
+All balls here are seen from the middle between the feet, x ahead: what a figure can do depends on nothing
+else.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 _GRID = 0.15  # m
 # No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
 _BEHIND = -0.1
-_VERSION = 2
+_VERSION = 3
 ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
 # From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
@@ -37,7 +38,7 @@ MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
-_SLACK = 0.1
+_SLACK = 0.08
 # A point that misses by more has no ball in its cell that is not surely out of reach, m.
 _NO_DOUBT = 0.16
 
@@ -63,7 +64,7 @@ class Map:
         return float(self.miss[tuple(index)]), away
 
     def surely_out(self, ball: Array) -> bool:
-        """No pose reaches the ball: the nearest point of the map is farther out of reach than the ball is from it."""
+        """No pose reaches the ball: a point nearby is farther out of reach than it is away."""
         miss, away = self.nearest(ball)
         return miss > away + _SLACK
 
@@ -86,7 +87,8 @@ class Abilities:
         figure: Whose.
         maps: ``(kind, arm)`` to its map.
         ahead: How far before its middle the centre of mass takes off, m.
-        raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a straight arm.
+        raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a
+            straight arm.
     """
 
     figure: Figure
@@ -107,7 +109,10 @@ class Abilities:
         return None if pose.flaw else pose
 
     def take_off(self, ball: Array, arm: str) -> float | None:
-        """Speed at take-off that brings the palm to a ball overhead, m/s; None where no jump does, or needs to."""
+        """Speed at take-off that brings the palm to a ball overhead, m/s.
+
+        None where no jump does, or needs to.
+        """
         shoulder, length = self.raised[arm]
         if ball[0] - self.ahead < _BEHIND:
             return None
@@ -120,7 +125,10 @@ class Abilities:
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
-    """(3,) the place about which an arm turns, at home: the third place from the hand about which joints turn."""
+    """(3,) the place about which an arm turns, at home.
+
+    The third place from the hand about which joints turn.
+    """
     return _shoulder_at(figure, figure.home, arm)
 
 
@@ -141,7 +149,7 @@ def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
 
 
 def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
-    """Where the shoulder is beside the centre of mass with the arm stretched straight up, and how far the palm from it."""
+    """The shoulder beside the centre of mass with the arm stretched up, and the length of the arm."""
     steps = 16
     start, s = figure.posture(**{f"{arm}_shoulder_pitch": 2.6}), np.linspace(1 / steps, 1.0, steps)
     rows = Rows(figure, steps)
@@ -161,7 +169,9 @@ def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
 def load_abilities(
     figure: Figure, *, progress: Callable[[int, int], None] | None = None, folder: Path | None = None
 ) -> Abilities:
-    """Maps that lie beside the model or in the user's cache; made if need be, some minutes, once for each model.
+    """Maps that lie beside the model or in the user's cache.
+
+    Made if need be, some minutes, once for each model.
 
     Args:
         figure: Whose.
@@ -210,7 +220,10 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
 
 
 def _digest(figure: Figure) -> str:
-    """Of all that the maps depend on: the model, which frames are its hands and feet, and how they are made."""
+    """Of all that the maps depend on.
+
+    The model, which frames are its hands and feet, and how they are made.
+    """
     robot = figure.robot
     if robot.path.is_file():
         model = robot.path.read_bytes()
@@ -236,7 +249,8 @@ def _make_maps(
     def work(chunk: tuple[str, NDArray[np.int64]], mine: Figure) -> int:
         arm, at = chunk
         for i in at:
-            # What is out of reach for a bend, is so standing; and a palm that misses a point by so much misses
+            # What is out of reach for a bend, is so standing; and a palm that misses a point by so much
+            # misses
             # all points nearer to that one.
             bent = _bound(flat[BEND, arm], i)
             flat[BEND, arm][i] = bent = bent if bent > _NO_DOUBT else grade(mine, POINTS[i], arm, BEND)
@@ -267,13 +281,19 @@ def _bound(known: NDArray[np.float32], i: int) -> float:
 
 
 def grade(figure: Figure, point: Array, arm: str, kind: str) -> float:
-    """What the map says of a point: 0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m."""
+    """What the map says of a point.
+
+    0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m.
+    """
     pose = find_pose(figure, point, arm, kind)
     return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
 
 
 def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:
-    """Points that an arm and what the trunk can do may bring a palm to, in a random order: the first tell most."""
+    """Points that an arm and what the trunk can do may bring a palm to, in a random order.
+
+    The first tell most.
+    """
     near = np.flatnonzero(np.linalg.norm(POINTS - shoulder_of(figure, arm), axis=1) < _FARTHEST)
     return np.asarray(np.random.default_rng(0).permutation(near))
 

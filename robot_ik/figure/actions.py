@@ -1,6 +1,7 @@
 """Reach, bend, jump and rest: each a run of frames with an exact end; and how one goes over into the next.
 
-All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end, so that a motion does
+All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end, so that a
+motion does
 not depend on place and heading.
 """
 
@@ -20,7 +21,8 @@ from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rota
 
 Array = NDArray[np.float64]
 
-# Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least durations, s.
+# Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
+# durations, s.
 _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
 # Fastest glance, rad/s (head turns of 3 to 6, a usual value).
 _GLANCE = 2.5
@@ -61,7 +63,7 @@ class Motion:
 
 
 def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
-    """``q`` and its stance, seen from the middle between the feet."""
+    """``q`` seen from the middle between its feet, and that stance (x, y, heading)."""
     stance = figure.stance(q)
     return _unplaced(figure, q, stance), stance
 
@@ -72,10 +74,12 @@ def _unplaced(figure: Figure, q: Array, stance: Array) -> Array:
 
 
 def seen_from(stance: Array, point: Array) -> Array:
+    """A point (3,) of the world seen from a stance."""
     return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
 
 
 def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
+    """A motion of a figure at the origin, put where its stance is."""
     turn = rotation("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
     target = None if motion.target is None else turn @ motion.target + [stance[0], stance[1], 0.0]
@@ -108,7 +112,7 @@ def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: f
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
-    return np.arange(1, int(round((duration + hold) / dt)) + 1) * dt
+    return np.arange(1, round((duration + hold) / dt) + 1) * dt
 
 
 def _duration(distance: float, speed: float) -> float:
@@ -147,7 +151,7 @@ def _turned(start: Array, end: Array, s: Array) -> Array:
 
 
 def _balanced(figure: Figure, solve: Callable[[Array], Frames], center: Array, dt: float) -> Frames:
-    """Frames over a planned centre of mass (n, 2), which is corrected once by the whole body's own dynamics."""
+    """Frames over a planned centre of mass (n, 2), corrected once by the whole body's own dynamics."""
     frames = solve(center)
     points, _ = zero_moment_points(figure, frames.q, dt)
     error = smooth(np.clip(points - center, -0.12, 0.12), 0.02 / dt)
@@ -222,7 +226,7 @@ def walk_motion(
 
 
 def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
-    """(6, ...) coefficients, highest first, of the polynomial with both ends' place, speed and acceleration."""
+    """(6, ...) coefficients, highest first, of a quintic with place, speed, acceleration of both ends."""
     matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
     right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
     return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
@@ -248,10 +252,11 @@ def decay(x0: Array, v0: Array, duration: float) -> Callable[[Array], Array]:
 def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:
     """``motion`` after another that was at ``second`` and then at ``first`` (nq,), without a jump.
 
-    Where the old motion would go on to, less where the new one is, decays joint by joint, and its speed with it; the
+    Where the old motion would go on to, less where the new one is, decays joint by joint, and its speed
+    with it; the
     feet are pinned again to what the new motion says.
     """
-    n = min(len(motion), int(round(BLEND / dt)) + 3)
+    n = min(len(motion), round(BLEND / dt) + 3)
     speed = figure.robot.difference(second, first) / dt
     ahead = figure.robot.integrate(first, speed * dt)
     gap = figure.robot.difference(motion.q[0], ahead)
@@ -286,7 +291,8 @@ def stop_walk(
 ) -> tuple[Motion, Walk]:
     """The rest of a walk that ends with the step in hand, a short one and the closing one.
 
-    The feet move as they did until then, so that the walk may be left at any frame: only the centre of mass goes
+    The feet move as they did until then, so that the walk may be left at any frame: only the centre of
+    mass goes
     over into its new plan (``join``).
 
     Args:
@@ -308,8 +314,8 @@ def stop_walk(
         half = figure.apart
         sign = 1 - 2 * short.side
         beside = Print(
-            swinging.side, short.x + sign * 2 * half * np.sin(short.yaw), short.y - sign * 2 * half * np.cos(short.yaw),
-            short.yaw,
+            swinging.side, short.x + sign * 2 * half * np.sin(short.yaw),
+            short.y - sign * 2 * half * np.cos(short.yaw), short.yaw,
         )  # fmt: skip
         prints = [*prints[:keep], short, beside]
     walked = walk(figure, start, prints, gait, dt=dt)

@@ -1,8 +1,8 @@
 """Balance: the centre of mass for a wanted zero-moment point, and the zero-moment point of given frames.
 
 The linear inverted pendulum x'' = ω² (x − p) with ω² = g / z: planned backwards by its divergent component
-ξ = x + x' / ω (Englsberger et al., *Trajectory generation for continuous leg forces*, Humanoids 2014), corrected
-by the zero-moment point that MuJoCo's inverse dynamics finds for the whole body.
+ξ = x + x' / ω (Englsberger et al., *Trajectory generation for continuous leg forces*, Humanoids 2014), and
+corrected by the zero-moment point that MuJoCo's inverse dynamics finds for the whole body.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class CenterPlan:
 def plan_center(
     nodes: Sequence[tuple[float, Array]], x: Array, omega: float, speed: Array | None = None
 ) -> CenterPlan:
-    """Centre of mass for a zero-moment point that runs straight from node to node and comes to rest at the last.
+    """Centre of mass for a zero-moment point that runs straight from node to node and rests at the last.
 
-    In the first piece the zero-moment point is constant, wherever it must be for a body at ``x`` with ``speed``
-    to meet the second: this is the shift backwards and to the swinging foot before the first step.
+    In the first piece the zero-moment point is constant, wherever it must be for a body at ``x`` with
+    ``speed`` to meet the second: this is the shift backwards and to the swinging foot before the first step.
 
     Args:
         nodes: (time, (2,) zero-moment point); the first gives the time of the start only.
@@ -87,7 +87,10 @@ def plan_center(
 
 
 def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Central speeds and accelerations, and forward speeds, (n, nv) each; zero where neighbours are missing."""
+    """Central speeds and accelerations, and forward speeds, (n, nv) each.
+
+    Zero where neighbours are missing.
+    """
     n, nv = len(q), figure.model.nv
     forward, speed, change = np.zeros((n, nv)), np.zeros((n, nv)), np.zeros((n, nv))
     for i in range(n - 1):
@@ -99,9 +102,10 @@ def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Arra
 
 
 def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Array]:
-    """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by MuJoCo's inverse dynamics.
+    """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by inverse dynamics.
 
-    The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends, where
+    The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends,
+    where
     there is no acceleration, they are those of rest.
     """
     model, data = figure.model, figure.data
@@ -191,7 +195,10 @@ def smooth(values: Array, sigma: float) -> Array:
 
 
 def monotone_curve(knots: Array, values: Array, t: Array) -> Array:
-    """Cubic curve through the knots that overshoots none of them (Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980)."""
+    """Cubic curve through the knots that overshoots none.
+
+    Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980.
+    """
     h, d = np.diff(knots), np.diff(values) / np.diff(knots)
     slope = np.zeros(len(knots))
     same = d[:-1] * d[1:] > 0

@@ -1,9 +1,13 @@
 """``decide``: reach, bend, jump, walk or nothing, by where a ball is and what the figure can do.
 
-In this order: a ball that a hand reaches standing is reached; else one that it reaches bending; else one that a jump
-brings the palm to; else, where some free stand point nearby has one of these, the figure walks there; else it does
-nothing.  Among the arms the one whose shoulder is nearer; within 20 mm the one that acted last, else the right.
-Pađen (2011) decides by fixed regions; here the regions are the model's own (``abilities``), and every "reach", "bend"
+In this order: a ball that a hand reaches standing is reached; else one that it reaches bending; else one
+that a jump
+brings the palm to; else, where some free stand point nearby has one of these, the figure walks there; else
+it does
+nothing.  Among the arms the one whose shoulder is nearer; within 20 mm the one that acted last, else the
+right.
+Pađen (2011) decides by fixed regions; here the regions are the model's own (``abilities``), and every
+"reach", "bend"
 and "jump" is confirmed before it is said.
 """
 
@@ -27,7 +31,8 @@ Array = NDArray[np.float64]
 ACTIONS = ("reach", "bend", "jump", "walk", "nothing")
 
 HYSTERESIS = 0.03
-"""A figure that reaches, bends or jumps goes on until the ball is so far outside what that action can do, m."""
+"""A figure that reaches, bends or jumps goes on until the ball is so far outside what that action can do,
+m."""
 WORKSPACE = 8.0
 """A ball farther away than this does not concern the figure, m."""
 _SAME_ARM = 0.02
@@ -141,9 +146,9 @@ class Decider:
         local = rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0])
         arms = self._arms(local, last)
         found = self._here(local, arms)
-        if last is not None and last.action in (REACH, BEND, "jump") and last.arm in arms:
-            if found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action):
-                found = self._still(local, last) or found
+        acted = last is not None and last.action in (REACH, BEND, "jump") and last.arm in arms
+        if acted and (found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action)):
+            found = self._still(local, last) or found
         return found or self._walk(point, stance, arms)
 
     def _look(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:

@@ -1,6 +1,7 @@
-"""``Figure``: a model with feet and hands, the shapes of its soles, and frames of its whole body solved in one go.
+"""``Figure``: a model with feet and hands, the shapes of its soles, and frames of its whole body.
 
-Everything is found in the model and in the table ``[figure]`` of its ``robot.toml``; any model that names two feet
+Everything is found in the model and in the table ``[figure]`` of its ``robot.toml``; any model that names
+two feet
 there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0.
 """
 
@@ -82,7 +83,7 @@ def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[A
             )
         else:
             raise ModelError(
-                f"the shape {model.geom(g).name!r} of a foot is no sphere, capsule, ellipsoid, box or cylinder",
+                f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
                 hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
             )
         places[:, index] = model.geom_pos[g] + local @ axes.T
@@ -267,7 +268,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
     kinds = robot.tree.kind
     if robot.nq != robot.model.nq or kinds[0] != FREE or not np.isin(kinds[1:], (HINGE, SLIDE)).all():
         raise ModelError(
-            f"{robot.name!r} cannot move as a figure: it needs a free base, and hinges or slides that all move",
+            f"{robot.name!r} cannot move as a figure: it needs a free base and hinges that all move",
             path=robot.path, hint="load it without `joints=`; split ball joints into hinges",
         )  # fmt: skip
     feet = {side: _foot(robot, side, parts.feet[side], parts.pelvis) for side in SIDES}
@@ -293,7 +294,8 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         trunk=parts.trunk,
         home=robot.home.copy(),
         bent=bent,
-        speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()} or {"daily": np.full(robot.nv, np.inf)},
+        speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()}
+        or {"daily": np.full(robot.nv, np.inf)},
         apart=apart,
         inertia=robot.inertias(),
         data=mujoco.MjData(robot.model),
@@ -413,7 +415,10 @@ class Rows:
     def aim(
         self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None
     ) -> None:
-        """The x axis of a frame at (3,) or (n, 3), served by some joints only: eyes that follow bend no trunk."""
+        """The x axis of a frame at (3,) or (n, 3), served by some joints only.
+
+        Eyes that follow bend no trunk.
+        """
         self._add(whole_body.AIM, frame, target, weight, joints=joints)
 
     def momentum(self, weight: ArrayLike = HARD) -> None:
@@ -428,7 +433,8 @@ class Rows:
 
     def solve(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE, steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
     ) -> Frames:  # fmt: skip
         """The frames.
 
@@ -441,7 +447,8 @@ class Rows:
             speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
             dt: Time between frames, s.
             steps: Most steps a frame.
-            rest, close: A step shorter than this (rad, m) was the last, if hard rows are this close.
+            rest: A step shorter than this (rad, m) was the last …
+            close: … if hard rows are this close.
         """
         figure, n = self.figure, self.frames
         target = np.ascontiguousarray(np.stack(self._target, axis=1).reshape(-1, 12))
@@ -453,8 +460,8 @@ class Rows:
         )
         before = start if second is None else second
         whole_body.solve_frames(
-            figure.robot.tree.handle, body, target, weight, postures, q, start.copy(), before.copy(), steps, rest,
-            close, miss, used,
+            figure.robot.tree.handle, body, target, weight, postures, q, start.copy(), before.copy(),
+            steps, rest, close, miss, used,
         )  # fmt: skip
         return Frames(q, miss, used)
 
@@ -478,10 +485,13 @@ class Rows:
             "held": np.zeros(nv, dtype=np.int64),
         }
         for name, shape in {
-            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10), "row": (3, nv),
-            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "turned": (hard, nv), "schur": (hard, hard),
+            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
+            "row": (3, nv),
+            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "turned": (hard, nv),
+            "schur": (hard, hard),
             "center": (3,), "previous": (robot.nq,), "way": (nv,), "miss": (3,), "wanted": (hard,),
-            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,), "multiplier": (hard,),
+            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
+            "multiplier": (hard,),
         }.items():  # fmt: skip
             arrays[name] = np.zeros(shape)
         return whole_body.WHOLE_BODY.pack(arrays)

@@ -1,8 +1,10 @@
 """Walking: footsteps, feet that roll, the centre of mass over them, and the frames of the whole body.
 
-A foot rolls on its true sole (``figure.Sole``), so that it neither slips nor sinks by construction; in the air its
-lowest point follows the same curve with a clearance.  The centre of mass is planned over a zero-moment point under
-the feet and corrected twice by the whole body's own dynamics (``balance``).  The pelvis goes as high as the legs
+A foot rolls on its true sole (``figure.Sole``), so that it neither slips nor sinks by construction; in the
+air its
+lowest point follows the same curve with a clearance.  The centre of mass is planned over a zero-moment
+point under
+the feet and corrected twice by the whole body's own dynamics (``balance``).  The pelvis goes as high as legs
 let it.  Human numbers: ``docs/figure.md``.
 """
 
@@ -52,7 +54,8 @@ class Gait:
         toe_out_deg: Toes outwards.
         pressure: Zero-moment point under the foot, from and to, before the ankle.
         dip, bob: When the pelvis is lowest after a strike, and how far it goes up and down.
-        late: How much later than by a cosine the foot arrives: one that waits before its strike holds the hips down.
+        late: How much later than by a cosine the foot arrives: one that waits before its strike holds the
+            hips down.
         turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
         lean_deg: Of the chest forwards.
         swing_deg: Of the arms.
@@ -199,7 +202,7 @@ class _Footfall:
 
 
 class _Plan:
-    """Times and places of the feet, of the zero-moment point and of the centre of mass, at all frames at once."""
+    """Times and places of the feet, the zero-moment point and the centre of mass, of all frames at once."""
 
     def __init__(self, figure: Figure, prints: Sequence[Print], gait: Gait, x: Array, dt: float) -> None:
         self.figure, self.prints, self.gait = figure, prints, gait
@@ -328,7 +331,10 @@ class _Plan:
         return pelvis, chest, heading
 
     def pelvis_height(self, pelvis: Array, offset: Array, knee_deg: float) -> Array:
-        """The highest pelvis that leaves the knees bent by that, as one wave a step; offset (n, 2) from the centre."""
+        """The highest pelvis that leaves the knees bent by that, as one wave a step.
+
+        Offset (n, 2) from the centre.
+        """
         gait, t = self.gait, self.times
         top = np.full(len(t), np.inf)
         for side, name in enumerate(SIDES):
@@ -431,7 +437,10 @@ def walk(
 def solve_walk_once(
     figure: Figure, prints: Sequence[Print], gait: Gait = WALK, dt: float = 1.0 / RATE
 ) -> int:
-    """Solves the frames of a walk over ``prints`` once, without corrections; returns how many: what a frame costs."""
+    """Solves the frames of a walk over ``prints`` once, without corrections.
+
+    Returns how many: what a frame costs.
+    """
     plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
     pelvis, _, heading = plan.trunk()
     height = plan.pelvis_height(pelvis, -0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
@@ -449,7 +458,7 @@ def _solve(
     rows = Rows(figure, len(plan.times))
     rows.feet(
         {name: plan.place[side] for side, name in enumerate(SIDES)},
-        {name: rotation("z", plan.yaw[side]) @ rotation("y", plan.pitch[side]) for side, name in enumerate(SIDES)},
+        {s: rotation("z", plan.yaw[k]) @ rotation("y", plan.pitch[k]) for k, s in enumerate(SIDES)},
     )  # fmt: skip
     rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
     pelvis, chest, heading = plan.trunk()

@@ -1,6 +1,7 @@
 """The jump: crouch, push, flight with the palm on the ball at the apex, landing.
 
-The centre of mass goes by quintics up to take-off and from landing, and by the parabola between; forwards it follows a
+The centre of mass goes by quintics up to take-off and from landing, and by the parabola between; forwards
+it follows a
 zero-moment point from mid foot to the toes and back.  In flight the angular momentum is kept at zero.
 """
 
@@ -21,19 +22,23 @@ from robot_ik.figure.poses import STIFF
 Array = NDArray[np.float64]
 
 TAKE_OFF = 2.6
-"""Fastest take-off of the centre of mass, m/s: trained men without run-up reach 2.4 to 2.9 (Bobbert et al. 1996)."""
+"""Fastest take-off of the centre of mass, m/s: trained men without run-up reach 2.4 to 2.9 (Bobbert et al.
+1996)."""
 _CROUCH, _READY, _STRETCH, _CALM = 0.18, 0.02, 0.015, 0.4
 """How far the centre goes down before the push; how much lower than home it waits, for straight knees hold no
-height; what is left of the legs at take-off; m; and how long the body takes to turn upright after landing, s."""
+height; what is left of the legs at take-off; m; and how long the body takes to turn upright after landing,
+s."""
 _PITCH_DEG, _LANDED = 50.0, 0.75
 """Sole at take-off, and the share of it at landing."""
 _TUCK = 0.07
 """How far the feet are drawn up in flight, m."""
 _LEAST = 1.7
-"""A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with a bent arm."""
+"""A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
+a bent arm."""
 _FINE = 0.002
 _MIDDLE = 0.01
-"""Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the crouch."""
+"""Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
+crouch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +47,8 @@ class JumpPlan:
 
     Attributes:
         speed: Of the centre of mass at take-off, m/s.
-        low, high, landed: Height of the centre in the crouch, at take-off and when the landing is absorbed, m.
+        low, high, landed: Height of the centre in the crouch, at take-off and when the landing is
+            absorbed, m.
         ends: Times at which waiting, crouch, push, flight, absorption and rising end, s.
         rising: From when on before take-off the heels rise, s.
         palm: (3,) the ball seen from the centre of mass at the apex.
@@ -155,7 +161,8 @@ class _Forward:
 def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forward:
     """x'' = ω² (x − p), ω² = (g + z'') / z: at rest at take-off, after landing and at the end.
 
-    p goes from mid foot to the toes and back, and bumps of it meet the end conditions, which are linear in their
+    p goes from mid foot to the toes and back, and bumps of it meet the end conditions, which are linear in
+    their
     sizes.  ``error``: times and what the whole body's zero-moment point was off by.
     """
     T, dt = plan.ends, _FINE
@@ -216,7 +223,10 @@ def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
 
 
 def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
-    """Angles of the arms: backwards in the crouch, forwards and up in the push, the acting one to its angle at the apex."""
+    """Angles of the arms: backwards in the crouch, forwards and up in the push.
+
+    The acting one to its angle at the apex.
+    """
     figure, arm, T = plan.figure, plan.arm, plan.ends
     other = "left" if arm == "right" else "right"
     knots = np.array(

@@ -1,4 +1,4 @@
-"""Poses that take a ball: the hand as near as it comes, the feet where they are, and what is wrong with a pose.
+"""Poses that take a ball: the hand as near as it comes, the feet where they are.
 
 All balls here are seen from the middle between the feet, x ahead.
 """
@@ -17,7 +17,8 @@ from robot_ik.figure.figure import HARD, Figure, Rows, lowest_points, rotation
 Array = NDArray[np.float64]
 
 AT_BALL, BALANCED, TOUCHING = 0.005, 0.010, 0.002
-"""Palm at most so far from the ball, centre of mass at least so far inside the soles' hull, self-contact at most so
+"""Palm at most so far from the ball, centre of mass at least so far inside the soles' hull, self-contact
+at most so
 deep, m: what an admissible pose is."""
 REACH, BEND = "reach", "bend"
 
@@ -92,7 +93,10 @@ class Pose:
 
 
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
-    """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``), feet where they are."""
+    """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
+
+    Feet where they are.
+    """
     limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
     pose = _attempt(figure, ball, arm, kind, limits)
     if not pose.flaw or pose.miss > _HOPELESS:

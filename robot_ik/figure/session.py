@@ -4,8 +4,9 @@
     session.send(SetBall((1.5, 0.4, 1.2)))
     frame = session.step()            # 60 times a second
 
-*Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the ball stays
-frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues: the next ``step`` carries it out.
+*Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the ball
+stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues: the next ``step`` carries
+it out.
 """
 
 from __future__ import annotations
@@ -98,9 +99,11 @@ class FigureFrame:
     speeds: str = "daily"
 
 
-# A ball that moved by less than this is where it was, m; a motion is not replaced more often than this, frames.
+# A ball that moved by less than this is where it was, m; a motion is not replaced more often than this,
+# frames.
 _MOVED, _OFTEN = 0.01, 6
-# Nearer than this to home, rad, it need not stand up first; farther than this from a stand point, it steps there.
+# Nearer than this to home, rad, it need not stand up first; farther than this from a stand point, it steps
+# there.
 _AT_EASE, _AT_STAND = 0.25, 0.01
 # Below this distance, m, and beyond this turn, rad, steps are small ones.
 _NEAR, _TURN = 1.0, np.radians(50.0)
@@ -175,13 +178,14 @@ class FigureSession:
     def run(self, seconds: float, sink: JointSink | None = None) -> list[FigureFrame]:
         """Frames of some time, each also put into a sink."""
         out = []
-        for _ in range(int(round(seconds / self.dt))):
+        for _ in range(round(seconds / self.dt)):
             out.append(self.step())
             if sink is not None:
                 sink.send(out[-1].q, out[-1].t)
         return out
 
-    # ------------------------------------------------------------------------------------------ what goes on inside
+    # ------------------------------------------------------------------------------------------ what goes
+    # on inside
 
     def _reset(self, place: tuple[float, float, float]) -> None:
         self._q = self._before = self.figure.placed(self.figure.home, *place)

@@ -182,7 +182,8 @@ def require_reached(report: FigureReport, tolerance: float = 0.005) -> None:
             raise NotConvergedError(f"after a {action} the hand is {1000 * miss:.1f} mm from the ball")
 
 
-# ------------------------------------------------------------------------------------------------- the table of frames
+# ------------------------------------------------------------------------------------------------- the
+# table of frames
 
 
 def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -> str:
@@ -204,8 +205,26 @@ def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -
     foot = [f"{side}_anchor_{axis}" for side in SIDES for axis in "xyz"]
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(
-        ["t", "action", "phase", *names, "left_contact", "right_contact", *foot, "com_x", "com_y", "com_z"]
-        + ["zmp_plan_x", "zmp_plan_y", "target_x", "target_y", "target_z", "hand", "decision", "seed"]
+        [
+            "t",
+            "action",
+            "phase",
+            *names,
+            "left_contact",
+            "right_contact",
+            *foot,
+            "com_x",
+            "com_y",
+            "com_z",
+            "zmp_plan_x",
+            "zmp_plan_y",
+            "target_x",
+            "target_y",
+            "target_z",
+            "hand",
+            "decision",
+            "seed",
+        ]
     )
     before = None
     for frame in frames:
@@ -229,7 +248,10 @@ def _digits(value: float) -> str:
 
 
 def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
-    """(3,) the world point that must not move: of a flat foot its frame, else where it touches; NaN in the air."""
+    """(3,) the world point that must not move: of a flat foot its frame, else where it touches.
+
+    NaN in the air.
+    """
     if frame.contact[side] == AIR:
         return np.full(3, np.nan)
     if frame.contact[side] == FLAT:
@@ -246,7 +268,7 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
     return best
 
 
-# ---------------------------------------------------------------------------------------------------------- pictures
+# Pictures
 
 
 class Painter:
@@ -269,14 +291,16 @@ class Painter:
             way = frame.ball - to
             to = to + 0.3 * way * min(1.0, 2.0 / max(float(np.linalg.norm(way)), 1e-9)) * [1, 1, 0]
         self._at = to if self._at is None else self._at + (to - self._at) * min(1.0, _FOLLOW / RATE)
-        camera = look_at(self._at + [2.6, -3.4, 0.9], self._at)
+        camera = look_at([*self._at, 2.6, -3.4, 0.9], self._at)
         ball = frame.ball if np.isfinite(frame.ball).all() else np.array([0.0, 0.0, -9.0])
         width, height = self._optics.size
         empty = np.full((height, width, 3), _PAPER, dtype=np.uint8)
         picture = draw_robot(
             empty, self._model, np.concatenate([frame.q, ball]), self._optics, camera, alpha=1.0
         )
-        return put_label(picture, f"{frame.action}\n{frame.decision.reason}", (16, 40), size=17)
+        return put_label(
+            picture, f"{frame.action}\n{frame.decision.reason}", (8, height - 36), size=max(11, width // 44)
+        )
 
 
 def _stage(figure: Figure, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
@@ -289,8 +313,8 @@ def _stage(figure: Figure, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
         for j in range(-8, 9):
             shade = 0.80 if (i + j) % 2 else 0.87
             world.add_geom(
-                type=kinds.mjGEOM_BOX, pos=[i, j, -0.011], size=[0.5, 0.5, 0.01], rgba=[shade, shade, shade - 0.02, 1],
-                contype=0, conaffinity=0,
+                type=kinds.mjGEOM_BOX, pos=[i, j, -0.011], size=[0.5, 0.5, 0.01],
+                rgba=[shade, shade, shade - 0.02, 1], contype=0, conaffinity=0,
             )  # fmt: skip
     for one in obstacles:
         if isinstance(one, Box):

@@ -5,10 +5,13 @@ Each frame minimises, from where the frame before it ended,
     Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  low <= q + dq <= high
 
 step after step (the linearised rows change with q), two to four steps a frame.  ``low`` and ``high`` are the
-joint limits and what the speed limits leave of them within one frame.  There are no levels of priority below the
-hard rows, no test of convergence on the soft ones, and so no restarts: ``lm`` has all that and costs three times
-as much.  The system of one step is solved by the Schur complement of its hard rows (Nocedal & Wright, *Numerical
-Optimization*, section 16.2); joints that a step would take over a bound are held there and the step is solved again.
+joint limits and what the speed limits leave of them within one frame.  There are no levels of priority
+below the
+hard rows, no test of convergence on the soft ones, and so no restarts: ``lm`` has all that and costs three
+    times
+as much.  A step is solved by the Schur complement of its hard rows (Nocedal & Wright, *Numerical
+Optimization*, section 16.2); joints that a step would take over a bound are held there and the step is
+solved again.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -22,7 +25,8 @@ from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, integrate
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
-"""Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis looks, and the angular
+"""Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis looks, and the
+angular
 momentum about the centre of mass since the frame before (kg m² rad)."""
 HARD = math.inf
 """The weight of a row that must hold."""
@@ -32,7 +36,8 @@ _LONGEST = 0.4
 # What a step costs by itself, beside posture weights of 0.02 and more; and the slack of the hard rows, which
 # keeps their system solvable where they depend on each other.
 _DAMPING, _SLACK = 1e-4, 1e-10
-# … and where they contradict each other, by what the bounds leave: much more, so that they are missed and not fled.
+# … and where they contradict each other, by what the bounds leave: much more, so that they are missed and
+# not fled.
 _YIELDING = 1e-2
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
 _MOMENTUM_SCALE = 0.1
@@ -54,7 +59,7 @@ WHOLE_BODY = Layout(
     world="table",  # (n, 12) from here on: work space
     scratch="table",  # (2, 12)
     pose="table",  # (g, 12)
-    carried="table",  # (n + 1, 10) mass, first moment and inertia about the centre of mass of what hangs on a node
+    carried="table",  # (n + 1, 10) mass, first moment, inertia of what hangs on a node
     center="floats",  # (3,)
     previous="floats",  # (nq,)
     way="floats",  # (nv,) from the frame before to here
@@ -79,8 +84,12 @@ _open = WHOLE_BODY.open
 
 @pure
 def log_between(a, i, b, j, out):
-    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3]; the smaller angle."""
-    # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3), 1978).
+    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3].
+
+    The smaller angle.
+    """
+    # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3),
+    # 1978).
     for r in range(3):
         for c in range(3):
             out[3 + 3 * r + c] = (
@@ -106,7 +115,7 @@ def log_between(a, i, b, j, out):
 
 @outlined
 def carry(tree, body):
-    """Centre of mass, and mass, first moment and inertia about it of what hangs on each node (composite bodies)."""
+    """Mass, first moment and inertia about the centre of mass of what hangs on each node."""
     inertia, carried, world, center = body.inertia, body.carried, body.world, body.center
     n = inertia.shape[0]
     whole = center[0] = center[1] = center[2] = 0.0
@@ -155,7 +164,7 @@ def carry(tree, body):
 
 @pure
 def mass_column(carried, center, world, k, ax, ay, az, turn):
-    """Velocity of the centre of mass and angular momentum about it, per unit of a degree of freedom of node k."""
+    """Velocity of the centre of mass and angular momentum about it, per unit of a freedom of node k."""
     m, sx, sy, sz = carried[k, 0], carried[k, 1], carried[k, 2], carried[k, 3]
     inverse = 1.0 / carried[carried.shape[0] - 1, 0]
     if not turn:
@@ -267,7 +276,10 @@ def measure_way(tree, body, q):
 
 @outlined
 def gather(tree, body, q, target, weight, t, posture):
-    """The quadratic form, its gradient and the hard rows at q; returns the number of hard rows and their miss."""
+    """The quadratic form, its gradient and the hard rows at q.
+
+    Returns the number of hard rows and their miss.
+    """
     matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
     nv = gradient.shape[0]
     forward(tree, tree.every, q, body.world, body.scratch)
@@ -464,7 +476,8 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
         start: (nq,) the frame before the first.
         second: (nq,) the frame before that, whose motion the first goes on with.
         steps: Most steps a frame.
-        rest, close: A step shorter than this (rad, m) was the last, if it leaves no hard row farther off than that.
+        rest: A step shorter than this (rad, m) was the last …
+        close: … if it leaves no hard row farther off than this.
         miss: (frames,) result: largest miss of a hard row (m, rad).
         used: (frames,) result: steps taken.
     """

@@ -1,6 +1,8 @@
-"""Ground truth of "reach" and "bend": seeded random starts of damped Gauss-Newton on MuJoCo; nothing is shared with the product.
+"""Ground truth of "reach" and "bend": seeded random starts of damped Gauss-Newton on MuJoCo; nothing is
+shared with the product.
 
-A pose is admissible (figure.md f) when it is inside limits, both feet stand where they stood, the centre of mass is over
+A pose is admissible (figure.md f) when it is inside limits, both feet stand where they stood, the centre
+of mass is over
 the soles, the palm at the ball, no shape but the soles under the floor, and no body runs into another.
 """
 
@@ -74,9 +76,9 @@ class Judge:
             return False
         for g in range(self.model.ngeom):
             name = self.model.body(self.model.geom_bodyid[g]).name
-            if self.model.geom_contype[g] and not name.endswith(("_foot", "_toes")):
-                if min(p[2] for p in self.lowest(g)) < 0.0:
-                    return False
+            touches = self.model.geom_contype[g] and not name.endswith(("_foot", "_toes"))
+            if touches and min(p[2] for p in self.lowest(g)) < 0.0:
+                return False
         mujoco.mj_forward(self.model, self.data)
         return all(self.data.contact[c].dist > -0.002 for c in range(self.data.ncon))
 
@@ -174,7 +176,8 @@ class Judge:
         return q
 
     def label(self, ball: Array, starts: int, seed: int) -> str | None:
-        """``reach``, ``bend``, ``neither``; None where another margin gives another answer (a border case)."""
+        """``reach``, ``bend``, ``neither``; None where another margin gives another answer (a border
+        case)."""
         answers = set()
         for near, inside in ((0.005, 0.010), (0.015, 0.0)):
             answer = "neither"

@@ -1,4 +1,7 @@
-"""Frames of a whole body against MuJoCo: hard rows, momentum, limits, speeds, rows that contradict each other."""
+"""Frames of a whole body against MuJoCo: hard rows, momentum, limits, speeds, rows that contradict each
+other."""
+
+import itertools
 
 import mujoco
 import numpy as np
@@ -51,7 +54,7 @@ def test_a_momentum_row_keeps_the_angular_momentum(figure: Figure) -> None:
     model, data = figure.model, mujoco.MjData(figure.model)
     matrix, way = np.zeros((3, model.nv)), np.zeros(model.nv)
     moved = 0.0
-    for a, b in zip(q[:-1], q[1:], strict=True):
+    for a, b in itertools.pairwise(q):
         data.qpos[:] = b
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -70,7 +73,8 @@ def test_no_joint_is_faster_than_its_limit(figure: Figure) -> None:
 
 
 def test_rows_that_contradict_each_other_are_missed_not_fled(figure: Figure) -> None:
-    """A hand that is to be five metres away: the body stays where it can be, and says by how much it misses."""
+    """A hand that is to be five metres away: the body stays where it can be, and says by how much it
+    misses."""
     rows = Rows(figure, 10)
     pinned(figure, figure.home, rows)
     rows.position("right_hand", np.array([5.0, 0.0, 1.0]))

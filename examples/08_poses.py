@@ -1,7 +1,7 @@
 """Key poses of the figure: record two by reaching, play them as a loop, blend into a walk, save all.
 
-    python examples/07_poses.py            prints what it made
-    python examples/07_poses.py FOLDER     and writes poses.toml, motion.csv and motion.bvh there
+    python examples/08_poses.py            prints what it made
+    python examples/08_poses.py FOLDER     and writes poses.toml, motion.csv and motion.bvh there
 
 Each reach takes the likeliest of all poses that put the hand there (a learned prior).  Prints how long the
 motion is, how high the hand goes and how far the figure walks.
