@@ -157,14 +157,14 @@ class Page:
         pressed(button, save)
 
     def _show(self, gui: viser.GuiApi) -> None:
-        self._trails = gui.add_checkbox("Trails and labels", True, hint="Over the scene (L)")
-        Control(self._trails, self._show_overlay)
+        trails = gui.add_checkbox("Trails and labels", True, hint="Over the scene (L)")
+        self._trails = Control(trails, self._show_overlay)
         handles = gui.add_checkbox("Goal handles", True, hint="Arrows that move the ball along one axis")
         Control(handles, lambda value: setattr(self._gizmo, "visible", value))
         arcs = gui.add_checkbox("Turn handles", False, hint="Arcs that turn the ball's pose")
         Control(arcs, lambda value: setattr(self._gizmo, "disable_rotations", not value))
         self._axes = gui.add_checkbox("Tool frames", False, hint="x red, y green, z blue")
-        Control(self._axes, lambda value: self._scene and self._scene.show_axes(value))
+        Control(self._axes, self._show_axes)
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
         Control(self._reach, self._show_reach)
         Control(gui.add_checkbox("Dark", self._dark, hint="For all browsers that look"), self._theme)
@@ -193,13 +193,13 @@ class Page:
                 self._bind(command, key)
 
     def _bind(self, handle: Any, key: Key) -> None:
-        @handle.on_trigger
-        async def _(event: Any) -> None:
+        async def pressed_key(event: Any) -> None:
             if key.command is not None:
                 self.session.send(key.command(self._view))
             else:
-                self._trails.value = not self._trails.value
-                self._show_overlay(self._trails.value)
+                self._show_overlay(not self._overlay)
+
+        handle.on_trigger(pressed_key)
 
     def _theme(self, dark: bool) -> None:
         """Panels, ground and background."""
@@ -219,8 +219,13 @@ class Page:
 
     def _show_overlay(self, shown: bool) -> None:
         self._overlay = shown
+        self._trails.handle.value = shown
         if self._scene is not None:
             self._scene.show_overlay(shown)
+
+    def _show_axes(self, shown: bool) -> None:
+        if self._scene is not None:
+            self._scene.show_axes(shown)
 
     def _show_reach(self, shown: bool) -> None:
         scene = self._scene

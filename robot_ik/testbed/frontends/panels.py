@@ -98,11 +98,12 @@ class Control:
     def __init__(self, handle: Any, act: Callable[[Any], None]) -> None:
         self.handle, self._touched = handle, -math.inf
 
-        @handle.on_update
-        async def _(event: Any) -> None:
+        async def changed(event: Any) -> None:
             if event.client is not None:  # what the program sets has none
                 self._touched = time.monotonic()
                 act(event.target.value)
+
+        handle.on_update(changed)
 
     @property
     def value(self) -> Any:
@@ -118,9 +119,10 @@ class Control:
 def pressed(button: Any, act: Callable[[Any], None]) -> None:
     """Calls ``act(event)`` when a person pressed the button."""
 
-    @button.on_click
-    async def _(event: Any) -> None:
+    async def clicked(event: Any) -> None:
         act(event)
+
+    button.on_click(clicked)
 
 
 def word_of(words: Mapping[str, Any], value: Any) -> str:
@@ -290,8 +292,8 @@ def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: 
     first, last = meta["usual"]
     if isinstance(value, int):
         return gui.add_slider(label, min(first, value), max(last, value), 1, value, hint=text)
-    step = 10.0 ** math.floor(math.log10((last - first) / 100.0))
-    return gui.add_slider(label, min(first, value), max(last, value), step, value, hint=text)
+    fine = 10.0 ** math.floor(math.log10((last - first) / 100.0))
+    return gui.add_slider(label, min(first, value), max(last, value), fine, value, hint=text)
 
 
 class GoalsPanel:
@@ -419,11 +421,11 @@ class MeasuredPanel:
         self._joints = gui.add_html("")
 
     def _plot(self, gui: viser.GuiApi, n: int, name: str) -> Any:
-        lines = [
+        lines: Any = [
             {"label": f"{k + 1}", "stroke": hexadecimal(colour), "width": 1.5}
             for k, colour in zip(range(n), INSTANCE_COLOURS, strict=False)
         ]
-        axis = {
+        axis: Any = {
             "stroke": _INK, "grid": {"stroke": _INK + "30", "width": 1}, "ticks": {"stroke": _INK + "50"},
             "font": "11px system-ui",
         }  # fmt: skip
