@@ -1,4 +1,4 @@
-"""The pictures of docs/testbed.md and of the README's first screen: python docs/make_screenshots.py
+"""Makes the pictures of docs/testbed.md and of the README's first screen: `python docs/make_screenshots.py`.
 
 Needs Chromium and the extras web and dev (playwright).  Each picture is the real page in a browser, without a
 GPU, after the session has run for some seconds; the colours are reduced to keep the files small.
@@ -69,6 +69,7 @@ SHOTS = (
 
 @contextmanager
 def served(shot: Shot) -> Iterator[tuple[Session, Page]]:
+    """The page of a picture, running."""
     link = arm_link(shot.start.robot, None, shot.bus) if shot.bus else None
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
@@ -84,11 +85,13 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page]]:
 
 
 def wait(holds: Callable[[], Any]) -> None:
+    """Returns when it holds."""
     while not holds():
         time.sleep(0.05)
 
 
 def take(browser: Any, shot: Shot) -> None:
+    """Takes one picture."""
     with served(shot) as (session, page):
         wait(lambda: session.ready and not session.busy)
         width, height = shot.size

@@ -433,7 +433,7 @@ class MeasuredPanel:
         return gui.add_uplot(
             (np.linspace(0.0, 1.0, 2), *(np.ones(2) for _ in range(n))), ({"label": "s"}, *lines),
             height=190, title=f"{name}, over seconds", scales={"x": {"time": False}, "y": scale},
-            axes=({**axis}, {**axis, "size": 56}), legend=uplot.Legend(show=False),
+            axes=(axis, axis | {"size": 56}), legend=uplot.Legend(show=False),
             cursor=uplot.Cursor(show=False), padding=(12, 14, 0, 0), visible=False,
         )  # fmt: skip
 
