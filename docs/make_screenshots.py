@@ -102,6 +102,8 @@ def take(browser: Any, shot: Shot) -> None:
         notice = window.locator(".mantine-Notification-closeButton")
         notice.first.click(timeout=PATIENCE)
         notice.first.wait_for(state="detached", timeout=PATIENCE)
+        if page._camera is not None:
+            page._camera.switch(True)
         for command in shot.commands:
             session.send(command)
         if shot.tab:

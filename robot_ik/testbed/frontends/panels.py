@@ -215,8 +215,7 @@ class _MethodFolder:
         self._place = gui.add_folder(f"Robot {k + 1}", visible=k == 0)
         with self._place:
             self._colour = gui.add_html("", visible=False)
-            titles = "; ".join(f"{name}: {solver.title}" for name, solver in SOLVERS.items())
-            menu = gui.add_dropdown("Method", tuple(SOLVERS), hint=titles)
+            menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
             self._options = gui.add_folder("Options", expand_by_default=k == 0)
         self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
 
