@@ -93,4 +93,4 @@ def _log(options: VideoOptions) -> CommandLog:
     if options.count not in COUNTS:
         raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
     start = Start(options.robot or SHOWN_ROBOT, methods=options.method)
-    return CommandLog(replace(start, count=options.count), ())  # type: ignore[arg-type]
+    return CommandLog(replace(start, count=options.count), ())

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +103,7 @@ class StageCamera:
             return None
         begin = time.monotonic()
         frame = self._source.read()
-        truth = frame.truth or {}
+        truth: Any = frame.truth or {}
         seen = sorted(truth.get("corners", {}))
         age = 1e3 * (time.monotonic() - begin)
         ids = ", ".join(map(str, seen)) or "none"

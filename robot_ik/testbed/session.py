@@ -180,6 +180,8 @@ class Session:
         self._ready: Ready | None = None
         self.arm = arm
         self.name = self.start.robot
+        self.robot: Robot
+        self.instances: list[Instance]
         self._stand(load_robot(self.name), self.start.count)
         self._preparer = _Preparer(
             Setup.of(self.start), self.robot, self._queue.put if beside else self._adopt

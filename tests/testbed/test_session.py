@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -402,3 +405,39 @@ def test_the_first_view_shows_the_robot_at_home_while_kernels_are_prepared() -> 
         data.qpos[:] = session.robot.qpos(session.robot.home)
         mujoco.mj_kinematics(session.robot.model, data)
         assert np.array_equal(view.instances[0].xpos, data.xpos)
+
+
+@pytest.mark.soak
+def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() -> None:
+    rng, session = np.random.default_rng(0), Session(Start(), beside=False)
+    kinds: list[Callable[[], Command]] = [
+        lambda: SetCount(rng.choice([1, 2, 4]).item()),
+        lambda: SetMethod(int(rng.integers(4)), str(rng.choice(["dls", "lm", "ccd", "sdls", "analytic"]))),
+        lambda: SetOption(int(rng.integers(4)), "damping", float(rng.uniform(0.0, 0.3))),
+        lambda: SetGoalKind(str(rng.choice(["pose", "position", "aim", "line", "plane"]))),  # type: ignore[arg-type]
+        lambda: SetMotion(str(rng.choice(["curve", "random", "hand"]))),  # type: ignore[arg-type]
+        lambda: MoveGoal(tuple(rng.uniform(-2.0, 2.0, 3).tolist())),
+        lambda: Nudge(tuple(rng.uniform(-0.1, 0.1, 3).tolist())),
+        lambda: DragLink(0, str(rng.choice(["link2", "world", "?"])), (0.0, 0.0, 0.0), (0.1, 0.4, 0.9)),
+        Release, Reset, lambda: SetRunning(bool(rng.integers(2))), lambda: SetSpeed(float(rng.uniform(0, 3))),
+        lambda: SetLimits(bool(rng.integers(2))), lambda: ShowBranches(bool(rng.integers(2))),
+        lambda: PickBranch(int(rng.integers(9))),
+        lambda: SetRobot(str(rng.choice(["puma560", "srs_arm", "ur5e", "nobody"]))),
+    ]  # fmt: skip
+
+    def minutes(count: int) -> float:
+        for _ in range(count * 60 * 60):
+            if rng.random() < 0.01:
+                session.send(kinds[rng.integers(len(kinds))]())
+            session.tick()
+        session.view()
+        session._log.clear()  # it grows by design: a few bytes a command
+        gc.collect()
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    begin = minutes(5)
+    grown = minutes(45) - begin
+    session.send(SetRobot("puma560"))
+    view = view_after(session, SetMethod(0, "dls"), SetGoalKind("pose"), Reset(), ticks=60)
+    assert view.instances[0].miss < 1e-3 and grown < 10.0, f"{grown:.1f} MB"

@@ -39,7 +39,7 @@ Image = NDArray[np.uint8]
 
 _LEFT, _RIGHT = 300, 350  # px
 _BRAND = (37, 99, 235)
-_PANEL_PERIOD, _TABLE_PERIOD = 0.2, 1.0  # seconds
+_PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
 _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
 # Cell, section and plane of the ground.
@@ -93,13 +93,13 @@ class Page:
         gui.set_panel_label("robot_ik testbed")
         self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
         self.server.scene.configure_default_lights(cast_shadow=shadows)
+        self._camera = None if camera is None else _CameraThread(camera)
         self._controls(gui)
-        self._readings(gui, camera)
+        self._readings(gui)
         self._keys(gui)
         self._add_gizmo()
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
-        self._camera = _CameraThread(camera, self._image, self._seen) if camera is not None else None
         self.draw(self._view)
 
     def close(self) -> None:
@@ -157,32 +157,33 @@ class Page:
         pressed(button, save)
 
     def _show(self, gui: viser.GuiApi) -> None:
-        self._trails = gui.add_checkbox("Trails and labels", True, hint="Over the scene (L)")
-        Control(self._trails, self._show_overlay)
+        trails = gui.add_checkbox("Trails and labels", True, hint="Over the scene (L)")
+        self._trails = Control(trails, self._show_overlay)
         handles = gui.add_checkbox("Goal handles", True, hint="Arrows that move the ball along one axis")
         Control(handles, lambda value: setattr(self._gizmo, "visible", value))
         arcs = gui.add_checkbox("Turn handles", False, hint="Arcs that turn the ball's pose")
         Control(arcs, lambda value: setattr(self._gizmo, "disable_rotations", not value))
         self._axes = gui.add_checkbox("Tool frames", False, hint="x red, y green, z blue")
-        Control(self._axes, lambda value: self._scene and self._scene.show_axes(value))
+        Control(self._axes, self._show_axes)
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
         Control(self._reach, self._show_reach)
         Control(gui.add_checkbox("Dark", self._dark, hint="For all browsers that look"), self._theme)
+        if self._camera is not None:
+            pictures = gui.add_checkbox("Camera pictures", False, hint="Four a second: a quarter of a core")
+            Control(pictures, self._camera.switch)
         wheel = gui.add_button(
             "Hand over", icon=viser.Icon.STEERING_WHEEL, hint="The next browser that acts drives"
         )
         pressed(wheel, lambda _: self.gate.hand_over())
 
-    def _readings(self, gui: viser.GuiApi, camera: object) -> None:
+    def _readings(self, gui: viser.GuiApi) -> None:
         """The panel on the right: what people look at; nothing to press, so nothing moves under the mouse."""
         panel = gui.add_panel()
         with panel.add_tab("Measured", viser.Icon.CHART_LINE):
             self._measured = MeasuredPanel(gui, self.session.send, self._view)
-        if camera is not None:
+        if self._camera is not None:
             with panel.add_tab("Camera", viser.Icon.CAMERA):
-                blank = np.full((180, 320, 3), 128, np.uint8)
-                self._image = gui.add_image(blank, format="jpeg", jpeg_quality=80)
-                self._seen = gui.add_html(page("<small>the first picture is on its way</small>"))
+                self._camera.add_to(gui)
         panel.dock_right()
         panel.set_width(_RIGHT)
 
@@ -193,13 +194,13 @@ class Page:
                 self._bind(command, key)
 
     def _bind(self, handle: Any, key: Key) -> None:
-        @handle.on_trigger
-        async def _(event: Any) -> None:
+        async def pressed_key(event: Any) -> None:
             if key.command is not None:
                 self.session.send(key.command(self._view))
             else:
-                self._trails.value = not self._trails.value
-                self._show_overlay(self._trails.value)
+                self._show_overlay(not self._overlay)
+
+        handle.on_trigger(pressed_key)
 
     def _theme(self, dark: bool) -> None:
         """Panels, ground and background."""
@@ -219,8 +220,13 @@ class Page:
 
     def _show_overlay(self, shown: bool) -> None:
         self._overlay = shown
+        self._trails.handle.value = shown
         if self._scene is not None:
             self._scene.show_overlay(shown)
+
+    def _show_axes(self, shown: bool) -> None:
+        if self._scene is not None:
+            self._scene.show_axes(shown)
 
     def _show_reach(self, shown: bool) -> None:
         scene = self._scene
@@ -356,18 +362,33 @@ class Page:
 
 
 class _CameraThread:
-    """Pictures of a camera, at most four a second, beside the loop."""
+    """Pictures of a camera, at most four a second, beside the loop; off until they are switched on."""
 
-    def __init__(self, read: Callable[[], tuple[Image, str] | None], image: Any, text: Any) -> None:
-        self._read, self._image, self._text = read, image, text
+    _OFF = page("<small>no pictures: switch them on under Show, on the left</small>")
+
+    def __init__(self, read: Callable[[], tuple[Image, str] | None]) -> None:
+        self._read, self._shown = read, threading.Event()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work, name="testbed-camera", daemon=True)
+
+    def add_to(self, gui: viser.GuiApi) -> None:
+        """Picture and text, where the caller is adding things."""
+        self._image = gui.add_image(np.full((180, 320, 3), 128, np.uint8), format="jpeg", jpeg_quality=80)
+        self._text = gui.add_html(self._OFF)
         self._thread.start()
 
+    def switch(self, on: bool) -> None:
+        """Pictures, or none."""
+        if on:
+            self._shown.set()
+        else:
+            self._shown.clear()
+            self._text.content = self._OFF
+
     def _work(self) -> None:
-        while not self._over.wait(0.25):
-            found = self._read()
-            if found is not None:
+        while not self._over.wait(_CAMERA_PERIOD):
+            found = self._read() if self._shown.is_set() else None
+            if found is not None and self._shown.is_set():
                 self._image.image = found[0]
                 self._text.content = page(found[1])
 

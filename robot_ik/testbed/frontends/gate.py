@@ -170,6 +170,7 @@ class Gate:
         if not budget.take() or check is None:
             self.dropped[kind[:40]] += 1
             return False
+        assert isinstance(raw, bytes)
         vm.Message.deserialize(raw)  # fields and their types as viser has them; it raises whatever it likes
         if self._server is None or not (_finite(message) and check(self._server, message)):
             raise Malformed(kind)
@@ -361,7 +362,7 @@ class SharedEvent(asyncio.Event):
         self._own = loop
 
     def set(self) -> None:
-        """On the loop's thread: wakes all that wait.  On others: is set; viser asks the loop to do the rest."""
+        """On the loop's thread: wakes all that wait.  On others: viser asks the loop to do so next."""
         self._value = True
         try:
             here = asyncio.get_running_loop()

@@ -98,11 +98,12 @@ class Control:
     def __init__(self, handle: Any, act: Callable[[Any], None]) -> None:
         self.handle, self._touched = handle, -math.inf
 
-        @handle.on_update
-        async def _(event: Any) -> None:
+        async def changed(event: Any) -> None:
             if event.client is not None:  # what the program sets has none
                 self._touched = time.monotonic()
                 act(event.target.value)
+
+        handle.on_update(changed)
 
     @property
     def value(self) -> Any:
@@ -118,9 +119,10 @@ class Control:
 def pressed(button: Any, act: Callable[[Any], None]) -> None:
     """Calls ``act(event)`` when a person pressed the button."""
 
-    @button.on_click
-    async def _(event: Any) -> None:
+    async def clicked(event: Any) -> None:
         act(event)
+
+    button.on_click(clicked)
 
 
 def word_of(words: Mapping[str, Any], value: Any) -> str:
@@ -213,8 +215,7 @@ class _MethodFolder:
         self._place = gui.add_folder(f"Robot {k + 1}", visible=k == 0)
         with self._place:
             self._colour = gui.add_html("", visible=False)
-            titles = "; ".join(f"{name}: {solver.title}" for name, solver in SOLVERS.items())
-            menu = gui.add_dropdown("Method", tuple(SOLVERS), hint=titles)
+            menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
             self._options = gui.add_folder("Options", expand_by_default=k == 0)
         self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
 
@@ -290,8 +291,8 @@ def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: 
     first, last = meta["usual"]
     if isinstance(value, int):
         return gui.add_slider(label, min(first, value), max(last, value), 1, value, hint=text)
-    step = 10.0 ** math.floor(math.log10((last - first) / 100.0))
-    return gui.add_slider(label, min(first, value), max(last, value), step, value, hint=text)
+    fine = 10.0 ** math.floor(math.log10((last - first) / 100.0))
+    return gui.add_slider(label, min(first, value), max(last, value), fine, value, hint=text)
 
 
 class GoalsPanel:
@@ -419,11 +420,11 @@ class MeasuredPanel:
         self._joints = gui.add_html("")
 
     def _plot(self, gui: viser.GuiApi, n: int, name: str) -> Any:
-        lines = [
+        lines: Any = [
             {"label": f"{k + 1}", "stroke": hexadecimal(colour), "width": 1.5}
             for k, colour in zip(range(n), INSTANCE_COLOURS, strict=False)
         ]
-        axis = {
+        axis: Any = {
             "stroke": _INK, "grid": {"stroke": _INK + "30", "width": 1}, "ticks": {"stroke": _INK + "50"},
             "font": "11px system-ui",
         }  # fmt: skip
@@ -431,7 +432,7 @@ class MeasuredPanel:
         return gui.add_uplot(
             (np.linspace(0.0, 1.0, 2), *(np.ones(2) for _ in range(n))), ({"label": "s"}, *lines),
             height=190, title=f"{name}, over seconds", scales={"x": {"time": False}, "y": scale},
-            axes=({**axis}, {**axis, "size": 56}), legend=uplot.Legend(show=False),
+            axes=(axis, axis | {"size": 56}), legend=uplot.Legend(show=False),
             cursor=uplot.Cursor(show=False), padding=(12, 14, 0, 0), visible=False,
         )  # fmt: skip
 

@@ -86,7 +86,7 @@ class Ghosts:
 
 def _poses(count: int) -> tuple[Floats, Floats]:
     """Quaternions (n, 4) and places (n, 3) of what is not shown yet."""
-    return np.tile(np.float32([1, 0, 0, 0]), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
+    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
 
 
 class Scene:
@@ -221,7 +221,9 @@ class Scene:
 
     def _draw_ghosts(self, view: View) -> None:
         branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]
-        arm = [] if view.arm is None or view.arm.xpos is None else [(view.arm.xpos, view.arm.xquat)]
+        arm = []
+        if view.arm is not None and view.arm.xpos is not None and view.arm.xquat is not None:
+            arm = [(view.arm.xpos, view.arm.xquat)]
         for name, colour, count, poses in (
             ("branches", _BRANCH_COLOUR, GHOSTS, branches),
             ("arm", _ARM_COLOUR, 1, arm),

@@ -321,6 +321,7 @@ class SessionWindow:
         """A window for the session's robot; another robot needs another one."""
         mujoco, robot = self._mujoco, self.session.robot
         self._robot, self._count = robot, self._view.count
+        self._grabbed = False
         self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
         self._stage = staged(robot, self._count)
         self._model, self._ball = _with_ball(mujoco, robot, self._stage.extent)
@@ -381,8 +382,9 @@ class SessionWindow:
 
     def _take_drag(self) -> None:
         """``sync`` writes what the mouse did into the ball's mocap pose."""
-        place = self._data.mocap_pos[self._ball].copy()
-        if np.isfinite(self._placed).all() and np.abs(place - self._placed).max() > _MOVED:
+        place, active = self._data.mocap_pos[self._ball].copy(), bool(self._viewer.perturb.active)
+        grabbed, self._grabbed = self._grabbed or active, active  # the last move comes with the release
+        if grabbed and np.isfinite(self._placed).all() and np.abs(place - self._placed).max() > _MOVED:
             self._placed = place
             x, y, z = (float(value) for value in place - self._stage.offsets[0])
             self.session.send(MoveGoal((x, y, z)))
