@@ -675,7 +675,7 @@ class PostureGoal(Goal):
         """The same goal with other joint angles (nq,)."""
         return replace(self, q=q)
 
-    def heed(self, robot: Robot) -> Array:
+    def joint_weights(self, robot: Robot) -> Array:
         """(nv,) how much each degree of freedom counts.
 
         Raises:
@@ -684,21 +684,27 @@ class PostureGoal(Goal):
         for joint in self.joints:
             if joint not in robot.joints:
                 raise UnknownJointError(joint, robot.joints)
-        heed = np.empty(robot.nv)
+        joint_weights = np.empty(robot.nv)
         for k, joint in enumerate(robot.joints):
             v = int(robot.tree.vadr[k])
-            heed[v : v + V_WIDTH[int(robot.tree.kind[k])]] = self.joints.get(joint, 0.0 if self.only else 1.0)
-        return heed
+            joint_weights[v : v + V_WIDTH[int(robot.tree.kind[k])]] = self.joints.get(
+                joint, 0.0 if self.only else 1.0
+            )
+        return joint_weights
 
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         if not self.weight > 0.0:
             return 0.0, 0.0
-        tree, heed, way = robot.tree, self.heed(robot), robot.difference(q, np.asarray(self.q))
+        tree, joint_weights, way = (
+            robot.tree,
+            self.joint_weights(robot),
+            robot.difference(q, np.asarray(self.q)),
+        )
         led = {int(node) for node in tree.tied[:, 0]}
         metres = radians = 0.0
         for k in range(tree.size):
             v, kind = int(tree.vadr[k]), int(tree.kind[k])
-            if not heed[v] > 0.0 or k in led:
+            if not joint_weights[v] > 0.0 or k in led:
                 continue
             if kind in (SLIDE, FREE):
                 metres = max(metres, float(np.abs(way[v : v + (3 if kind == FREE else 1)]).max()))

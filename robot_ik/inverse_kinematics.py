@@ -23,7 +23,7 @@ from robot_ik.problem import Budget, Problem, checked_goals, goal_kind, require_
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution, Status, short_numbers
 from robot_ik.solvers import make_solver
-from robot_ik.solvers.base import Answers, Solver
+from robot_ik.solvers.base import BatchResult, Solver
 
 # ------------------------------------------------------------------------------------------
 # Many poses at once: arrays in, arrays out, all cores, no Python for each pose (``solve_batch``).
@@ -95,11 +95,11 @@ def run_batch(
     """
     if threads is not None and threads < 1:
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
-    answers = Answers.empty(len(targets), starts.shape[1])
+    answers = BatchResult.empty(len(targets), starts.shape[1])
     most = len(targets) // _LEAST_PER_THREAD
     count = min(threads or usable_cores(), most) if most > 1 else 1
 
-    def part(targets: Array, starts: Array, answers: Answers) -> str:
+    def part(targets: Array, starts: Array, answers: BatchResult) -> str:
         with parts() as (method, problem):
             method.solve_many(problem, targets, starts, answers)
         return method.name

@@ -152,7 +152,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "column": np.append(np.arange(len(dofs)), [u for _, u, _ in tied]).astype(np.int64),
         "moved": movers,
         "moves": _table([[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved], len(movers)),
-        "ease": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
+        "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
         "tied": np.array(tied, dtype=np.int64).reshape(-1, 3),
         "posture": np.zeros((count, robot.nq)),
         "joint_weight": np.zeros((count, robot.nv)),
@@ -208,7 +208,7 @@ def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal)
             hint="start from robot.home and change what matters",
         )
     arrays["posture"][g] = goal.q
-    arrays["joint_weight"][g] = goal.heed(robot)
+    arrays["joint_weight"][g] = goal.joint_weights(robot)
 
 
 def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int:
@@ -264,8 +264,8 @@ def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
     """Joints whose motion the goal feels."""
     tree = robot.tree
     if isinstance(goal, PostureGoal):
-        heed = goal.heed(robot)
-        return {int(tree.dof_node[v]) for v in range(tree.nv) if heed[v] > 0.0}
+        joint_weights = goal.joint_weights(robot)
+        return {int(tree.dof_node[v]) for v in range(tree.nv) if joint_weights[v] > 0.0}
     if isinstance(goal, PosePriorGoal) and goal.prior is not None:
         return {int(node) for node in goal.prior.places(robot)[:, NODE]}
     if goal.rows.of == OF_MASS:
@@ -496,7 +496,7 @@ class Problem:
             found.add("soft")
         elif len({goal.priority for goal in self.given}) > 1:
             found.add("priorities")
-        if (arrays["ease"] != 1.0).any():
+        if (arrays["joint_scale"] != 1.0).any():
             found.add("stiffness")
         return frozenset(found)
 

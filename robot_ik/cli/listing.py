@@ -235,7 +235,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "goals": [goal.name for goal in kind.goals],
         "every_goal": kind.parts and set(kind.goals) >= set(GOALS),
         "parts": kind.parts,
-        "honours": sorted(kind.honours),
+        "capabilities": sorted(kind.capabilities),
         "options": options,
     }
 
@@ -252,7 +252,7 @@ def _print_solver(facts: dict[str, Any]) -> None:
     head = console.table(facts["name"], facts["title"])
     head.add_row("goals", goals_text(facts))
     head.add_row("parts of a pose", "yes" if facts["parts"] else "no")
-    head.add_row("honours", ", ".join(facts["honours"]) or "nothing more")
+    head.add_row("capabilities", ", ".join(facts["capabilities"]) or "nothing more")
     head.add_row("source", Text(facts["source"]))
     screen.print(head)
     screen.print()

@@ -4,9 +4,9 @@
     session.send(SetBall((1.5, 0.4, 1.2)))
     frame = session.step()            # 60 times a second
 
-*Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the ball
-stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues: the next ``step`` carries
-it out.
+*Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the
+ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues: the next ``step``
+carries it out.
 """
 
 from __future__ import annotations

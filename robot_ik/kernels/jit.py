@@ -193,7 +193,7 @@ def announce(function: Any, what: str) -> None:
 
 
 @intrinsic
-def keep_apart(_typing: Any) -> Any:
+def noinline(_typing: Any) -> Any:
     """Marks the compiled function that calls it; does nothing when it runs."""
 
     def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:

@@ -122,7 +122,7 @@ def draw(tree, nodes, start, state, q):
 @outlined
 def apply_step(tree, goal, nodes, step, dq, q):
     """q = q ⊕ ease · step for the goals' degrees of freedom, inside the limits; ``dq`` is work space."""
-    dofs, ease = goal.dofs, goal.ease
+    dofs, joint_scale = goal.dofs, goal.joint_scale
     kind, qadr, vadr, dof_node, lower, upper = (
         tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
     )  # fmt: skip
@@ -132,10 +132,10 @@ def apply_step(tree, goal, nodes, step, dq, q):
         k = dof_node[v]
         if kind[k] < BALL:
             a = qadr[k]
-            q[a] = min(max(q[a] + ease[u] * step[u], lower[v]), upper[v])
+            q[a] = min(max(q[a] + joint_scale[u] * step[u], lower[v]), upper[v])
         else:
             floating = True
-            dq[v] = ease[u] * step[u]
+            dq[v] = joint_scale[u] * step[u]
     if tree.tied.shape[0] > 0:
         follow(tree, q)
     if not floating:
@@ -154,20 +154,20 @@ def apply_step(tree, goal, nodes, step, dq, q):
 
 
 @pure
-def room(tree, goal, work):
+def step_bounds(tree, goal, work):
     """How far each degree of freedom may still go from work.q: work.low <= step <= work.high.
 
     In units of the step, which ``apply_step`` shortens for stiff joints.
     """
     kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
-    dofs, ease, q, low, high = goal.dofs, goal.ease, work.q, work.low, work.high
+    dofs, joint_scale, q, low, high = goal.dofs, goal.joint_scale, work.q, work.low, work.high
     for u in range(dofs.shape[0]):
         v = dofs[u]
         k = dof_node[v]
         if kind[k] < BALL:
             a = qadr[k]
-            low[u] = min(lower[v] - q[a], 0.0) / ease[u]
-            high[u] = max(upper[v] - q[a], 0.0) / ease[u]
+            low[u] = min(lower[v] - q[a], 0.0) / joint_scale[u]
+            high[u] = max(upper[v] - q[a], 0.0) / joint_scale[u]
         else:
             # A ball's cone is kept by projection after the step; here a step stays below half a turn.
             low[u] = -3.0

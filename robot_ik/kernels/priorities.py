@@ -29,8 +29,8 @@ from robot_ik.kernels.loop import (
     judge,
     measure,
     record,
-    room,
     some_within_reach,
+    step_bounds,
 )
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import open_tree
@@ -310,7 +310,7 @@ def stacked_step(tree, goal, work, top, damping):
     step, low, high, side = work.step, work.low, work.high, work.side
     n, needed = step.shape[0], needed_levels(goal)
     goal_jacobian(tree, goal, work, work.frames)
-    room(tree, goal, work)
+    step_bounds(tree, goal, work)
     for u in range(n):
         side[u] = 0
     pressed = 0

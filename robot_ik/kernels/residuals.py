@@ -5,8 +5,8 @@ those of the frame's motion, so that J dq ≈ r is the step wanted.  The *miss* 
 and radians, and decides convergence.
 
 Columns belong to ``goal.dofs``.  A joint that is *tied* to another has no column: what it does is added
-to that of its leader.  A stiff joint's column is shortened by ``goal.ease``, and ``apply_step`` shortens
-the step by the same: minimising the damped step then spares the joint (weighted least squares,
+to that of its leader.  A stiff joint's column is shortened by ``goal.joint_scale``, and ``apply_step``
+shortens the step by the same: minimising the damped step then spares the joint (weighted least squares,
 Whitney, J. Dynamic Systems, Measurement and Control 94(4), 1972).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -44,8 +44,8 @@ from robot_ik.kernels.workspace import open_work
 #
 #     place   all three coordinates, some of them in the axes of the target, or one side of a plane only
 #     turn    the whole orientation, one axis along the target's, or one axis aimed at the target's origin
-#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves, one by one or
-#             by a pose prior (``pose_prior.py``)
+#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves, one by one
+#             or by a pose prior (``pose_prior.py``)
 #
 # The axis that counts is always z: ``Problem`` turns frame and target so that it is.
 
@@ -129,12 +129,12 @@ def joint_rows(tree, goal, work, g):
             b = a + 3 if kind[k] == FREE else a
             x, y, z = rotation_back(q, b, wanted[g, b], wanted[g, b + 1], wanted[g, b + 2], wanted[g, b + 3])
             off = x if i % 3 == 0 else (y if i % 3 == 1 else z)
-        heed = goal.joint_weight[g, v]
+        joint_weights = goal.joint_weight[g, v]
         shift = kind[k] == SLIDE or (kind[k] == FREE and i < 3)
-        w = heed * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+        w = joint_weights * (goal.weight[g, 0] if shift else goal.weight[g, 1])
         residual[goal.row[g] + u] = w * off
         cost += w * w * off * off
-        if heed > 0.0:
+        if joint_weights > 0.0:
             size = math.sqrt(x * x + y * y + z * z) if kind[k] >= BALL and not shift else abs(off)
             if shift:
                 metres = max(metres, size)
@@ -317,7 +317,7 @@ GOALS = Layout(
     mover_count="ints",  # (g,) … so many; the last c are the tied ones
     hits="int_table",  # (nu, m) the rows in which a column may not be zero, first …
     hit_count="ints",  # (nu,) … and how many
-    ease="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
+    joint_scale="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
     tied="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is tied
     masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
     moments="table",  # … and their work space
@@ -426,7 +426,7 @@ def goal_jacobian(tree, goal, work, points):
     ``points`` (g, 12) are the poses whose origins the position rows move: work.frames, or goal.target
     for the alternative Jacobian.
     """
-    dofs, ease, jacobian = goal.dofs, goal.ease, work.jacobian
+    dofs, joint_scale, jacobian = goal.dofs, goal.joint_scale, work.jacobian
     for g in range(goal.kind.shape[0]):
         if goal.kind[g] != PARTIAL:
             whole_columns(tree, goal, work, points, g, types.int64(0), goal.mover_count[g])
@@ -436,9 +436,9 @@ def goal_jacobian(tree, goal, work, points):
     if goal.tied.shape[0] > 0:
         add_tied(tree, goal, work, points)
     for u in range(dofs.shape[0]):
-        if ease[u] != 1.0:
+        if joint_scale[u] != 1.0:
             for r in range(jacobian.shape[0]):
-                jacobian[r, u] *= ease[u]
+                jacobian[r, u] *= joint_scale[u]
 
 
 @kernel

@@ -51,7 +51,7 @@ def option(
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class BatchResult:
     """Where a batch puts its answers, row by row.
 
     Attributes:
@@ -68,14 +68,14 @@ class Answers:
     restarts: NDArray[np.int64]
 
     @classmethod
-    def empty(cls, count: int, nq: int) -> Answers:
+    def empty(cls, count: int, nq: int) -> BatchResult:
         """Room for ``count`` answers."""
         status, iterations, restarts = np.zeros((3, count), dtype=np.int64)
         return cls(np.zeros((count, nq)), status, np.zeros((count, 2)), iterations, restarts)
 
-    def part(self, rows: slice) -> Answers:
+    def part(self, rows: slice) -> BatchResult:
         """A view of some rows: what is written there is written here."""
-        return Answers(*(getattr(self, item.name)[rows] for item in fields(self)))
+        return BatchResult(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+        capabilities: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
             ``soft`` goals.
     """
 
@@ -96,7 +96,7 @@ class Solver(ABC):
     source: ClassVar[str] = ""
     goals: ClassVar[tuple[type[Goal], ...]] = GOALS
     parts: ClassVar[bool] = False
-    honours: ClassVar[frozenset[str]] = frozenset()
+    capabilities: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -134,7 +134,7 @@ class Solver(ABC):
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
                 return f"a {goal.name}" + (" that asks for single axes only" if part else "")
-        for feature in sorted(problem.features - self.honours):
+        for feature in sorted(problem.features - self.capabilities):
             return _FEATURES[feature]
         return ""
 
@@ -163,7 +163,7 @@ class Solver(ABC):
         finally:
             turn.append(None)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
+    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: BatchResult) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
         The problem's budget is that of each row.
@@ -186,7 +186,7 @@ class Solver(ABC):
         """``solve`` within what others left of the budget; the caller has the problem's turn."""
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
         for row in range(len(targets)):
@@ -391,7 +391,7 @@ class JacobianSolver(IterativeSolver):
 
     parts: ClassVar[bool] = True
     unseen: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
     try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)

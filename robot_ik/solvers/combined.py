@@ -23,7 +23,7 @@ from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
-from robot_ik.solvers.base import Answers, Solver, option, take_start
+from robot_ik.solvers.base import BatchResult, Solver, option, take_start
 from robot_ik.solvers.first_choice import FIRST_CHOICE
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Combined(Solver):
 
     parts: ClassVar[bool] = True
     # Those of its methods that can.
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
@@ -148,7 +148,7 @@ class Combined(Solver):
         return best
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         """Each method takes all poses that the ones before it missed, with what they left of the budget."""
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
@@ -162,7 +162,7 @@ class Combined(Solver):
         problem: Problem,
         targets: Array,
         starts: Array,
-        answers: Answers,
+        answers: BatchResult,
         budget: Budget,
     ) -> None:
         members[0].attempt_many(problem, targets, starts, answers, budget)
@@ -177,7 +177,7 @@ class Combined(Solver):
         last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
         for member in members[1:]:
             for rows, rest in _shares(budget, left, answers, proven):
-                part = Answers.empty(len(rows), answers.q.shape[1])
+                part = BatchResult.empty(len(rows), answers.q.shape[1])
                 member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
                 cost[part.status == Status.CONVERGED] = -1.0
@@ -231,7 +231,7 @@ def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven
 
 
 def _shares(
-    budget: Budget, left: Rows, answers: Answers, proven: NDArray[np.bool_]
+    budget: Budget, left: Rows, answers: BatchResult, proven: NDArray[np.bool_]
 ) -> Iterator[tuple[Rows, Budget]]:
     """Those of the rows ``left`` (n,) that have the same rest of the budget, and that rest."""
     if not len(left):
@@ -323,7 +323,7 @@ class Auto(Combined):
         return self._after_first(solution, members, problem, start, budget)
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         turns = self._turns(problem)
         if turns.near is None or budget.seconds is not None or not budget.iterations:
@@ -337,7 +337,7 @@ class Auto(Combined):
             self._many_in_turn(members, problem, targets, starts, answers, budget)
             return
         for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
-            part = Answers.empty(int(here.sum()), answers.q.shape[1])
+            part = BatchResult.empty(int(here.sum()), answers.q.shape[1])
             self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
-            for item in fields(Answers):
+            for item in fields(BatchResult):
                 getattr(answers, item.name)[here] = getattr(part, item.name)

@@ -18,9 +18,9 @@ from typing import ClassVar
 from robot_ik.kernels.jacobian_step import (
     NEGLIGIBLE,
     cap,
+    extra_damping,
     filtered_step,
     keep_inside,
-    mistrust,
     pin_downhill,
     pin_outward,
     prepare,
@@ -64,7 +64,7 @@ class DampedLeastSquares(JacobianSolver):
 @outlined
 def box_damped(goal, work, damping):
     """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly; among few rows."""
-    normal, step, strength = work.normal, work.step, damping * damping + mistrust(work)
+    normal, step, strength = work.normal, work.step, damping * damping + extra_damping(work)
     m, n = work.jacobian.shape
     if m < n:
         row_products(work.jacobian, work.wanted, goal.hits, goal.hit_count, normal, work.gradient)
@@ -95,7 +95,7 @@ def svd_damped(work, damping, adaptive, threshold):
         strength = damping
         if adaptive:
             strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
-        filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + mistrust(work)))
+        filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + extra_damping(work)))
         if not pin_outward(work):
             break
     keep_inside(work)

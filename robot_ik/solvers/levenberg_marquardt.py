@@ -24,7 +24,7 @@ from robot_ik.kernels.jacobian_step import clamp_residual
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, room
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, step_bounds
 from robot_ik.kernels.priorities import lm_levels
 from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, goal_jacobian, open_goals
 from robot_ik.kernels.rotations import curvature
@@ -49,7 +49,7 @@ from robot_ik.kernels.workspace import (
     open_work,
 )
 from robot_ik.problem import Budget, CompiledProblem, Problem
-from robot_ik.solvers.base import Answers, IterativeSolver, option
+from robot_ik.solvers.base import BatchResult, IterativeSolver, option
 
 # ------------------------------------------------------------------------------------------
 # What Gauss-Newton leaves out: how the Jacobian itself turns, weighed with the residual.
@@ -86,7 +86,7 @@ def second_order(tree, goal, work, out):
     and φ = log(R_target Rᵀ), the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), as
     follows from φ' = −J_r⁻¹(φ) ω and b' = a × b (k of ``curvature``).
     """
-    kinds, vadr, dof_node, ease = tree.kind, tree.vadr, tree.dof_node, goal.ease
+    kinds, vadr, dof_node, joint_scale = tree.kind, tree.vadr, tree.dof_node, goal.joint_scale
     world, residual, jacobian = work.world, work.residual, work.jacobian
     n = goal.dofs.shape[0]
     for i in range(n):
@@ -109,7 +109,7 @@ def second_order(tree, goal, work, out):
             ax, ay, az, turn = dof_axis(kinds, world, node, goal.dofs[j] - vadr[node])
             if not turn:
                 continue
-            s = ease[j]
+            s = joint_scale[j]
             # e · (a × v) = v · (e × a), and φ · (a × b) = b · (φ × a).
             px, py, pz = s * (ey * az - ez * ay), s * (ez * ax - ex * az), s * (ex * ay - ey * ax)
             qx, qy, qz = fy * az - fz * ay, fz * ax - fx * az, fx * ay - fy * ax
@@ -131,7 +131,7 @@ def second_order(tree, goal, work, out):
                 product = 0.0
                 for r in range(turned, turned + 3):
                     product += jacobian[r, i] * jacobian[r, j]
-                out[i, j] += weight * weight * s * ease[i] * hessian - product
+                out[i, j] += weight * weight * s * joint_scale[i] * hessian - product
 
 
 Array = NDArray[np.float64]
@@ -179,7 +179,7 @@ class LevenbergMarquardt(IterativeSolver):
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     @property
@@ -207,7 +207,7 @@ class LevenbergMarquardt(IterativeSolver):
         return (RUN.pack(tables | {"options": self._options}),)
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         run = self._run_for(problem)
         if budget.seconds is not None or self.guided:
@@ -225,12 +225,12 @@ class LevenbergMarquardt(IterativeSolver):
 
 @pure
 def spare_room(tree, goal, work, stride):
-    """``room``, but no more than ``stride`` at once; in later tries joints may go round."""
-    room(tree, goal, work)
-    low, high, ease = work.low, work.high, goal.ease
+    """``step_bounds``, but no more than ``stride`` at once; in later tries joints may go round."""
+    step_bounds(tree, goal, work)
+    low, high, joint_scale = work.low, work.high, goal.joint_scale
     around = roams(tree, work)
     for u in range(low.shape[0]):
-        most = stride / ease[u]
+        most = stride / joint_scale[u]
         if around and goes_round(tree, goal.dofs[u]):
             low[u], high[u] = -most, most
         else:
@@ -256,12 +256,12 @@ def go_round(tree, goal, work):
     for u in range(work.step.shape[0]):
         v = goal.dofs[u]
         if goes_round(tree, v):
-            ease = goal.ease[u]
-            there = work.q[tree.qadr[tree.dof_node[v]]] + ease * work.step[u]
+            joint_scale = goal.joint_scale[u]
+            there = work.q[tree.qadr[tree.dof_node[v]]] + joint_scale * work.step[u]
             if there > tree.upper[v]:
-                work.step[u] -= 2.0 * math.pi / ease
+                work.step[u] -= 2.0 * math.pi / joint_scale
             elif there < tree.lower[v]:
-                work.step[u] += 2.0 * math.pi / ease
+                work.step[u] += 2.0 * math.pi / joint_scale
 
 
 @outlined

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, room
+from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.rotations import rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
@@ -241,7 +241,7 @@ def leaves(work, vector, u):
 def constrain(tree, goal, work):
     """Holds the limits that the slope pushes against and releases those from which it leads away."""
     side, gradient, outward = work.side, work.gradient, work.outward
-    room(tree, goal, work)
+    step_bounds(tree, goal, work)
     for u in range(gradient.shape[0]):
         if is_cone(tree, goal, u):
             if side[u] == 0:
@@ -296,16 +296,20 @@ def direction(tree, goal, work):
 def displacement(tree, goal, work):
     """work.moved (nu,): the way from work.accepted to work.q in units of the step."""
     kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    before, q, dofs, ease, moved = work.accepted, work.q, goal.dofs, goal.ease, work.moved
+    before, q, dofs, joint_scale, moved = work.accepted, work.q, goal.dofs, goal.joint_scale, work.moved
     for u in range(dofs.shape[0]):
         k = tree.dof_node[dofs[u]]
         a, i = qadr[k], dofs[u] - vadr[k]
         if kind[k] < BALL or (kind[k] == FREE and i < 3):
-            moved[u] = (q[a + i] - before[a + i]) / ease[u]
+            moved[u] = (q[a + i] - before[a + i]) / joint_scale[u]
         elif i % 3 == 0:
             a = a + 3 if kind[k] == FREE else a
             x, y, z = rotation_back(before, a, q[a], q[a + 1], q[a + 2], q[a + 3])
-            moved[u], moved[u + 1], moved[u + 2] = x / ease[u], y / ease[u + 1], z / ease[u + 2]
+            moved[u], moved[u + 1], moved[u + 2] = (
+                x / joint_scale[u],
+                y / joint_scale[u + 1],
+                z / joint_scale[u + 2],
+            )
 
 
 @outlined
@@ -367,7 +371,7 @@ class Minimization(IterativeSolver):
     title: ClassVar[str] = "minimisation by a variable metric (BFGS), projected on the limits"
     source: ClassVar[str] = "Zhao & Badler, ACM Transactions on Graphics 13(4), 1994"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     def kernel(self) -> Callable[..., None]:
         return bfgs

@@ -17,9 +17,9 @@ from typing import ClassVar
 from robot_ik.kernels.jacobian_step import (
     AT_BOUND,
     cap,
+    extra_damping,
     filtered_step,
     keep_inside,
-    mistrust,
     pin_downhill,
     pin_outward,
     prepare,
@@ -127,7 +127,7 @@ def dexterous(tree, goal, work):
             slope += manipulability(tree, goal, work) / (2.0 * side)
             copy(work.accepted, work.q)
         dq[dofs[u]] = 0.0
-        work.aim[u] = goal.ease[u] * slope
+        work.aim[u] = goal.joint_scale[u] * slope
     measure(tree, goal, work)
 
 
@@ -139,15 +139,15 @@ def set_aim(tree, goal, work, code, gain):
     constant one would keep the goal from ever being met to many decimals.
     """
     aim, q = work.aim, work.q
-    ease = goal.ease
+    joint_scale = goal.joint_scale
     if code == REST:
         towards(tree, goal.dofs, q, work.rest, work.dq, aim)
         for u in range(aim.shape[0]):
-            aim[u] /= ease[u]
+            aim[u] /= joint_scale[u]
     elif code == LIMITS:
         off_limits(tree, goal.dofs, q, work.dq, aim)
         for u in range(aim.shape[0]):
-            aim[u] *= ease[u]
+            aim[u] *= joint_scale[u]
     elif code == MANIPULABILITY:
         dexterous(tree, goal, work)
     else:
@@ -230,7 +230,7 @@ def pseudo_step(tree, goal, work, options):
     clamp, alternative, gain, max_step, cutoff = options[0], options[1], options[2], options[3], options[4]
     set_aim(tree, goal, work, int(options[5]), options[6])
     prepare(tree, goal, work, clamp, alternative)
-    extra = math.sqrt(mistrust(work))
+    extra = math.sqrt(extra_damping(work))
     if work.state[POLISHING] > 0:
         cutoff = 0.0  # to end where nothing is left to win, in the directions that were cut off as well
     pin_downhill(work)

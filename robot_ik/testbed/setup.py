@@ -204,7 +204,7 @@ class Goals:
 
         A method that cannot order goals gets them at one priority, and no posture to fall back on.
         """
-        ranked = "priorities" in solver.honours
+        ranked = "priorities" in solver.capabilities
         goals = [self.main(ball, None if ranked else 0)]
         for extra, goal in self._extras:
             if isinstance(goal, PostureGoal):
@@ -221,7 +221,7 @@ class Goals:
     def flattened(self, solver: Solver) -> bool:
         """Whether the method takes goals at one priority that have several."""
         ranks = {self.priority, *(extra.priority for extra, _ in self._extras)}
-        return len(ranks) > 1 and "priorities" not in solver.honours
+        return len(ranks) > 1 and "priorities" not in solver.capabilities
 
 
 def gaze_axis(tool: str) -> str:

@@ -69,7 +69,7 @@ def test_ctrl_c_before_the_first_picture(
         (["--base", "nan", "0", "0"], "--base"),
         (["--size", "640"], "--size"),
         (["--size", "100000", "100000"], "16 to 16384"),
-        (["--out", "a.gif"], ".mp4"),
+        (["--out", "a.webm"], ".mp4"),
         (["--alpha", "2"], "--alpha"),
         (["--scale", "-1"], "--scale"),
         (["--predict"], "--sync latest"),

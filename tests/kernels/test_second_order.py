@@ -72,7 +72,7 @@ GOALS = [
 def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
     robot = load_xml(MIXED)
     problem = Problem(robot, goals)
-    ease = problem.compiled.goal_arrays["ease"]
+    ease = problem.compiled.goal_arrays["joint_scale"]
     if stiff:
         ease[:] = np.linspace(0.5, 1.0, len(ease))
     rng = np.random.default_rng(1)

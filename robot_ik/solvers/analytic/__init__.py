@@ -68,7 +68,7 @@ from robot_ik.solvers.analytic.subproblems import (
     open_form,
     settle,
 )
-from robot_ik.solvers.base import Answers, Solver, take_start
+from robot_ik.solvers.base import BatchResult, Solver, take_start
 
 # ------------------------------------------------------------------------------------------
 # The entry points of the closed forms of two and of six hinges.
@@ -418,7 +418,7 @@ class Analytic(Solver):
         )  # fmt: skip
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         prepared = self._require(problem)
         if budget.iterations < 1 or budget.seconds is not None:

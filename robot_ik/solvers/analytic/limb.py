@@ -14,7 +14,7 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import keep_apart, outlined, pure
+from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.recognise import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
 from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, turn
@@ -66,7 +66,7 @@ def sinusoid(parts, g, yx, yy, yz, x, y, z):
 @outlined
 def add_cut(cuts, count, angle, widest):
     """One more cut, in order of size, if it lies within ±widest; returns how many there are."""
-    keep_apart()
+    noinline()
     angle -= 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
     if abs(angle) >= widest or count >= cuts.shape[0]:
         return count
@@ -90,7 +90,7 @@ def weigh(form, lower, upper, angle, low, high, nearest):
 
     What cannot come nearer than the squared distance ``nearest`` is not looked at to the end.
     """
-    keep_apart()
+    noinline()
     tally, scores = form.tally, form.scores
     c, s = math.cos(angle), math.sin(angle)
     for g in range(2):
@@ -110,7 +110,7 @@ def weigh(form, lower, upper, angle, low, high, nearest):
 @outlined
 def find_cuts(form, lower, upper, widest):
     """All swivel angles within ±widest at which a joint meets a limit; returns how many."""
-    keep_apart()
+    noinline()
     parts, edges, cuts, axes = form.parts, form.edges, form.cuts, form.axes
     cuts[0], cuts[1] = -widest, widest
     count = types.int64(2)
@@ -155,7 +155,7 @@ def value_at(form, lower, upper, angle, row):
 
     Half its slope and the squared speed of the joints go into scores[4], scores[5].
     """
-    keep_apart()
+    noinline()
     c, s, value, scores = math.cos(angle), math.sin(angle), 0.0, form.scores
     scores[4] = scores[5] = 0.0
     for g in range(2):
@@ -174,7 +174,7 @@ def refine(form, lower, upper, row, nearest):
 
     Gives up where the distance does not look as if it could fall below ``nearest``.
     """
-    keep_apart()
+    noinline()
     tally, scores = form.tally, form.scores
     low, high = tally[row, LOW], tally[row, HIGH]
     x = tally[row, ANGLE]
@@ -238,7 +238,7 @@ def scan(form, lower, upper, every, nearest):
     A shoulder turned by φ more than need be has turned by φ at least, so its joints (of three hinges) have
     moved by φ/√3: an angle beyond that cannot be nearer than ``nearest``, a squared distance.
     """
-    keep_apart()
+    noinline()
     tally, cuts = form.tally, form.cuts
     for i in range(4):
         tally[i, VALUE] = math.inf
@@ -292,7 +292,7 @@ def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
 
     ``angle``: the elbow's, which moved by the square root of ``moved``.  Returns the nearest, squared.
     """
-    keep_apart()
+    noinline()
     tally, best, trial, branches = form.tally, form.best, form.trial, form.branches
     column = form.groups[1, 1] - 1
     end = trial.shape[1]
@@ -327,7 +327,7 @@ def limb(form, lower, upper, mode):
     Branches are rows 4·elbow + 2·shoulder + wrist of ``form.branches``; those there already are replaced.
     Returns (1 if one is inside the limits else -1, how many elbows reach).
     """
-    keep_apart()
+    noinline()
     axes, extra, target, start = form.axes, form.extra, form.target, form.start
     every = mode == EVERY
     wx, wy, wz = centre(target, extra)

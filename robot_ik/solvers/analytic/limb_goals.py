@@ -15,9 +15,9 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import keep_apart, outlined
+from robot_ik.kernels.jit import noinline, outlined
 from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import room
+from robot_ik.kernels.loop import step_bounds
 from robot_ik.kernels.residuals import goal_jacobian
 from robot_ik.solvers.analytic.limb import ANGLE, GAIN, VALUE, limb, refine, scan, value_at
 from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES, NO_JOINTS
@@ -47,7 +47,7 @@ def carry_hand(form, left_out):
 
     Their angles stand in ``trial[0]``; by their axes at q = 0, the shoulder not yet turned.
     """
-    keep_apart()
+    noinline()
     axes, extra, trial = form.axes, form.extra, form.trial
     base = form.groups[1, 1] - 1
     px, py, pz = extra[POINT, 0], extra[POINT, 1], extra[POINT, 2]
@@ -86,7 +86,7 @@ _SLACK = 1e-13
 @outlined
 def take_turns(form, g, side, lower, upper, mode, nearest):
     """The best turns of shoulder (g = 0) or wrist (1) into ``form.best``, or the flips into the branches."""
-    keep_apart()
+    noinline()
     tally, best, trial, branches = form.tally, form.best, form.trial, form.branches
     every = mode == EVERY
     scan(form, lower, upper, every, nearest)
@@ -113,7 +113,7 @@ def take_turns(form, g, side, lower, upper, mode, nearest):
 @outlined
 def turn_about(form, g, lower, upper, mode, nearest, ux, uy, uz):
     """Turns the held point and axis, seen from the centre, so that it aims at u; returns the nearest."""
-    keep_apart()
+    noinline()
     extra, parts, spin, groups = form.extra, form.parts, form.spin, form.groups
     ox, oy, oz = extra[HELD_POINT, 0], extra[HELD_POINT, 1], extra[HELD_POINT, 2]
     ax, ay, az = extra[HELD_AXIS, 0], extra[HELD_AXIS, 1], extra[HELD_AXIS, 2]
@@ -146,7 +146,7 @@ def turn_about(form, g, lower, upper, mode, nearest, ux, uy, uz):
 @outlined
 def turn_shoulder(form, lower, upper, mode, nearest):
     """Aims by the shoulder, the other joints as in ``trial``; the squared way, where below ``nearest``."""
-    keep_apart()
+    noinline()
     extra, axes, target = form.extra, form.axes, form.target
     carry_hand(form, types.int64(0))
     for i in range(3):
@@ -161,7 +161,7 @@ def turn_shoulder(form, lower, upper, mode, nearest):
 @outlined
 def turn_wrist(form, lower, upper, mode, nearest):
     """Aims by a wrist of three hinges, shoulder and elbow as at the start."""
-    keep_apart()
+    noinline()
     extra, axes, target, start, m = form.extra, form.axes, form.target, form.start, form.matrices
     if form.groups[1, 0] != HINGES:
         return nearest
@@ -205,11 +205,11 @@ _BEST, _TOWARD = 0, 1
 @outlined
 def least_motion(tree, goal, work, form):
     """Where the joints beyond the shoulder go in the shortest step to the goal; its squared length."""
-    keep_apart()
+    noinline()
     normal, gradient, step, toward = work.normal, work.gradient, work.step, form.branches
     goal_jacobian(tree, goal, work, work.frames)
     normal_equations(work.jacobian, work.residual, normal, gradient)
-    room(tree, goal, work)
+    step_bounds(tree, goal, work)
     largest, n = 0.0, toward.shape[1]
     for u in range(step.shape[0]):
         largest = max(largest, normal[u, u])
@@ -246,7 +246,7 @@ def attempt(form, aimed, share, joint, angle, nearest):
 
     What is nearer than ``nearest`` goes into the best row.  Returns the nearest.
     """
-    keep_apart()
+    noinline()
     trial, start, best, kept, lower, upper = (
         form.trial, form.start, form.best, form.branches, form.lower, form.upper,
     )  # fmt: skip
@@ -278,7 +278,7 @@ def attempt(form, aimed, share, joint, angle, nearest):
 @outlined
 def search_along(form, aimed, nearest):
     """The nearest answer in which one joint more moves, if nearer than ``nearest``; which it returns."""
-    keep_apart()
+    noinline()
     start, lower, upper = form.start, form.lower, form.upper
     first = form.groups[1, 1] - (1 if aimed else 0)
     place, joint, width = 0.0, types.int64(-1), 0.0
@@ -308,7 +308,7 @@ def search_along(form, aimed, nearest):
 @outlined
 def wrist_alone(form, nearest):
     """``attempt`` of the wrist, all other joints held as at the start."""
-    keep_apart()
+    noinline()
     best, kept = form.best, form.branches
     keep_rest(form)
     value = turn_wrist(form, form.lower, form.upper, types.int64(SOLVE), nearest)
@@ -321,7 +321,7 @@ def wrist_alone(form, nearest):
 @outlined
 def part_of_limb(tree, goal, work, form, aimed):
     """The answer into ``form.best``; 1 if there is one inside the limits, else -1."""
-    keep_apart()
+    noinline()
     best, kept = form.best, form.branches
     none = types.int64(-1)
     least = least_motion(tree, goal, work, form)
@@ -344,7 +344,7 @@ def part_of_limb(tree, goal, work, form, aimed):
 @outlined
 def branches_of_part(form, aimed, lower, upper):
     """The branches, what is not needed being held as at the start."""
-    keep_apart()
+    noinline()
     every = types.int64(EVERY)  # not as a constant, for which all would be compiled once more
     keep_rest(form)
     if aimed:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from robot_ik.kernels.jit import keep_apart, outlined, pure
+from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.six_axes import back, centre, relative_back, relative_rotation
 from robot_ik.solvers.analytic.subproblems import angle_between, turn
 
@@ -176,7 +176,7 @@ def limb_is_out_of_reach(form, tolerance):
 @outlined
 def wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, s3, error):
     """Whether joints 4 to 6 may make what rotation is left after joints 1 to 3, known to ``error`` rad."""
-    keep_apart()
+    noinline()
     if error >= math.pi:
         return True
     hx, hy, hz = axes[3, 0], axes[3, 1], axes[3, 2]
@@ -329,7 +329,7 @@ def three_may_fit(
     axes, extra, lower, upper, c5, s5, radius5, x, y, z, bx, by, bz, gx, gy, gz, off, turned, polar
 ):  # fmt: skip
     """Whether joints 6 and 2 to 4 of three parallel axes may follow joints 1 and 5."""
-    keep_apart()
+    noinline()
     ux, uy, uz = axes[1, 0], axes[1, 1], axes[1, 2]
     along3 = 1.0 if ux * axes[2, 0] + uy * axes[2, 1] + uz * axes[2, 2] > 0.0 else -1.0
     along4 = 1.0 if ux * axes[3, 0] + uy * axes[3, 1] + uz * axes[3, 2] > 0.0 else -1.0

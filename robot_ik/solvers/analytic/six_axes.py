@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from robot_ik.kernels.jit import keep_apart, outlined, pure
+from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside, turn
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
@@ -117,7 +117,7 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·elbow + flip; a row that does not exist gets NaN.
     Returns how many exist.
     """
-    keep_apart()
+    noinline()
     found = 0
     wx, wy, wz = centre(target, extra)
     h1x, h1y, h1z = axes[0, 0], axes[0, 1], axes[0, 2]
@@ -183,7 +183,7 @@ def three_parallel(axes, extra, target, start, branches):
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·flip + elbow; a row that does not exist gets NaN.
     Returns how many exist.
     """
-    keep_apart()
+    noinline()
     found = 0
     for row in range(8):
         for j in range(6):
@@ -290,7 +290,7 @@ def planar_two_link(axes, extra, target, start, slack, branches):
     Fills ``branches`` (8, n), rows 0 and 1; returns how many exist.  ``slack`` (m): how far the target may
     lie off the plane in which the tool moves.
     """
-    keep_apart()
+    noinline()
     for row in range(branches.shape[0]):
         for j in range(branches.shape[1]):
             branches[row, j] = math.nan

@@ -12,7 +12,7 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import keep_apart, outlined, pure
+from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES
 from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside, turn
 
@@ -70,7 +70,7 @@ def into_frame(axes, k, x, y, z):
 @outlined
 def start_rotation(form):
     """What the start makes of the shoulder, into matrices[START]."""
-    keep_apart()
+    noinline()
     m, axes, start = form.matrices, form.axes, form.start
     if form.groups[0, 0] == BALL_JOINT:
         # A ball joint turns in its own frame; its axes stand in the table.
@@ -95,7 +95,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
 
     v and n are unit vectors from the shoulder to the wrist's centre: as the elbow makes it, and wanted.
     """
-    keep_apart()
+    noinline()
     m, parts, axes = form.matrices, form.parts, form.axes
     ax, ay, az = apply(m, START, vx, vy, vz)
     kx, ky, kz = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
@@ -190,7 +190,7 @@ def score(form, g, first_flip, last_flip, lower, upper):
 @outlined
 def three_hinges(form, g, first_flip, last_flip, lower, upper):
     """``score`` of three hinges that meet: R₁ R₂ R₃ = matrices[TURNED + g]."""
-    keep_apart()
+    noinline()
     axes, m, start, trial, scores = form.axes, form.matrices, form.start, form.trial, form.scores
     k, row, j = 4 * g, TURNED + g, form.groups[g, 1]
     hx, hy, hz = axes[k, 0], axes[k, 1], axes[k, 2]
@@ -255,7 +255,7 @@ def three_hinges(form, g, first_flip, last_flip, lower, upper):
 @outlined
 def ball(form, g, upper):
     """``score`` of a ball joint: its quaternion, of the two the one nearer to the start's."""
-    keep_apart()
+    noinline()
     m, start, trial = form.matrices, form.start, form.trial
     row, first, t = TURNED + g, form.groups[g, 1], types.int64(0)
     trace = m[row, 0] + m[row, 4] + m[row, 8]
@@ -298,7 +298,7 @@ def add_slope(form, g, flip):
     Those are Σ (q - start) q' and Σ q'² of the joints' speeds q', from the axes a: Σ aᵢ q'ᵢ = the spin.
     Where the axes lie in a plane the second is infinite.
     """
-    keep_apart()
+    noinline()
     scores, axes, trial, start, spin = form.scores, form.axes, form.trial, form.start, form.spin
     how = form.groups[g, 0]
     if how == BALL_JOINT:
