@@ -290,9 +290,6 @@ def describe(measure: MotionMeasure) -> Sequence[str]:
     )
 
 
-# -------------------------------------------------------------------------------------- robot-ik bench figure
-
-
 @dataclass(frozen=True)
 class FigureRow:
     """One figure beside its target.

@@ -5,8 +5,12 @@
     frame = session.step()            # 60 times a second
 
 *Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the
+<<<<<<< HEAD
 ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues: the next ``step``
 carries it out.
+=======
+ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues; ``step`` acts.
+>>>>>>> figure
 """
 
 from __future__ import annotations
@@ -183,9 +187,6 @@ class FigureSession:
             if sink is not None:
                 sink.send(out[-1].q, out[-1].t)
         return out
-
-    # ------------------------------------------------------------------------------------------ what goes
-    # on inside
 
     def _reset(self, place: tuple[float, float, float]) -> None:
         self._q = self._before = self.figure.placed(self.figure.home, *place)

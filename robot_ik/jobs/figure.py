@@ -182,10 +182,6 @@ def require_reached(report: FigureReport, tolerance: float = 0.005) -> None:
             raise NotConvergedError(f"after a {action} the hand is {1000 * miss:.1f} mm from the ball")
 
 
-# ------------------------------------------------------------------------------------------------- the
-# table of frames
-
-
 def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -> str:
     """All frames as CSV: SI, radians, quaternions w first; what a judge needs to check the motion by itself.
 
@@ -414,9 +410,10 @@ def tour(
     save("strip-bend", strip(figure, only("bend"), 7, (-60.0, 8.0)))
     save("strip-reach", strip(figure, only("reach"), 6, (-50.0, 8.0)))
     save("strip-jump", strip(figure, only("jump")[20:], 10, (-60.0, 4.0)))
-    behind = FigureRequest(((-0.3, -0.25, 1.2),))
+    behind = FigureRequest(((-1.8, -0.3, 1.2),))
     turned = watch(abilities, run_figure(abilities, behind), lambda frame: None)
-    save("strip-turn", strip(figure, np.array([f.q for f in turned.frames]), 9, (-30.0, 8.0)))
+    steps = np.array([f.q for f in turned.frames if f.action == "walk"])
+    save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
     return done
 
 
