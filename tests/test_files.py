@@ -40,12 +40,19 @@ from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
 from robot_ik.jobs.arm_camera.measuring import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory
+from robot_ik.motion.bvh import Bvh, export_bvh
+from robot_ik.motion.key_poses import KeyPoses
+from robot_ik.motion.keyframes import Keyframes
+from robot_ik.motion.retarget import SkeletonMap
+from robot_ik.testbed.commands import CommandLog, Reset, Start
 
 ROOT = Path(robot_ik.__file__).parent
 HARDWARE = Path(str(sys.modules["robot_ik.hardware"].__file__)).parent
 ROBOT = load_robot("puma560")
+FIGURE = load_robot("humanoid")
 assert ROBOT.arm_file is not None
 ARM = ArmConfig.load(ROBOT.arm_file)
 LENS = CameraIntrinsics(640, 480, 600.0, 600.0, 320.0, 240.0, (0.1, 0.0, 0.0, 0.0, 0.0))
@@ -111,6 +118,10 @@ def _results() -> Results:
 
 def _motion() -> Trajectory:
     return Trajectory([0.0, 0.1, 0.2], np.tile(ROBOT.home, (3, 1)), ROBOT.joints)
+
+
+def _frames() -> Keyframes:
+    return Keyframes(ROBOT, [0.0, 0.1, 0.2], np.tile(ROBOT.home, (3, 1)))
 
 
 def _robot_folder(path: Path) -> object:
@@ -197,6 +208,20 @@ ROWS = {
     "verify": Row(lambda p: VerifySamples.load(p).arm(ROBOT.arm_file), "v.json", _saved(_verify().save)),  # type: ignore[arg-type]
     "recording": Row(_json_motion, "r.json", _recording),
     "motion": Row(_csv_motion, "t.csv", _saved(_motion().save_csv)),
+    "key poses": Row(
+        lambda p: KeyPoses.load(p, FIGURE),
+        "k.toml",
+        lambda _: (FIGURE.folder / "poses.toml").read_text("utf-8"),
+    ),
+    "names of joints": Row(
+        SkeletonMap.load, "n.toml", lambda _: (FIGURE.folder / "bvh.toml").read_text("utf-8")
+    ),
+    "frames": Row(lambda p: Keyframes.load_csv(p, ROBOT), "frames.csv", _saved(_frames().save_csv)),
+    "motion capture": Row(Bvh.load, "m.bvh", _saved(export_bvh(_frames(), 30.0).save)),
+    "balls": Row(read_balls, "balls.csv", lambda _: "x,y,z\n0.5,0.1,1.2\n"),
+    "command log": Row(
+        CommandLog.load, "log.jsonl", lambda _: CommandLog(Start("puma560"), ((3, Reset()),)).text()
+    ),
     "results": Row(read_results, "bench.json", lambda _: results_text(_results())),
 }
 
@@ -233,6 +258,19 @@ ALLOWED = {
     ("robot_ik/bench/methods/results.py", "read_text"): "/proc",
     ("robot_ik/bench/methods/first_choice.py", "read_text"): "a source of this package, which it writes anew",
     ("robot_ik/bench/methods/first_choice.py", "from_xml_string"): "a model that it writes itself",
+    (
+        "robot_ik/figure/abilities.py",
+        "np.load",
+    ): "a map that it made itself, without pickle; any error makes it anew",
+    ("robot_ik/figure/abilities.py", "read_bytes"): "for a digest of the model that load_robot has just read",
+    ("robot_ik/jobs/figure.py", "read_bytes"): "likewise",
+    ("robot_ik/jobs/figure.py", "from_file"): "the model of a robot that load_robot has just read",
+    ("robot_ik/testbed/frontends/window.py", "from_file"): "likewise",
+    (
+        "robot_ik/testbed/frontends/window.py",
+        "read_text",
+    ): "the text of a robot that load_robot has just read",
+    ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
     ("robot_ik/bench/peers/results.py", "*"): "between processes of one bench, in a folder of its own",
     ("robot_ik/bench/peers/worker.py", "*"): "likewise; it runs without robot_ik",
     ("robot_ik/bench/peers/tasks.py", "from_xml_string"): "a model that it writes itself",

@@ -5,12 +5,7 @@
     frame = session.step()            # 60 times a second
 
 *Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the
-<<<<<<< HEAD
-ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues: the next ``step``
-carries it out.
-=======
 ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues; ``step`` acts.
->>>>>>> figure
 """
 
 from __future__ import annotations
