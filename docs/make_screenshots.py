@@ -36,7 +36,7 @@ READY = """() => {
 }"""
 NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering
 PATIENCE = 180_000  # ms: a browser without a GPU on a busy machine
-COLOURS = 200
+COLOURS = 256
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,12 @@ def take(browser: Any, shot: Shot) -> None:
         for command in shot.commands:
             session.send(command)
         if shot.tab:
-            window.get_by_role("tab", name=shot.tab, exact=True).dispatch_event("click")
-        window.wait_for_timeout(9000)
+            window.get_by_role("tab", name=shot.tab, exact=True).click(force=True)
+        window.wait_for_timeout(7000)
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture = Image.open(BytesIO(raw)).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(IMAGES / f"{shot.name}.png", optimize=True)
+    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(IMAGES / f"{shot.name}.png", optimize=True)
     print(f"{shot.name}.png: {(IMAGES / f'{shot.name}.png').stat().st_size / 1000:.0f} kB", flush=True)
 
 
