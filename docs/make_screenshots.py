@@ -34,8 +34,9 @@ READY = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;
     return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 3000;
 }"""
+NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering
 PATIENCE = 180_000  # ms: a browser without a GPU on a busy machine
-COLOURS = 200
+COLOURS = 256
 
 
 @dataclass(frozen=True)
@@ -99,20 +100,19 @@ def take(browser: Any, shot: Shot) -> None:
         window.set_default_timeout(PATIENCE)
         window.goto(page.url)
         window.wait_for_function(READY, timeout=PATIENCE)
-        notice = window.locator(".mantine-Notification-closeButton")
-        notice.first.click(timeout=PATIENCE)
-        notice.first.wait_for(state="detached", timeout=PATIENCE)
+        window.locator(NOTICE).first.wait_for(timeout=PATIENCE)
+        window.evaluate("found => document.querySelectorAll(found).forEach(one => one.click())", NOTICE)
         if page._camera is not None:
             page._camera.switch(True)
         for command in shot.commands:
             session.send(command)
         if shot.tab:
-            window.get_by_role("tab", name=shot.tab, exact=True).click()
-        window.wait_for_timeout(9000)
+            window.get_by_role("tab", name=shot.tab, exact=True).click(force=True)
+        window.wait_for_timeout(7000)
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture = Image.open(BytesIO(raw)).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(IMAGES / f"{shot.name}.png", optimize=True)
+    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(IMAGES / f"{shot.name}.png", optimize=True)
     print(f"{shot.name}.png: {(IMAGES / f'{shot.name}.png').stat().st_size / 1000:.0f} kB", flush=True)
 
 

@@ -277,7 +277,7 @@ class CommandLog:
         """The file's contents."""
         rows: list[dict[str, Any]] = [{"testbed_log": FORMAT, **asdict(self.start)}]
         rows += [{"tick": tick, "command": one.key(), **asdict(one)} for tick, one in self.commands]
-        if self.digest:
+        if self.ticks or self.digest:
             rows.append({"end": self.ticks, "digest": self.digest})
         return "".join(json.dumps(row) + "\n" for row in rows)
 

@@ -26,6 +26,7 @@ FIELD_OF_VIEW = math.radians(38.0)
 _USUAL_VIEW_DEG = -60.0
 _DOWN = 0.42  # tangent of the elevation: about 23 degrees
 _PLATE_DISTANCE = 0.24  # of the extent: where the label stands in front of the base
+_MARGIN = 0.9  # part of the picture that is used: balls and hands reach beyond their middles
 _SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is left, and how far it is up
 
 
@@ -96,8 +97,8 @@ def fitted_camera(points: Array, stage: Stage, aspect: float, *, phone: bool = F
     right = np.array((*stage.right, 0.0))
     up = np.cross(right, ahead)
     x, y, z = points @ right, points @ up, points @ ahead
-    wide = math.tan(FIELD_OF_VIEW / 2.0) * aspect
-    tall = math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
+    wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect
+    tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
     middle = np.array(((x.min() + x.max()) / 2.0, (y.min() + y.max()) / 2.0))
     away = float(max((np.abs(x - middle[0]) / wide - z).max(), (np.abs(y - middle[1]) / tall - z).max()))
     depth = float(z.mean())

@@ -40,6 +40,7 @@ READY = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;
     return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 3000;
 }"""
+NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering
 # Where a point of the world is on the screen.
 PIXEL = """([x, y, z]) => {
     const { camera, nodeRefFromName } = window.__viserMutable;
@@ -98,8 +99,9 @@ def look(chromium: Any, bed: Bed, width: int = 1000, height: int = 560) -> Windo
     page.goto(bed.page.url)
     page.wait_for_function(READY, timeout=1e3 * PATIENCE)
     page.get_by_role("button", name="STOP").wait_for(timeout=1e3 * PATIENCE)
-    notice = page.locator(".mantine-Notification-closeButton")  # viser's about software rendering
-    notice.first.click(timeout=1e3 * PATIENCE)
+    notice = page.locator(NOTICE)  # over the scene, and so in the mouse's way
+    notice.first.wait_for(timeout=1e3 * PATIENCE)
+    page.evaluate("found => document.querySelectorAll(found).forEach(one => one.click())", NOTICE)
     notice.first.wait_for(state="detached", timeout=1e3 * PATIENCE)
     return window
 

@@ -319,8 +319,13 @@ def test_every_command_survives_its_log() -> None:
         ShowBranches(True), PickBranch(2), SetArm("hold"), SetOption(1, "order", "root_to_tip"),
     ]  # fmt: skip
     assert {type(command) for command in shown} == set(COMMANDS.values())
-    log = CommandLog(Start(), tuple((k, command) for k, command in enumerate(shown)), 99, "00")
-    assert CommandLog.parse(log.text().splitlines(), "log") == log
+    commands = tuple((k, command) for k, command in enumerate(shown))
+    for log in (
+        CommandLog(Start(), commands, 99, "00"),
+        CommandLog(Start(), commands, 99),
+        CommandLog(Start(), ()),
+    ):
+        assert CommandLog.parse(log.text().splitlines(), "log") == log
 
 
 @pytest.mark.parametrize(
