@@ -112,7 +112,9 @@ def take(browser: Any, shot: Shot) -> None:
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture = Image.open(BytesIO(raw)).convert("RGB")
-    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(IMAGES / f"{shot.name}.png", optimize=True)
+    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        IMAGES / f"{shot.name}.png", optimize=True
+    )
     print(f"{shot.name}.png: {(IMAGES / f'{shot.name}.png').stat().st_size / 1000:.0f} kB", flush=True)
 
 
