@@ -230,7 +230,7 @@ def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeas
     A straight walk along x of 4 m or more.
     """
     q, strikes = walk.frames.q, walk.strikes
-    times = np.arange(1, len(q) + 1) * dt
+    times = np.arange(1, len(q) + 1, dtype=np.float64) * dt
     strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
     stance: list[float] = []
     for side, name in enumerate(SIDES):

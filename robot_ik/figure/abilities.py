@@ -137,7 +137,8 @@ def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    body, anchors = figure.robot.frame(figure.hands[arm]).body, []
+    anchors: list[Array] = []
+    body = figure.robot.frame(figure.hands[arm]).body
     trunk = figure.robot.frame(figure.trunk).body
     while body not in (0, trunk):
         first = int(model.body_jntadr[body])
@@ -151,7 +152,7 @@ def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
 def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
     """The shoulder beside the centre of mass with the arm stretched up, and the length of the arm."""
     steps = 16
-    start, s = figure.posture(**{f"{arm}_shoulder_pitch": 2.6}), np.linspace(1 / steps, 1.0, steps)
+    start, s = figure.posture({f"{arm}_shoulder_pitch": 2.6}), np.linspace(1 / steps, 1.0, steps)
     rows = Rows(figure, steps)
     center, shoulder = figure.center(start), shoulder_of(figure, arm)
     hand = figure.pose(start, figure.hands[arm])[0]
@@ -215,7 +216,7 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
         code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
         arrays |= {f"{kind}-{arm}": code, "origin": found.origin}
     part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
-    np.savez_compressed(part, **arrays)
+    np.savez_compressed(part, allow_pickle=False, **arrays)
     part.replace(file)
 
 

@@ -112,7 +112,7 @@ def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: f
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
-    return np.arange(1, round((duration + hold) / dt) + 1) * dt
+    return np.arange(1, round((duration + hold) / dt) + 1, dtype=np.float64) * dt
 
 
 def _duration(distance: float, speed: float) -> float:
@@ -263,7 +263,7 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     own = figure.robot.difference(motion.q[0], motion.q[1]) / dt if len(motion) > 1 else 0 * speed
     if n < 2 or max(np.abs(speed - own).max(), np.abs(gap).max()) < 1e-3:
         return motion
-    t = np.arange(n) * dt
+    t = np.arange(n, dtype=np.float64) * dt
     offset = decay(gap, speed - own, BLEND)(t)
     wanted = np.array(
         [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]

@@ -215,7 +215,7 @@ def clamped_curve(knots: Array, values: Array, t: Array) -> Array:
     for i in range(1, n - 1):
         matrix[i, i - 1 : i + 2] = 1 / h[i - 1], 2 / h[i - 1] + 2 / h[i], 1 / h[i]
         right[i] = 3 * ((values[i] - values[i - 1]) / h[i - 1] ** 2 + (values[i + 1] - values[i]) / h[i] ** 2)
-    return _hermite(knots, values, np.linalg.solve(matrix, right), t)
+    return _hermite(knots, values, np.asarray(np.linalg.solve(matrix, right), dtype=float), t)
 
 
 def _hermite(knots: Array, values: Array, slope: Array, t: Array) -> Array:

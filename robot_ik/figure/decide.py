@@ -146,10 +146,10 @@ class Decider:
         local = rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0])
         arms = self._arms(local, last)
         found = self._here(local, arms)
-        acted = last is not None and last.action in (REACH, BEND, "jump") and last.arm in arms
-        if acted and (found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action)):
-            found = self._still(local, last) or found
-        return found or self._walk(point, stance, arms)
+        if last is not None and last.arm in arms and last.action in (REACH, BEND, "jump"):
+            lesser = found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action)
+            found = (self._still(local, last) if lesser else None) or found
+        return found or self._walk(point, stance)
 
     def _look(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:
         """The ball as numbers, or why it concerns nobody."""
@@ -213,7 +213,7 @@ class Decider:
             return None
         return Decision(last.action, last.arm, f"the ball is at the edge of what the {last.arm} hand reaches")
 
-    def _walk(self, ball: Array, stance: Array, arms: Sequence[str]) -> Decision:
+    def _walk(self, ball: Array, stance: Array) -> Decision:
         """To the cheapest free stand point from which the ball can be had, on a free path."""
         for kind, verb in ((REACH, "reached"), (BEND, "reached bending"), ("jump", "reached jumping")):
             for stand, arm, local in self._stands(kind, ball, stance)[:_TRIES]:

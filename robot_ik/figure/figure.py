@@ -110,7 +110,8 @@ class Sole:
 
     def stand(self, pitch: ArrayLike) -> tuple[Array, Array]:
         """(forward, height) of the foot's frame at ``pitch``."""
-        return np.interp(pitch, self.pitch, self.rolled), np.interp(pitch, self.pitch, self.height)
+        at = np.asarray(pitch, dtype=float)
+        return np.interp(at, self.pitch, self.rolled), np.interp(at, self.pitch, self.height)
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ class Figure:
         node = self.robot.joints.index(name)
         return int(self.robot.tree.qadr[node]), int(self.robot.tree.vadr[node])
 
-    def posture(self, base: Array | None = None, **angles: float) -> Array:
+    def posture(self, angles: Mapping[str, float], base: Array | None = None) -> Array:
         """(nq,) ``base`` (default: home) with some joints elsewhere; ``both_…`` names a pair, left and right.
 
         Joints that the model does not have are left out: a figure without clavicles reaches without them.
@@ -202,7 +203,7 @@ class Figure:
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
         """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
-        key = ("figure.stiffness", *rows.items())
+        key = f"figure.stiffness {list(rows.items())}"
         known = self.robot.memory.get(key)
         if known is None:
             known = self.robot.memory[key] = _by_pattern(self.robot, rows, 0.0)

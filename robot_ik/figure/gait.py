@@ -210,7 +210,7 @@ class _Plan:
         self.lifts = [_LEAN + k * gait.time for k in range(steps)]
         self.strikes = [t + gait.time - gait.double for t in self.lifts]
         self.end = self.strikes[-1] + _SETTLE
-        self.times = np.arange(1, int(self.end / dt) + 1) * dt
+        self.times = np.arange(1, int(self.end / dt) + 1, dtype=np.float64) * dt
         self.omega = float(np.sqrt(GRAVITY / figure.center(figure.home)[2]))
         self.falls: tuple[list[_Footfall], list[_Footfall]] = ([], [])
         for k, at in enumerate(prints):

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, placed_motion, quintic, seen_from, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, HARD, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF
+from robot_ik.kernels.whole_body import HARD
 
 Array = NDArray[np.float64]
 
@@ -266,7 +267,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
         rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
         rows.turned(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
-        q = rows.solve(figure.posture(**raised), figure.stiffnesses(STIFF), q, speeds=None, steps=20).q[-1]
+        q = rows.solve(figure.posture(raised), figure.stiffnesses(STIFF), q, speeds=None, steps=20).q[-1]
     return q
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, hull_margin
-from robot_ik.figure.figure import HARD, Figure, Rows, lowest_points, rotation
+from robot_ik.figure.figure import Figure, Rows, lowest_points, rotation
+from robot_ik.kernels.whole_body import HARD
 
 Array = NDArray[np.float64]
 
@@ -174,7 +175,7 @@ def _attempt(
     if flat:
         rows.turned(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
     if aside:
-        goal = figure.posture(goal, **{f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside})
+        goal = figure.posture({f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside}, goal)
     posture = start + (goal - start) * s[:, None]
     stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
     frames = rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=6)

@@ -127,7 +127,8 @@ class FigureSession:
         self.decider = Decider(abilities, obstacles, workspace)
         self.mode, self.dt, self._began = mode, 1.0 / rate, place
         self._commands: deque[Command] = deque()
-        self._count = 0
+        self._count = self._index = self._since = 0
+        self._q: Array = self.figure.home
         self._reset(place)
 
     @property
@@ -188,7 +189,7 @@ class FigureSession:
         self._ball: Array | None = None
         self._frozen: Array | None = None
         self._motion: Motion | None = None
-        self._index = self._since = 0
+        self._index, self._since = 0, 0
         self._way: list[tuple[float, float, float]] = []
         self._walk: tuple[Array, Walk, Gait, int] | None = None
         self._after: Decision | None = None

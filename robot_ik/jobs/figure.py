@@ -19,7 +19,7 @@ from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.errors import ConfigError, NotConvergedError
+from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Box, Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
@@ -176,13 +176,6 @@ def watch(
                 report.misses.append((frame.action, nearest))
                 nearest = np.inf
     return report
-
-
-def require_reached(report: FigureReport, tolerance: float = 0.005) -> None:
-    """Raises ``NotConvergedError`` where a hand missed its ball."""
-    for action, miss in report.misses:
-        if miss > tolerance:
-            raise NotConvergedError(f"after a {action} the hand is {1000 * miss:.1f} mm from the ball")
 
 
 def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -> str:

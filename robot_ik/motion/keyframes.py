@@ -87,6 +87,10 @@ def _rotation_blocks(robot: Robot) -> list[int]:
 # ------------------------------------------------------------------------------ the motion
 
 
+# Keys nearer than this, s, have no speed between them; numbers of a table beyond the other are no angles.
+_LEAST_STEP, _LARGEST = 1e-6, 1e9
+
+
 @dataclass(frozen=True, eq=False)
 class Displacement:
     """A turn about the vertical and a shift in the plane: what a loop adds to the free base each time.
@@ -142,7 +146,7 @@ class Keyframes:
 
     Attributes:
         robot: Whose joints.
-        times: (n,) seconds, strictly increasing, the first 0; read-only.
+        times: (n,) seconds, increasing by a microsecond at least, the first 0; read-only.
         q: (n, nq) the keys, quaternions sign-continuous; read-only.
         loop: Whether it runs round.
     """
@@ -495,8 +499,8 @@ def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> t
         )
     if not (np.isfinite(t).all() and np.isfinite(rows).all()):
         raise TrajectoryError("a key has a number that is not finite", hint="look for NaN in q")
-    if (np.diff(t) <= 0.0).any():
-        k = int(np.argmax(np.diff(t) <= 0.0))
+    if (np.diff(t) < _LEAST_STEP).any():
+        k = int(np.argmax(np.diff(t) < _LEAST_STEP))
         raise TrajectoryError(
             f"times must increase, but key {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
             hint="sort the keys, and give each a time of its own",
@@ -553,11 +557,14 @@ def _row(row: list[str], places: Sequence[int], width: int, file: Path, line: in
     try:
         if len(row) != width:
             raise ValueError
-        return [float(row[k]) for k in places]
+        numbers = [float(row[k]) for k in places]
+        if not all(abs(number) <= _LARGEST for number in numbers):  # NaN neither
+            raise ValueError
+        return numbers
     except ValueError:
         raise ConfigError(
             f"got {shown(','.join(row), str)}",
             file=file,
             key=f"line {line}",
-            allowed=f"{width} cells, joints as numbers",
+            allowed=f"{width} cells, joints as numbers up to {_LARGEST:g}",
         ) from None

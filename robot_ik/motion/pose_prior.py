@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.goals import PosePrior
 from robot_ik.kernels.tree import BALL, FREE, HINGE
 from robot_ik.ports import Array
-from robot_ik.pose_prior import feature_names
+from robot_ik.pose_prior import PosePrior, feature_names
 from robot_ik.robot import Robot
 
 # Share of a covariance that is spread evenly over all directions, and the least standard deviation (of x).

@@ -47,7 +47,7 @@ def test_a_momentum_row_keeps_the_angular_momentum(figure: Figure) -> None:
     rows = Rows(figure, frames)
     rows.center(figure.center(figure.home))
     rows.momentum()
-    goal = figure.posture(right_shoulder_pitch=1.5, left_shoulder_pitch=-0.5)
+    goal = figure.posture({"right_shoulder_pitch": 1.5, "left_shoulder_pitch": -0.5})
     postures = figure.home + (goal - figure.home) * minimum_jerk(np.linspace(0, 1, frames))[:, None]
     q = rows.solve(postures, figure.stiffnesses({"*": 1.0}), figure.home, speeds=None).q
     assert abs(q[-1, figure.place("right_shoulder_pitch")[0]] - 1.5) < 0.2
