@@ -294,8 +294,251 @@ class Keyframes:
         """
         third, second, first = self._cubic[:, 0], self._cubic[:, 1], self._cubic[:, 2]
         ends = np.maximum(np.abs(first), np.abs(first + 2.0 * second + 3.0 * third))
-        # Next to no speed on one side: their harmonic mean is none.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            where = -second / (3.0 * third)
+            middle = np.abs(first - second * second / (3.0 * third))
+        peak = np.maximum(ends, np.where((where > 0.0) & (where < 1.0), middle, 0.0))
+        for v in _rotation_blocks(self.robot):
+            peak[:, v : v + 3] = np.linalg.norm(peak[:, v : v + 3], axis=1, keepdims=True)
+        return np.asarray(peak / np.diff(self.times)[:, None])
 
+    def blended(
+        self, other: Keyframes, seconds: float, *, rate: float = 60.0, follow: bool = True
+    ) -> Keyframes:
+        """This motion, whose last ``seconds`` pass smoothly into the first of ``other``.
+
+        Args:
+            other: A motion of the same robot.
+            seconds: How long both count; at most the shorter of the two.
+            rate: Keys a second of the result.
+            follow: Move the free base of ``other`` to the place and heading that this motion has by then.
+
+        Raises:
+            TrajectoryError: Another robot, or more seconds than a motion has.
+        """
+        if other.robot is not self.robot:
+            raise TrajectoryError("the two motions are of different robots", hint="load the robot once")
+        if not 0.0 <= seconds <= min(self.duration, other.duration):
+            raise TrajectoryError(
+                f"asked for a blend of {seconds} s", hint=f"0 to {min(self.duration, other.duration):.3f} s"
+            )
+        begin = self.duration - seconds
+        where = free_base(self.robot) if follow else None
+        move = Displacement()
+        if where is not None:
+            part = slice(where, where + 7)
+            move = Displacement.between(other.at(0.0)[part], self.at(begin)[part])
+        total = begin + other.duration
+        times = np.unique(np.append(np.arange(0.0, total, 1.0 / rate), total))
+        rows = []
+        for t in times.tolist():
+            x = (t - begin) / seconds if seconds > 0.0 else float(t >= begin) * 2.0 - 1.0
+            share = 0.0 if x <= 0.0 else 1.0 if x >= 1.0 else x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+            one = self._held(t)
+            if share > 0.0:
+                two = other._held(t - begin)
+                if where is not None:
+                    move.move(two[where : where + 7])
+                one = self.robot.integrate(one, share * self.robot.difference(one, two))
+            rows.append(self.robot.clip(one))
+        return Keyframes(self.robot, times, rows)
+
+    def save_csv(self, path: Path | str) -> None:
+        """Writes the keys: a header (t, a column for each number of q), one row a key, in full precision.
+
+        Raises:
+            OutputError: The folder is missing or not writable.
+        """
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["t", *column_names(self.robot)])
+        rows = np.column_stack([self.times, self.q]).tolist()
+        writer.writerows([[repr(value) for value in row] for row in rows])
+        write_atomically(Path(path), stream.getvalue())
+
+    @classmethod
+    def load_csv(cls, path: Path | str, robot: Robot, *, loop: bool = False) -> Keyframes:
+        """Reads what ``save_csv`` or ``Trajectory.save_csv`` wrote, or frames of ``robot-ik figure``.
+
+        Lines that begin with # and columns that are no joints are passed over.
+
+        Raises:
+            ConfigError: No such table, a joint without column, or cells that are no numbers; names the line.
+            TrajectoryError: As the constructor.
+        """
+        file = Path(path)
+        rows = [(k, row) for k, row in enumerate(read_csv(file, "the frames"), 1) if row]
+        rows = [(k, row) for k, row in rows if not row[0].startswith("#")]
+        head = [cell.strip() for cell in rows[0][1]] if rows else []
+        wanted = column_names(robot)
+        if not head or head[0] not in ("t", "time_s") or len(rows) < 2:
+            raise ConfigError(
+                "is no table of frames", file=file, key="line 1", allowed="t, a column a joint; rows"
+            )
+        missing = [name for name in wanted if name not in head]
+        if missing:
+            raise ConfigError(
+                f"no column {missing[0]!r}" + (f" and {len(missing) - 1} more" if len(missing) > 1 else ""),
+                file=file, key="line 1", allowed=f"one for each joint of {robot.name!r}",
+            )  # fmt: skip
+        places = [0, *(head.index(name) for name in wanted)]
+        table = np.array([_row(row, places, len(head), file, line) for line, row in rows[1:]])
+        return cls(robot, table[:, 0] - table[0, 0], table[:, 1:], loop=loop)
+
+    # --------------------------------------------------------------------------- fitting
+
+    def _held(self, t: float) -> Array:
+        """As ``at``, but a loop ends, too."""
+        return np.array(self.q[-1]) if t >= self.duration else self.at(t)
+
+    def _stride(self) -> tuple[int, Displacement] | None:
+        """Where the free base stands in q, and what a round adds to it."""
+        where = free_base(self.robot)
+        if where is None or len(self.q) < 2:
+            return None
+        part = slice(where, where + 7)
+        return where, Displacement.between(self.q[0, part], self.q[-1, part])
+
+    def _fit(self) -> None:
+        """The cubic of every segment."""
+        tree = self.robot.tree
+        self._handle, self._nodes = tree.handle, np.arange(tree.size)
+        self._starts = self.times.tolist()
+        gaps = np.diff(self.times)
+        self._inverse = (1.0 / gaps).tolist()
+        ways = np.array([self.robot.difference(a, b) for a, b in zip(self.q[:-1], self.q[1:], strict=True)])
+        ways = ways.reshape(len(gaps), self.robot.nv)
+        slopes = self._slopes(ways / gaps[:, None], gaps)
+        for v, angle in self._ball_angles():  # a ball at its limit does not run along it
+            slopes[angle > self.robot.upper[v] - _SLACK, v : v + 3] = 0.0
+        self._cubic = self._coefficients(ways, gaps, slopes)
+        for _ in range(_CONE_ROUNDS):
+            loose = self._out_of_cone()
+            if not loose:
+                return
+            for i, v in loose:  # at rest at both keys the way is the geodesic, which stays inside
+                slopes[i : i + 2, v : v + 3] = 0.0
+            self._cubic = self._coefficients(ways, gaps, slopes)
+
+    def _slopes(self, speeds: Array, gaps: Array) -> Array:
+        """(n, nv) speed at every key: none at the ends, and where a degree of freedom turns back."""
+        slopes = np.zeros((len(gaps) + 1, self.robot.nv))
+        slopes[1:-1] = _harmonic(speeds[:-1], speeds[1:], gaps[:-1], gaps[1:])
+        if self.loop and len(gaps):
+            before = speeds[-1].copy()
+            v, turn = None, np.eye(2)
+            if self._base is not None:  # the base goes on in the direction in which the first step leads
+                v = int(self.robot.tree.vadr[list(self.robot.tree.kind).index(FREE)])
+                c, s = math.cos(self._base[1].heading), math.sin(self._base[1].heading)
+                turn = np.array([[c, -s], [s, c]])
+                before[v : v + 2] = turn.T @ before[v : v + 2]
+            slopes[0] = slopes[-1] = _harmonic(before, speeds[0], gaps[-1], gaps[0])
+            if v is not None:
+                slopes[-1, v : v + 2] = turn @ slopes[0, v : v + 2]
+        return slopes
+
+    def _coefficients(self, ways: Array, gaps: Array, slopes: Array) -> Array:
+        """(n - 1, 3, nv) of s³, s², s."""
+        begin, end = slopes[:-1] * gaps[:, None], slopes[1:] * gaps[:, None]
+        for v in _rotation_blocks(self.robot):
+            end[:, v : v + 3] = _inverse_right_jacobian(ways[:, v : v + 3], end[:, v : v + 3])
+        return np.stack([begin + end - 2.0 * ways, 3.0 * ways - 2.0 * begin - end, begin], axis=1)
+
+    def _out_of_cone(self) -> list[tuple[int, int]]:
+        """Segments and balls (their place in dq) that leave their cone between keys that are inside."""
+        found = []
+        for v, angle in self._ball_angles():
+            a = int(self.robot.tree.qadr[self.robot.tree.dof_node[v]])
+            span = np.linalg.norm(self._cubic[:, :, v : v + 3], axis=2).sum(axis=1)
+            for i in np.flatnonzero(angle[:-1] + span > self.robot.upper[v]).tolist():
+                third, second, first = self._cubic[i]
+                for s in _CONE_POINTS.tolist():
+                    q = self.robot.integrate(self.q[i], ((third * s + second) * s + first) * s)
+                    if np.abs(self.robot.clip(q) - q)[a : a + 4].max() > 0.01 * _SLACK:
+                        found.append((i, v))
+                        break
+        return found
+
+    def _ball_angles(self) -> Iterator[tuple[int, Array]]:
+        """Of every ball with a cone its place in dq and (n,) how far from the middle it stands, radians."""
+        tree = self.robot.tree
+        for kind, a, v in zip(tree.kind, tree.qadr, tree.vadr, strict=True):
+            if kind == BALL and np.isfinite(self.robot.upper[v]):
+                sine = np.linalg.norm(self.q[:, a + 1 : a + 4], axis=1)
+                yield int(v), 2.0 * np.arctan2(sine, np.abs(self.q[:, a]))
+
+    def _require_speed(self, velocity: Array) -> None:
+        """Raises where a speed limit is broken, with the time that the way would need."""
+        over = self.peak_velocity_of_segments() / velocity
+        if not over.size or not over.max() > 1.0 + _OVER_SPEED:
+            return
+        i, v = np.unravel_index(int(np.argmax(over)), over.shape)
+        joint = self.robot.joints[int(np.searchsorted(self.robot.tree.vadr, v, side="right")) - 1]
+        asked, allowed = apart(float(over[i, v] * velocity[v]), float(velocity[v]), digits=3, form="g")
+        gap = float(self.times[i + 1] - self.times[i])
+        raise TrajectoryError(
+            f"from key {i} to key {i + 1} joint {joint!r} moves at {asked}; allowed: {allowed} (rad/s, m/s)",
+            hint=f"give it {gap * over[i, v]:.3g} s instead of {gap:.3g} s, or take Keyframes.through",
+        )
+
+
+def free_base(robot: Robot) -> int | None:
+    """Where the free joint that carries the robot begins in q; None: it has none."""
+    for kind, parent, place in zip(robot.tree.kind, robot.tree.parent, robot.tree.qadr, strict=True):
+        if kind == FREE and parent < 0:
+            return int(place)
+    return None
+
+
+def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> tuple[Array, Array]:
+    t, rows = np.array(times, dtype=float), np.array(q, dtype=float)
+    if t.ndim != 1 or len(t) < 1 or rows.shape != (len(t), robot.nq):
+        raise TrajectoryError(
+            f"keys of {robot.name!r} got times {t.shape} and q {rows.shape}",
+            hint=f"times must be (n,) with n >= 1 and q (n, {robot.nq})",
+        )
+    if not (np.isfinite(t).all() and np.isfinite(rows).all()):
+        raise TrajectoryError("a key has a number that is not finite", hint="look for NaN in q")
+    if (np.diff(t) < _LEAST_STEP).any():
+        k = int(np.argmax(np.diff(t) < _LEAST_STEP))
+        raise TrajectoryError(
+            f"times must increase, but key {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
+            hint="sort the keys, and give each a time of its own",
+        )
+    rows = sign_continuous(robot, rows)
+    for k, row in enumerate(rows):
+        if outside := robot.outside(row, _SLACK):
+            raise TrajectoryError(
+                f"key {k} has {', '.join(map(repr, outside))} outside its limits",
+                hint="robot.clip(q) is the nearest pose inside",
+            )
+    if loop and not _closed(robot, rows[0], rows[-1]):
+        raise TrajectoryError(
+            "the last key of a loop must be the first again (but for the place and heading of a free base)",
+            hint="repeat the first key at the end, or take Keyframes.through(…, loop=True), which does",
+        )
+    t = t - t[0]
+    t.flags.writeable = rows.flags.writeable = False
+    return t, rows
+
+
+def _closed(robot: Robot, first: Array, last: Array) -> bool:
+    """Whether two keys are one pose, wherever the free base stands and looks."""
+    moved = np.array(first)
+    where = free_base(robot)
+    if where is not None:
+        part = slice(where, where + 7)
+        Displacement.between(first[part], last[part]).move(moved[part])
+    return bool(np.abs(robot.difference(moved, last)).max(initial=0.0) < _SLACK)
+
+
+def _harmonic(one: Array, two: Array, before: Array | float, after: Array | float) -> Array:
+    """The speed at a key between speeds ``one`` and ``two``: 0 where they differ in sign."""
+    before, after = np.asarray(before), np.asarray(after)
+    if np.ndim(one) == 2:
+        before, after = before[:, None], after[:, None]
+    left, right = 2.0 * after + before, after + 2.0 * before
+    # Next to no speed on one side: their harmonic mean is none.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         mean = (left + right) / (left / one + right / two)
     return np.where(one * two > 0.0, mean, 0.0)
