@@ -111,11 +111,11 @@ def take(browser: Any, shot: Shot) -> None:
         window.wait_for_timeout(7000)
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
-    picture = Image.open(BytesIO(raw)).convert("RGB")
-    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
-        IMAGES / f"{shot.name}.png", optimize=True
-    )
-    print(f"{shot.name}.png: {(IMAGES / f'{shot.name}.png').stat().st_size / 1000:.0f} kB", flush=True)
+    picture: Image.Image = Image.open(BytesIO(raw)).convert("RGB")
+    picture = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    file = IMAGES / f"{shot.name}.png"
+    picture.save(file, optimize=True)
+    print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB", flush=True)
 
 
 def main() -> None:

@@ -376,9 +376,8 @@ def _print_help() -> None:
     others.show_header = False
     others.add_row("--version", "versions of robot_ik and of what it stands on")
     others.add_row("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)")
-    screen.print()
     screen.print(others)
-    screen.print("\nStart with:  robot-ik reach", markup=False)
+    screen.print("Start with:  robot-ik reach, or robot-ik view", markup=False)
     screen.print("Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment", markup=False)
 
 

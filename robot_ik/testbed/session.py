@@ -236,11 +236,11 @@ class Session:
         self._phase += self._speed * self._period
         if self._motion != "hand" and self._drag is None:
             self._ball = self._moving_ball()
-        for one in self.instances:
-            if self._drag is None:
+        if self._drag is not None:
+            self._follow_drag(self._drag, ready)
+        else:
+            for one in self.instances:
                 one.solve(ready.goals, self._ball)
-            else:
-                one.drag(self._drag, np.array(self._drag.grip), ready.drag_solver, ready.goals, self._ball)
         slow = self._tick % _SLOW_TICKS == 0
         for one in self.instances:
             if slow:
@@ -249,6 +249,10 @@ class Session:
                 one.measure_statistics()
         if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
             self._find_branches(ready)
+
+    def _follow_drag(self, drag: DragLink, ready: Ready) -> None:
+        for one in self.instances:
+            one.drag(drag, np.array(drag.grip), ready.drag_solver, ready.goals, self._ball)
 
     def _moving_ball(self) -> Pose:
         assert self._ready is not None
@@ -325,6 +329,9 @@ class Session:
                 self._grab(command)
             case Release():
                 if self._drag is not None:
+                    if self._running and self._ready is not None:
+                        # A slow browser's drag may come with its end in one tick: where it ended counts.
+                        self._follow_drag(self._drag, self._ready)
                     self._ball = self.instances[min(self._drag.instance, len(self.instances) - 1)].tool_pose()
                     self._drag, self._motion = None, "hand"
             case Reset():

@@ -35,6 +35,7 @@ HARMLESS = (
     "THREE.Clock: This module has been deprecated",
     "GL Driver Message",  # software rendering is slow, says the driver
     "Unable to preventDefault inside passive event listener invocation.",  # viser's own
+    "GL_INVALID_OPERATION: glDrawElementsInstanced",  # viser's outline of what the mouse is over, in software
 )
 READY = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;

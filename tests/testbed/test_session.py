@@ -183,6 +183,14 @@ def test_any_link_can_be_dragged_and_the_grabbed_point_comes_along(session: Sess
     assert view.dragged == "" and view.motion == "hand" and view.instances[0].miss < 1e-4
 
 
+def test_a_drag_that_comes_with_its_end_in_one_tick_counts(session: Session) -> None:
+    view_after(session, SetMotion("hand"))
+    before = session.instances[0].q
+    to = tuple(session.instances[0].tool_pose().position + np.array((0.0, 0.05, 0.05)))
+    view = view_after(session, DragLink(0, "hand", (0.0, 0.0, 0.0), to), Release(), ticks=1)
+    assert np.abs(view.instances[0].q - before).max() > 0.02 and view.dragged == ""
+
+
 def test_a_method_without_position_goals_is_dragged_all_the_same(session: Session) -> None:
     view_after(session, SetMethod(0, "analytic"))
     before = session.instances[0].q
