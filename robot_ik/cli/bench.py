@@ -41,7 +41,7 @@ class BenchOptions:
     A time is that of the whole Python call: 4×4 matrix in, joint array out, limits obeyed. Kernels are
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
-    Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera, and figure, --help
+    Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera and bench figure
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
