@@ -114,8 +114,16 @@ def commands() -> str:
     return markdown(("command", "what it does"), ((f"`{n}`", c.about) for n, c in COMMANDS.items()))
 
 
+def keys() -> str:
+    """One row for each key of the testbed."""
+    from robot_ik.testbed.keymap import KEYMAP
+
+    rows = ((key.about, *(f"`{k}`" if k else "" for k in (key.browser, key.window))) for key in KEYMAP)
+    return markdown(("what it does", "browser", "window"), rows)
+
+
 TABLES: dict[str, Callable[..., str]] = {
-    make.__name__: make for make in (solvers, method, options, floors, buses, servos, commands)
+    make.__name__: make for make in (solvers, method, options, floors, buses, servos, commands, keys)
 }
 
 

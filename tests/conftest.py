@@ -47,7 +47,7 @@ class Require(Protocol):
 
 
 def _find_browser() -> str | None:
-    names = ("chromium", "chromium-browser", "google-chrome", "firefox")
+    names = ("chromium", "chromium-browser", "google-chrome")
     return next((path for name in names if (path := shutil.which(name))), None)
 
 
@@ -74,7 +74,7 @@ def _find_xvfb() -> str | None:
 
 
 PROBES: dict[str, tuple[Callable[[], str | None], str]] = {
-    "browser": (_find_browser, "no Chromium, Chrome or Firefox"),
+    "browser": (_find_browser, "no Chromium or Chrome"),
     "gl": (_find_gl, "MuJoCo cannot render off-screen: neither EGL nor OSMesa works"),
     "opencv4": (_find_opencv4, "this is not OpenCV 4 (make test-opencv4)"),
     "xvfb": (_find_xvfb, "no Xvfb"),

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik import __version__
+from robot_ik.camera.drawing.overlay import draw_robot, put_label
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.synthetic import look_at
-from robot_ik.camera.overlay import draw_robot, put_label
+from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Box, Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, Start
-from robot_ik.files import read_csv, write_atomically
-from robot_ik.jobs.ar_files import open_sink
-from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
+from robot_ik.files import read_csv, shown, write_atomically
+from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -89,7 +89,7 @@ def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
     """Balls of a CSV file: x, y, z in each row, m; a first row of names may be there.
 
     Raises:
-        ConfigError: Not three numbers.
+        ConfigError: No row, or not three numbers in one.
     """
     rows = [row for row in read_csv(file, "table of balls") if row]
     if rows and not _number(rows[0][0]):
@@ -98,9 +98,12 @@ def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
     for number, row in enumerate(rows, start=1):
         if len(row) != 3 or not all(_number(cell) for cell in row):
             raise ConfigError(
-                f"row {number} is {row}", file=file, key="x, y, z", allowed="three numbers, metres"
-            )
+                f"row {number} is {shown(', '.join(row))}",
+                file=file, key="x, y, z", allowed="three numbers, metres",
+            )  # fmt: skip
         found.append((float(row[0]), float(row[1]), float(row[2])))
+    if not found:
+        raise ConfigError("has no balls", file=file, allowed="x, y, z in each row, metres")
     return tuple(found)
 
 

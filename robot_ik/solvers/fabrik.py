@@ -26,31 +26,34 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.kernels.aiming import HANGS, mark_hanging, settle
 from robot_ik.kernels.bones import (
+    BALL_PULL,
     FIRST,
+    HANGS,
     LENGTH,
     NEXT,
     NOW,
     POINT_COLUMNS,
+    PULL,
     SHARE,
     SHIFT,
+    SUM_SIZE,
     UP,
     WISH,
     across,
     apart,
     link_points,
     locate_all,
+    mark_hanging,
+    settle,
     turned_goal,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
-from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
-from robot_ik.kernels.work import ALL_GOALS, SEARCH, TRY_STEPS, open_work
-from robot_ik.solvers.base import option
-from robot_ik.solvers.bones import BoneSolver
+from robot_ik.kernels.workspace import ALL_GOALS, SEARCH, TRY_STEPS, open_work
+from robot_ik.solvers.base import BoneSolver, option
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6
@@ -69,10 +72,17 @@ class Fabrik(BoneSolver):
     try_steps: int = option(100, "passes granted to a try from a random point", low=1, high=100_000)
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
-    pull: float = option(0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0)
-    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
+    pull: float = option(
+        0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+    )
+    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
     kick: float = option(
-        0.1, "how far a straight chain is bent before it reaches inwards", low=0.0, high=1.0, unit="bones"
+        0.1,
+        "how far a straight chain is bent before it reaches inwards",
+        low=0.0,
+        high=1.0,
+        unit="bones",
+        usual=(0.0, 0.5),
     )
 
     name: ClassVar[str] = "fabrik"

@@ -17,7 +17,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import JacobianSolver, option
 
 
@@ -30,8 +30,10 @@ class JacobianTranspose(JacobianSolver):
     try_steps: int = option(400, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(20, "steps without progress before a try is given up", low=1, high=1000)
     # A little less than the best length breaks the zigzag of steepest descent (Raydan & Svaiter 2002).
-    gain: float = option(0.9, "share of each step that is taken", low=1e-6, high=2.0)
-    fixed_gain: float = option(0.0, "fixed α in place of Buss's; 0: Buss's", low=0.0, high=1e6)
+    gain: float = option(0.9, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0))
+    fixed_gain: float = option(
+        0.0, "fixed α in place of Buss's; 0: Buss's", low=0.0, high=1e6, usual=(0.0, 1.0)
+    )
 
     name: ClassVar[str] = "transpose"
     title: ClassVar[str] = "Jacobian transpose, best step length on the linear model"

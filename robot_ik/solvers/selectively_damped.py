@@ -32,7 +32,7 @@ from robot_ik.kernels.linalg import svd
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import JacobianSolver, option
 
 
@@ -41,7 +41,12 @@ class SelectivelyDamped(JacobianSolver):
     """Smooth near singularities and at unreachable targets without a damping to tune."""
 
     max_step: float = option(
-        math.pi / 4, "γ_max: largest change of one joint in a step", low=1e-4, high=1e6, unit="rad"
+        math.pi / 4,
+        "γ_max: largest change of one joint in a step",
+        low=1e-4,
+        high=1e6,
+        unit="rad",
+        usual=(0.0, 2.0),
     )
 
     name: ClassVar[str] = "sdls"

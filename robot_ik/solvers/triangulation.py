@@ -23,29 +23,32 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_ik.kernels.aiming import HANGS, fit_joint, mark_hanging
 from robot_ik.kernels.bones import (
+    BALL_PULL,
+    HANGS,
     LENGTH,
     NOW,
     PATH,
     POINT_COLUMNS,
+    PULL,
+    SUM_SIZE,
     WISH,
     across,
     chain_path,
+    fit_joint,
     inner_radius,
     link_points,
     locate,
     locate_all,
+    mark_hanging,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
-from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
-from robot_ik.kernels.work import open_work
-from robot_ik.solvers.base import option
-from robot_ik.solvers.bones import BoneSolver
+from robot_ik.kernels.workspace import open_work
+from robot_ik.solvers.base import BoneSolver, option
 
 # A bone shorter than this, metres, is none: its ends are one point.
 _NO_BONE = 1e-9
@@ -61,8 +64,10 @@ class Triangulation(BoneSolver):
     patience: int = option(5, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     improved: bool = option(True, "turn each bone no farther than the rest needs", low=0, high=1)
-    pull: float = option(0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0)
-    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100)
+    pull: float = option(
+        0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+    )
+    sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
 
     name: ClassVar[str] = "triangulation"
     title: ClassVar[str] = "triangles by the law of cosines, root to tip; balls without limits in one pass"

@@ -235,9 +235,9 @@ def test_frames_are_where_they_are_said_to_be() -> None:
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-15), name
     hips = [data.body(f"{side}_thigh").xpos for side in SIDES]
     assert data.site("pelvis").xpos == pytest.approx((hips[0] + hips[1]) / 2)
-    eyes = [data.geom(f"{side}_eye").xpos for side in SIDES]
-    assert data.site("gaze").xpos[1:] == pytest.approx(((eyes[0] + eyes[1]) / 2)[1:])
-    assert 0 < data.site("gaze").xpos[0] - eyes[0][0] < 0.015
+    vision = [data.geom(f"{side}_eye").xpos for side in SIDES]
+    assert data.site("gaze").xpos[1:] == pytest.approx(((vision[0] + vision[1]) / 2)[1:])
+    assert 0 < data.site("gaze").xpos[0] - vision[0][0] < 0.015
     assert data.site("head").xpos == pytest.approx(data.xipos[load().body("head").id])
     for side in SIDES:
         foot = data.site(f"{side}_foot").xpos

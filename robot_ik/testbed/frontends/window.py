@@ -22,6 +22,18 @@ import numpy as np
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.ports import Array
+from robot_ik.testbed.commands import MoveGoal
+from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.session import Session, View
+from robot_ik.testbed.staging import (
+    BALL_RADIUS,
+    GOAL_COLOUR,
+    INSTANCE_COLOURS,
+    corners,
+    fitted_camera,
+    staged,
+)
+from robot_ik.urdf import Urdf
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -85,6 +97,38 @@ def _call_with_limit(call: Callable[[], Any], limit: float) -> Any:
     return box[0]
 
 
+def _light(model: Any) -> None:
+    """A model without a light of its own is lit from the eye alone, and then more brightly."""
+    if not model.nlight:
+        model.vis.headlight.ambient[:] = _AMBIENT
+        model.vis.headlight.diffuse[:] = _DIFFUSE
+
+
+def _launch(model: Any, data: Any, limit: float, **options: Any) -> Any:
+    """MuJoCo's passive viewer; without its side panels unless ``options`` say otherwise.
+
+    Raises:
+        ViewerError: No display, no OpenGL on it, or macOS without ``mjpython``.
+    """
+    try:
+        import mujoco.viewer as viewer
+    except (ImportError, AttributeError) as reason:
+        raise ViewerError(
+            f"MuJoCo's viewer cannot be loaded: {reason}", hint="look closer with: robot-ik doctor"
+        ) from reason
+    if sys.platform == "darwin":
+        # macOS draws only on the main thread, which mjpython keeps free for the window.
+        if getattr(viewer, "_MJPYTHON", None) is None:
+            raise ViewerError(
+                "on macOS the window needs MuJoCo's own Python",
+                hint="run: mjpython -m robot_ik …, or leave the window out",
+            )
+    else:
+        _require_display(limit)
+    options = {"show_left_ui": False, "show_right_ui": False, **options}
+    return _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit)
+
+
 class WindowSink:
     """Mirrors joint angles into a window: a ``JointSink`` and a context manager.
 
@@ -121,11 +165,11 @@ class WindowSink:
         self._mujoco = import_mujoco()
         self._robot = robot
         self._model = copy.deepcopy(robot.model)
-        self._light()
+        _light(self._model)
         self.data = self._mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
         before = set(threading.enumerate())
-        self._viewer = self._open(panels, limit)
+        self._viewer = _launch(self._model, self.data, limit, show_left_ui=panels, show_right_ui=panels)
         self._threads = [t for t in threading.enumerate() if t not in before]
         with self._lock():
             self._look(see, eye)
@@ -133,12 +177,6 @@ class WindowSink:
                 self._add_box(solid)
         self._fixed = int(self._viewer.user_scn.ngeom)
         self._viewer.sync()
-
-    def _light(self) -> None:
-        """A model without a light of its own is lit from the eye alone, and then more brightly."""
-        if not self._model.nlight:
-            self._model.vis.headlight.ambient[:] = _AMBIENT
-            self._model.vis.headlight.diffuse[:] = _DIFFUSE
 
     def _look(self, see: Array | None, eye: Array | None) -> None:
         """Turns the camera so that the robot as it stands and ``see`` (n, 3) fill the view."""
@@ -171,27 +209,6 @@ class WindowSink:
                 np.array(solid.rgba, dtype=np.float32),
             )
             scene.ngeom += 1
-
-    def _open(self, panels: bool, limit: float) -> Any:
-        try:
-            import mujoco.viewer as viewer
-        except (ImportError, AttributeError) as reason:
-            raise ViewerError(
-                f"MuJoCo's viewer cannot be loaded: {reason}", hint="look closer with: robot-ik doctor"
-            ) from reason
-        if sys.platform == "darwin":
-            # macOS draws only on the main thread, which mjpython keeps free for the window.
-            if getattr(viewer, "_MJPYTHON", None) is None:
-                raise ViewerError(
-                    "on macOS the window needs MuJoCo's own Python",
-                    hint="run: mjpython -m robot_ik … --view, or leave out --view",
-                )
-        else:
-            _require_display(limit)
-        return _call_with_limit(
-            lambda: viewer.launch_passive(self._model, self.data, show_left_ui=panels, show_right_ui=panels),
-            limit,
-        )
 
     def _write(self, q: Array) -> None:
         self.data.qpos[:] = self._robot.qpos(q)
@@ -263,3 +280,203 @@ class WindowSink:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+# ------------------------------------------------------------------------------ the testbed's session
+
+_BALL = "testbed_ball"
+_MOVED = 1e-7  # metres: less is rounding
+_TEXT_ROWS = 12
+_SPECIAL = {"Space": 32, "Right": 262, "Left": 263, "Down": 264, "Up": 265}  # GLFW's numbers
+
+
+class SessionWindow:
+    """The front end ``window``: a testbed session in MuJoCo's passive viewer.
+
+    The ball is selected from the start: Ctrl and the right mouse button move it.  Keys are those of the first
+    thesis (``KEYMAP``).
+
+    Args:
+        session: What is shown and driven.
+        limit: Seconds the window may take to appear.
+
+    Raises:
+        ViewerError: As ``WindowSink``.
+    """
+
+    def __init__(self, session: Session, limit: float = OPEN_LIMIT) -> None:
+        self.session, self._limit = session, limit
+        self._view = session.view()
+        self._overlay = True
+        self._robot: Robot | None = None
+        self._mujoco = import_mujoco()
+        self._open()
+
+    @property
+    def help(self) -> str:
+        """The keys, in one line."""
+        return "; ".join(f"{key.window} {key.about}" for key in KEYMAP if key.window)
+
+    def _open(self) -> None:
+        """A window for the session's robot; another robot needs another one."""
+        mujoco, robot = self._mujoco, self.session.robot
+        self._robot, self._count = robot, self._view.count
+        self._grabbed = False
+        self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
+        self._stage = staged(robot, self._count)
+        self._model, self._ball = _with_ball(mujoco, robot, self._stage.extent)
+        _light(self._model)
+        self._data = mujoco.MjData(self._model)
+        self._others = [mujoco.MjData(robot.model) for _ in range(self._count - 1)]
+        self._option = mujoco.MjvOption()
+        before = set(threading.enumerate())
+        self._viewer = _launch(self._model, self._data, self._limit, key_callback=self._on_key)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        body = int(self._model.body(_BALL).id)
+        with self._viewer.lock():
+            self._viewer.perturb.select = body
+            self._kept = (
+                self._viewer.opt.flags.copy(),
+                self._viewer.opt.geomgroup.copy(),
+                self._viewer.user_scn.flags.copy(),
+            )
+            camera = self._viewer.cam
+            position, look = fitted_camera(
+                corners(robot, self._stage, self.session.way()), self._stage, aspect=1.5
+            )
+            way = look - position
+            camera.lookat[:], camera.distance = look, float(np.linalg.norm(way))
+            camera.azimuth = float(np.degrees(np.arctan2(way[1], way[0])))
+            camera.elevation = float(np.degrees(np.arcsin(way[2] / camera.distance)))
+
+    def _on_key(self, code: int) -> None:
+        """From the viewer's thread: only sends."""
+        for key in KEYMAP:
+            if key.window and code == _SPECIAL.get(key.window, ord(key.window[0])):
+                if key.command is None:
+                    self._overlay = not self._overlay
+                else:
+                    self.session.send(key.command(self._view))
+
+    def draw(self, view: View) -> bool:
+        """Shows a view; False once the window is closed."""
+        if not self._viewer.is_running():
+            return False
+        self._view = view
+        if self.session.robot.model is not getattr(self._robot, "model", None) or view.count != self._count:
+            self.close()
+            self._open()
+        robot = self.session.robot
+        with self._viewer.lock():
+            self._restore_flags()
+            self._take_drag()
+            place = np.array(view.ball.position) + self._stage.offsets[0]
+            self._data.mocap_pos[self._ball] = self._placed = place
+            self._data.qpos[: robot.model.nq] = robot.qpos(view.instances[0].q)
+            self._mujoco.mj_forward(self._model, self._data)
+            self._draw_others(view)
+        self._viewer.set_texts(self._texts(view) if self._overlay else [])
+        self._viewer.sync()
+        self._take_drag()
+        return True
+
+    def _take_drag(self) -> None:
+        """``sync`` writes what the mouse did into the ball's mocap pose."""
+        place, active = self._data.mocap_pos[self._ball].copy(), bool(self._viewer.perturb.active)
+        grabbed, self._grabbed = self._grabbed or active, active  # the last move comes with the release
+        if grabbed and np.isfinite(self._placed).all() and np.abs(place - self._placed).max() > _MOVED:
+            self._placed = place
+            x, y, z = (float(value) for value in place - self._stage.offsets[0])
+            self.session.send(MoveGoal((x, y, z)))
+
+    def _restore_flags(self) -> None:
+        """What MuJoCo's own keys switched: every letter of the testbed is one of them, too."""
+        flags, groups, scene = self._kept
+        self._viewer.opt.flags[:] = flags
+        self._viewer.opt.geomgroup[:] = groups
+        self._viewer.user_scn.flags[:] = scene
+
+    def _draw_others(self, view: View) -> None:
+        """Trails, and the other instances: their geoms moved aside."""
+        mujoco, scene, robot = self._mujoco, self._viewer.user_scn, self.session.robot
+        scene.ngeom = 0
+        for k, data in enumerate(self._others, 1):
+            data.qpos[:] = robot.qpos(view.instances[k].q)
+            mujoco.mj_forward(robot.model, data)
+            first = scene.ngeom
+            mujoco.mjv_addGeoms(
+                robot.model, data, self._option, mujoco.MjvPerturb(),
+                int(mujoco.mjtCatBit.mjCAT_DYNAMIC) | int(mujoco.mjtCatBit.mjCAT_STATIC), scene,
+            )  # fmt: skip
+            for g in range(first, scene.ngeom):
+                scene.geoms[g].pos[:] += self._stage.offsets[k]
+        for k, one in enumerate(view.instances if self._overlay else ()):
+            colour = np.array((*(c / 255.0 for c in INSTANCE_COLOURS[k]), 1.0), dtype=np.float32)
+            points = one.trail + self._stage.offsets[k]
+            for a, b in zip(points[:-4:4], points[4::4], strict=False):
+                if scene.ngeom >= scene.maxgeom:
+                    return
+                geom = scene.geoms[scene.ngeom]
+                # Lines: capsules take a third of the frame rate in software.
+                kind = mujoco.mjtGeom.mjGEOM_LINE
+                mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+                mujoco.mjv_connector(geom, kind, 3.0, a, b)
+                scene.ngeom += 1
+
+    def _texts(self, view: View) -> list[Any]:
+        """Mode, ball and statistics in the corners."""
+        mujoco = self._mujoco
+        rows = [("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)), ("moves", view.motion)]
+        rows += [
+            ("asks", view.kind),
+            ("state", view.busy or ("running" if view.running else "holding still")),
+        ]
+        for k, one in enumerate(view.instances):
+            solved = f"{100.0 * one.statistics.solved:.0f} %"
+            text = (
+                one.status if not one.able else f"{1e3 * one.miss:.2f} mm, {one.iterations} steps, {solved}"
+            )
+            rows.append((f"{k + 1} {one.method}", text))
+        if view.message:
+            rows.append(("", view.message[:80]))
+        left, right = ("\n".join(column) for column in zip(*rows[:_TEXT_ROWS], strict=True))
+        place = mujoco.mjtGridPos
+        keys = "\n".join(key.window for key in KEYMAP if key.window)
+        about = "\n".join(key.about for key in KEYMAP if key.window)
+        font = mujoco.mjtFontScale.mjFONTSCALE_100
+        return [(font, place.mjGRID_TOPLEFT, left, right), (font, place.mjGRID_BOTTOMLEFT, keys, about)]
+
+    def close(self) -> None:
+        """Closes the window and waits for its drawing thread; may be called twice."""
+        self._viewer.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(CLOSE_LIMIT)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _with_ball(mujoco: Any, robot: Robot, extent: float) -> tuple[Any, int]:
+    """The robot's model with a ball that the mouse can move, and its mocap index.
+
+    Raises:
+        ViewerError: The model was never a file.
+    """
+    if not robot.path.is_file():
+        raise ViewerError(f"{robot.name} is no file, and the window needs one", hint="--viewer browser")
+    if robot.path.suffix.lower() == ".urdf":
+        urdf = Urdf.of_text(robot.path.read_text(encoding="utf-8", errors="replace"), robot.folder)
+        spec = mujoco.MjSpec.from_string(urdf.text()) if urdf else mujoco.MjSpec.from_file(str(robot.path))
+    else:
+        spec = mujoco.MjSpec.from_file(str(robot.path))
+    ball = spec.worldbody.add_body(name=_BALL, mocap=True)
+    ball.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS * extent, 0.0, 0.0],
+        rgba=[*(c / 255.0 for c in GOAL_COLOUR), 1.0], contype=0, conaffinity=0,
+    )  # fmt: skip
+    model = spec.compile()
+    return model, int(model.body(_BALL).mocapid[0])

@@ -1,0 +1,262 @@
+"""``robot-ik view``: the testbed in a browser, in MuJoCo's window, or replayed without either."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import webbrowser
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.connection import NONE, bus_argument
+from robot_ik.environment import import_mujoco, probe_display
+from robot_ik.errors import MissingExtraError
+from robot_ik.files import claimed
+from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
+
+if TYPE_CHECKING:
+    from robot_ik.testbed.arm import ArmLink
+    from robot_ik.testbed.commands import CommandLog, Start
+    from robot_ik.testbed.session import Session, View
+
+_COUNTS = (1, 2, 4)
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """The interactive testbed: drag the ball or any part of the robot, choose methods, compare up to four.
+
+    It opens in the browser; `--viewer window` is MuJoCo's own window. With `--bus` the first robot's joint
+    angles go through the limiter to servos, simulated or real. Ctrl-C ends it, and the arm is left by its
+    exit policy.
+
+    Exit code 0: done. 1: a replay differs from what its log says. 2: wrong input or environment.
+    """
+
+    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: {SHOWN_ROBOT})")] = ""
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    viewer: Literal["auto", "browser", "window", "recorder"] = "auto"
+    """auto: the browser; without the extra `web` the window; without a display the recorder."""
+    count: int = 1
+    """Robots side by side: 1, 2 or 4, each with its own method."""
+    method: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: usual ones)")] = ()
+    """Methods to begin with."""
+    bus: Annotated[str, bus_argument(none=True)] = NONE
+    arm: Annotated[
+        Path | None, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")
+    ] = None
+    """Servo ids, signs, zeros and limits."""
+    on_exit: Annotated[
+        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the file's)")
+    ] = ""
+    """How the arm is left."""
+    replay: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Repeat a command log, and say whether it ends in the same bits."""
+    log: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Write the command log at the end."""
+    host: str = "127.0.0.1"
+    """Address to listen at. One that others can reach asks every browser for a token."""
+    host_name: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="")] = ()
+    """Further names under which browsers may call this machine."""
+    port: int = 8080
+    """The next free one is taken where it is busy."""
+    dark: bool = False
+    """Dark to begin with."""
+    camera: bool = True
+    """The synthetic camera's tab, where the robot has a scene."""
+    shadows: bool = True
+    """Without a GPU the browser is quicker without."""
+    open: bool = True
+    """Open the page in the system's browser."""
+    seconds: Annotated[float, arg(help_behavior_hint="(default: until Ctrl-C)")] = 0.0
+    """End by itself."""
+    seed: int = 1
+    """Of the ball's random places."""
+
+
+def run(options: ViewOptions) -> int:
+    """Opens the testbed; 0 done, 1 a replay that differs."""
+    import_mujoco()
+    if options.replay is not None:
+        return _replay(options.replay)
+    if options.count not in _COUNTS:
+        raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
+    viewer = choose_viewer(options.viewer)
+    with claimed(options.log, overwrite=True):
+        return _view(options, viewer)
+
+
+def choose_viewer(asked: str, *, browser: bool | None = None, window: bool | None = None) -> str:
+    """Which front end opens here, and says so where it was not named.
+
+    Args:
+        asked: As ``--viewer``.
+        browser: Whether the extra ``web`` is there; None: look.
+        window: Whether a window can be opened; None: look.
+
+    Raises:
+        MissingExtraError: The browser is asked for without its extra.
+    """
+    browser = _web_is_there() if browser is None else browser
+    if asked == "browser" and not browser:
+        raise MissingExtraError("viser", "web", "the page in the browser")
+    if asked != "auto":
+        return asked
+    if browser:
+        return "browser"
+    if probe_display(timeout=10.0).ok if window is None else window:
+        console.say('the window is opened; for the page in a browser: pip install "robot_ik[web]"', "yellow")
+        return "window"
+    console.say("neither browser page nor display: the recorder films 10 s instead", "yellow")
+    return "recorder"
+
+
+def _web_is_there() -> bool:
+    from importlib.util import find_spec
+
+    return all(find_spec(name) is not None for name in ("viser", "mjviser"))
+
+
+def _start(options: ViewOptions) -> Start:
+    from robot_ik.testbed.commands import Start
+
+    robot = options.robot or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
+    return Start(robot, options.count, options.method, options.seed)  # type: ignore[arg-type]
+
+
+def _view(options: ViewOptions, viewer: str) -> int:
+    from robot_ik.testbed.session import Session
+
+    start = _start(options)
+    if viewer == "recorder":
+        return _film(start, options)
+    link = _arm(start, options)
+    try:
+        with Session(start, arm=link) as session, _opened(viewer, session, options) as draw:
+            _loop(session, draw, options)
+            if options.log is not None:
+                session.log().save(options.log)
+                console.say(f"command log: {options.log}")
+    finally:
+        if link is not None:
+            link.close()
+            console.say(link.left, "dim")
+    return console.DONE
+
+
+def _arm(start: Start, options: ViewOptions) -> ArmLink | None:
+    if options.bus == NONE:
+        return None
+    from robot_ik.jobs.testbed import arm_link
+
+    return arm_link(start.robot, options.arm, options.bus, options.on_exit)
+
+
+@contextlib.contextmanager
+def _opened(viewer: str, session: Session, options: ViewOptions) -> Iterator[Callable[[View], bool]]:
+    """A front end's ``draw``; it says False once it is closed."""
+    if viewer == "window":
+        from robot_ik.testbed.frontends.window import SessionWindow
+
+        with SessionWindow(session) as window:
+            console.say("keys: " + window.help, "dim")
+            yield window.draw
+        return
+    from robot_ik.jobs.testbed import StageCamera
+    from robot_ik.testbed.frontends.browser import Page
+
+    real = options.bus != NONE and not _is_virtual(options.bus)
+    camera = StageCamera(session) if options.camera else None
+    with Page(
+        session, host=options.host, port=options.port, dark=options.dark, token=real,
+        names=options.host_name, shadows=options.shadows, camera=camera,
+    ) as page:  # fmt: skip
+        console.out().print(f"the testbed is at {page.url}", markup=False, highlight=False, soft_wrap=True)
+        if session.busy:
+            console.say("kernels are loaded, or compiled on a new machine, while the page is open", "dim")
+        if options.open:
+            webbrowser.open(page.url)
+
+        def draw(view: View) -> bool:
+            page.draw(view)
+            return True
+
+        yield draw
+
+
+def _is_virtual(bus: str) -> bool:
+    from robot_ik.hardware import bus_row
+
+    return bus_row(bus).virtual
+
+
+def _loop(session: Session, draw: Callable[[View], bool], options: ViewOptions) -> None:
+    from robot_ik.testbed.session import run as run_session
+
+    stop = threading.Event()
+
+    def show(view: View) -> None:
+        if not draw(view):
+            stop.set()
+
+    timer = threading.Timer(options.seconds, stop.set) if options.seconds else None
+    if timer is not None:
+        timer.daemon = True
+        timer.start()
+    with contextlib.suppress(KeyboardInterrupt):
+        run_session(session, show, stop)
+    if timer is not None:
+        timer.cancel()
+
+
+def _film(start: Start, options: ViewOptions) -> int:
+    from robot_ik.jobs.testbed import film
+    from robot_ik.testbed.commands import CommandLog
+
+    out = Path("testbed.mp4")
+    film(CommandLog(start, ()), out, seconds=options.seconds or 10.0, overwrite=True)
+    console.say(f"filmed: {out}")
+    return console.DONE
+
+
+def _replay(path: Path) -> int:
+    """Repeats a log; says whether it ends as it did."""
+    from robot_ik.testbed.commands import CommandLog
+
+    log = CommandLog.load(path)
+    view = last_view(log)
+    same = not log.digest or view.digest() == log.digest
+    rows = console.table("robot", "method", "status", "off mm", "solved")
+    for k, one in enumerate(view.instances):
+        solved = f"{100.0 * one.statistics.solved:.0f} %"
+        rows.add_row(f"{view.robot} {k + 1}", one.method, one.status, f"{1e3 * one.miss:.3f}", solved)
+    console.out().print(rows)
+    words = f"{len(log.commands)} commands, {view.tick} ticks: " + (
+        "the log has no digest to compare with"
+        if not log.digest
+        else "the same bits"
+        if same
+        else "other bits"
+    )
+    console.say(words, "" if same else "bold red")
+    if not same:
+        console.say("another version of robot_ik or numba, another processor, or an edited log", "yellow")
+    return console.DONE if same else console.NOT_ACHIEVED
+
+
+def last_view(log: CommandLog) -> View:
+    """The view at the end of a log."""
+    from robot_ik.testbed.session import replayed
+
+    log = log if log.ticks or log.commands else replace(log, ticks=1)
+    found: Any = None
+    for session in replayed(log):
+        found = session
+    view: View = found.view()
+    return view

@@ -1,0 +1,223 @@
+"""Where the pictures of ``robot-ik ar`` go: a film, one picture, or a folder of pictures.
+
+Everything is written beside its place and moved there when it is complete; a run that is interrupted leaves
+what it has, playable.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import MissingExtraError, OutputError
+from robot_ik.files import claimed, claimed_folder, folder_for_results, write_atomically
+
+Image = NDArray[np.uint8]
+
+FILMS = (".mp4", ".mkv", ".mov", ".gif")
+PICTURES = (".png", ".jpg", ".jpeg")
+# Quality of H.264: 18 is nearly free of visible loss.
+_CRF = "20"
+_TICKS = 90_000
+# Names of a folder's pictures.
+_NUMBERED = "[0-9]" * 6 + ".png"
+
+
+class PictureSink(Protocol):
+    """Takes pictures one by one; a context manager that keeps what it got however the block ends."""
+
+    def write(self, image: Image, time: float) -> None:
+        """Adds a picture (height, width, 3) taken at ``time``, seconds."""
+        ...
+
+    def close(self) -> Path | None:
+        """Ends the file; gives what was written, None for nothing."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+@contextlib.contextmanager
+def _unbroken() -> Iterator[None]:
+    """Ctrl-C waits for the end of the block: half a picture would spoil those after it in a film."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
+
+
+class _Closing:
+    def close(self) -> Path | None:
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Film(_Closing):
+    """A film, H.264, or a GIF of 256 colours; each picture is shown at the time it was taken."""
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        self._path = path
+        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._rate = rate_hz
+        self._container: Any = None
+        self._stream: Any = None
+        self._first = self._last = 0
+
+    def write(self, image: Image, time: float) -> None:
+        """See ``PictureSink``."""
+        with _unbroken():
+            self._write(image, time)
+
+    def _write(self, image: Image, time: float) -> None:
+        import av
+
+        if self._container is None:
+            self._open(image)
+            self._first, self._last = round(time * _TICKS), -1
+        frame = av.VideoFrame.from_ndarray(_even(image), format="bgr24")
+        # two pictures of one time would be refused
+        self._last = max(round(time * _TICKS) - self._first, self._last + 1)
+        frame.pts = self._last
+        frame.time_base = Fraction(1, _TICKS)
+        self._container.mux(self._stream.encode(frame))
+
+    def _open(self, image: Image) -> None:
+        import av
+
+        gif = self._path.suffix.lower() == ".gif"
+        try:
+            self._container = av.open(str(self._part), "w")
+            self._stream = self._container.add_stream(
+                "gif" if gif else "libx264", rate=Fraction(self._rate).limit_denominator(1000)
+            )
+        except (OSError, ValueError) as error:
+            raise OutputError(
+                f"cannot write {self._path}: {error}", hint="give another name or folder"
+            ) from error
+        height, width = _even(image).shape[:2]
+        self._stream.width, self._stream.height = width, height
+        self._stream.pix_fmt = "rgb8" if gif else "yuv420p"
+        self._stream.options = {} if gif else {"crf": _CRF, "preset": "veryfast"}
+        self._stream.codec_context.time_base = Fraction(1, _TICKS)
+
+    def close(self) -> Path | None:
+        """See ``PictureSink``."""
+        if self._container is None:
+            return self._path if self._path.exists() and self._last else None
+        self._container.mux(self._stream.encode(None))
+        self._container.close()
+        self._container = None
+        os.replace(self._part, self._path)
+        self._last = 1
+        return self._path
+
+
+class Pictures(_Closing):
+    """A folder of numbered PNG files, which take the place of ``older`` ones."""
+
+    def __init__(self, folder: Path, older: Sequence[Path] = ()) -> None:
+        self._folder, self._older, self._count = folder, older, 0
+
+    def write(self, image: Image, time: float) -> None:
+        """See ``PictureSink``."""
+        if not self._count:
+            for path in self._older:
+                path.unlink(missing_ok=True)
+        write_atomically(self._folder / f"{self._count:06d}.png", encoded(image, ".png"))
+        self._count += 1
+
+    def close(self) -> Path | None:
+        """See ``PictureSink``."""
+        return self._folder if self._count else None
+
+
+class LastPicture(_Closing):
+    """One file that holds the last picture."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._image: Image | None = None
+
+    def write(self, image: Image, time: float) -> None:
+        """See ``PictureSink``."""
+        self._image = image
+
+    def close(self) -> Path | None:
+        """See ``PictureSink``."""
+        if self._image is None:
+            return None
+        write_atomically(self._path, encoded(self._image, self._path.suffix.lower()))
+        return self._path
+
+
+def films_can_be_written() -> bool:
+    """Whether the extra ``video`` is installed."""
+    return importlib.util.find_spec("av") is not None
+
+
+@contextlib.contextmanager
+def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator[PictureSink]:
+    """What the name asks for: a film, a picture or, without a suffix, a folder.
+
+    Args:
+        out: Where to.
+        rate_hz: Of a film.
+        overwrite: Whether a file, or such pictures in the folder, may be replaced.
+
+    Raises:
+        MissingExtraError: A film without the extra ``video``.
+        OutputError: Nothing of this kind is written, it is there already, or it cannot be written.
+    """
+    kind = out.suffix.lower()
+    if kind in FILMS and not films_can_be_written():
+        raise MissingExtraError("av", "video", "writing a film")
+    if kind not in (*FILMS, *PICTURES):
+        if kind and not out.is_dir():
+            raise OutputError(
+                f"cannot write {out}: neither films nor pictures of this kind are made",
+                hint=f"films: {', '.join(FILMS)}; pictures: {', '.join(PICTURES)}; a folder has no suffix",
+            )
+        with claimed_folder(out, _NUMBERED, overwrite=overwrite) as older, Pictures(out, older) as pictures:
+            yield pictures
+        return
+    sink: Film | LastPicture = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
+    with folder_for_results(out.parent), claimed(out, overwrite=overwrite), sink:
+        yield sink
+
+
+def encoded(image: Image, suffix: str) -> bytes:
+    """The picture as a file's bytes."""
+    good, data = cv2.imencode(suffix, image)
+    assert good
+    return bytes(data)
+
+
+def _even(image: Image) -> Image:
+    """H.264 with colours at half the resolution wants even sides."""
+    height, width = image.shape[:2]
+    return np.ascontiguousarray(image[: height - height % 2, : width - width % 2])

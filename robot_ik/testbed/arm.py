@@ -1,0 +1,179 @@
+"""A servo arm that follows the first instance of the testbed.
+
+One thread drives the arm, at the arm's own rate; the session only leaves the newest joint angles for it.
+So a slow page never makes a late bus cycle, and a session that stops leaving angles makes the arm hold.
+The limiter of the arm stands between: a ball that jumps makes the arm walk.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
+from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.health import ServoState, read_states
+from robot_ik.ports import Array, VirtualClock
+from robot_ik.robot import Robot
+
+Wish = Literal["follow", "hold", "release"]
+STALE = 0.5
+"""Seconds without new joint angles after which the arm holds."""
+_TELEMETRY_PERIOD = 0.5  # seconds between two looks at currents and temperatures
+_CLOSE_LIMIT = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class ArmView:
+    """What is seen of the arm.
+
+    Attributes:
+        state: Of the arm's life cycle, in words.
+        wish: What was asked for last.
+        port: Where it is.
+        q: (nq,) measured joint angles, in the robot's order; None before the first reading.
+        xpos, xquat: Bodies' poses at the measured angles; None when not known.
+        apart: Largest distance of a joint from what the session commands, rad or m.
+        servos: Currents, temperatures, errors.
+        message: What went wrong, in one sentence; empty: nothing.
+    """
+
+    state: str
+    wish: Wish
+    port: str
+    q: Array | None
+    xpos: Array | None
+    xquat: Array | None
+    apart: float
+    servos: tuple[ServoState, ...]
+    message: str
+
+
+class ArmLink:
+    """The arm and the thread that drives it; torque comes on with the first "follow".
+
+    Args:
+        arm: Connected by ``open``; its joints are those of the robot, by name.
+        robot: Whose angles it gets.
+        port: What to call its bus.
+    """
+
+    def __init__(self, arm: Arm, robot: Robot, port: str) -> None:
+        self._arm, self._robot, self._port = arm, robot, port
+        self._order = [robot.joints.index(joint) for joint in arm.joints]
+        self._data = mujoco.MjData(robot.model)
+        self._wish: Wish = "hold"
+        self._wanted: tuple[Array, float] | None = None
+        self._measured: Array | None = None
+        self._servos: Sequence[ServoState] = ()
+        self._message = ""
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._drive, name="testbed-arm", daemon=True)
+
+    def open(self) -> None:
+        """Connects the arm; torque stays as it is.
+
+        Raises:
+            HardwareError: As ``Arm.connect``.
+        """
+        self._arm.connect()
+        self._thread.start()
+
+    # ---------------------------------------------------------------------------- from the session's loop
+
+    def ask(self, wish: Wish) -> None:
+        """Follow the session, hold where it stands, or let go."""
+        self._wish, self._message = wish, ""
+
+    def follow(self, robot: Robot, q: Array, running: bool) -> None:
+        """Leaves the newest joint angles (nq,) of a robot for the arm; another robot's are none of them."""
+        if robot.joints != self._robot.joints or robot.path != self._robot.path:
+            self._message = f"the arm is a {self._robot.name}: it holds"
+        elif running:
+            self._wanted = q[self._order].copy(), time.monotonic()
+
+    def view(self) -> ArmView:
+        """What is seen of it."""
+        q, apart, poses = self._measured, 0.0, (None, None)
+        if q is not None:
+            whole = self._robot.home.copy()
+            whole[self._order] = q
+            self._data.qpos[:] = self._robot.qpos(whole)
+            mujoco.mj_kinematics(self._robot.model, self._data)
+            poses = self._data.xpos.copy(), self._data.xquat.copy()
+            if self._wanted is not None:
+                apart = float(np.abs(q - self._wanted[0]).max())
+            q = whole
+        state, servos = self._arm.state.value, tuple(self._servos)
+        return ArmView(state, self._wish, self._port, q, *poses, apart, servos, self._message)
+
+    def close(self) -> None:
+        """Leaves the arm by its exit policy."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join(_CLOSE_LIMIT)
+        self._arm.close()
+
+    @property
+    def left(self) -> str:
+        """How the arm was left, in words."""
+        return self._arm.exit_report.text if self._arm.exit_report is not None else ""
+
+    # ----------------------------------------------------------------------------------- the arm's thread
+
+    def _drive(self) -> None:
+        period, looked = 1.0 / self._arm.config.rate_hz, 0.0
+        due = time.monotonic()
+        while not self._over.is_set():
+            try:
+                self._cycle(period)
+                if time.monotonic() - looked > _TELEMETRY_PERIOD:
+                    looked = time.monotonic()
+                    self._servos = read_states(self._arm.bus, self._arm.config.servos)
+            except RobotIkError as error:
+                self._fail(error)
+            due += period
+            if (rest := due - time.monotonic()) > 0.0:
+                self._over.wait(rest)
+            else:
+                due = time.monotonic()
+
+    def _cycle(self, period: float) -> None:
+        """One look at what is wanted, one cycle of the bus."""
+        arm, wish = self._arm, self._wish
+        if isinstance(arm.clock, VirtualClock):  # its time passes only when somebody sleeps
+            arm.clock.sleep_until(arm.clock.now() + period)
+        if arm.state is ArmState.FAULT:
+            return
+        fresh = self._wanted is not None and time.monotonic() - self._wanted[1] < STALE
+        if wish == "release":
+            if arm.state is not ArmState.CONNECTED:
+                self._let_go()
+        elif arm.state is ArmState.CONNECTED:
+            if wish == "follow":
+                arm.enable()
+        elif wish == "follow" and fresh and self._wanted is not None:
+            arm.send(self._wanted[0], arm.clock.now())
+        elif arm.state is ArmState.ENABLED:
+            arm.hold()
+        self._measured = arm.read().q
+
+    def _let_go(self) -> None:
+        """Torque off, and connected again."""
+        before, self._arm.on_exit = self._arm.on_exit, "torque_off"
+        try:
+            self._arm.close()
+        finally:
+            self._arm.on_exit = before
+        self._arm.connect()
+
+    def _fail(self, error: RobotIkError) -> None:
+        self._message = str(error).splitlines()[0]
+        if isinstance(error, ArmStateError | HardwareError):
+            self._wish = "hold"

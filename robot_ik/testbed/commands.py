@@ -1,0 +1,328 @@
+"""What people ask of the testbed: one frozen dataclass a command, and the log that keeps them.
+
+A log is a text file, one JSON object a line: what the session began with, each command with the tick at
+which it took effect, and the digest of the view at the end.  It replays to the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from robot_ik.errors import ConfigError, close_matches
+from robot_ik.files import config_error, parse_json, read_text, shown, write_atomically
+
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
+Point = tuple[Number, Number, Number]
+Quaternion = tuple[Number, Number, Number, Number]
+Index = Annotated[int, Field(ge=0, le=3)]
+Count = Literal[1, 2, 4]
+Motion = Literal["curve", "random", "hand"]
+GoalKind = Literal["pose", "position", "aim", "line", "plane"]
+
+COUNTS: tuple[Count, ...] = (1, 2, 4)
+MOTIONS: tuple[Motion, ...] = ("curve", "random", "hand")
+GOAL_KINDS: tuple[GoalKind, ...] = ("pose", "position", "aim", "line", "plane")
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Command:
+    """Something that a person asked for; the fields are what a log holds.
+
+    Class attributes:
+        rebuilds: It changes what is solved, so that kernels may have to be compiled: the session prepares
+            it beside the loop and takes it when it is ready.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+    rebuilds: ClassVar[bool] = False
+
+    @classmethod
+    def key(cls) -> str:
+        """Its name in a log: ``SetMethod`` is ``set_method``."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
+
+@dataclass(frozen=True)
+class SetRobot(Command):
+    """Another robot: a name of the catalogue or the path of a model."""
+
+    name: Annotated[str, Field(max_length=4096)]
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetCount(Command):
+    """One robot, or two or four side by side."""
+
+    count: Count
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetMethod(Command):
+    """The method of one instance, with its default options."""
+
+    instance: Index
+    method: Annotated[str, Field(max_length=100)]
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetOption(Command):
+    """One option of an instance's method."""
+
+    instance: Index
+    name: Annotated[str, Field(max_length=100)]
+    value: bool | int | Annotated[float, Field(allow_inf_nan=False)] | Annotated[str, Field(max_length=100)]
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetGoalKind(Command):
+    """What the ball asks of the tool."""
+
+    kind: GoalKind
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetExtraGoal(Command):
+    """A goal beside the ball's on or off, and its priority: 0 is served first."""
+
+    name: Annotated[str, Field(max_length=100)]
+    on: bool
+    priority: Annotated[int, Field(ge=0, le=9)] = 0
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetLimits(Command):
+    """Joint limits on or off."""
+
+    on: bool
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class SetMotion(Command):
+    """How the ball moves."""
+
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class SetRunning(Command):
+    """Goes on, or holds still."""
+
+    running: bool
+
+
+@dataclass(frozen=True)
+class SetSpeed(Command):
+    """Speed of the ball: 1 is real time."""
+
+    speed: Annotated[float, Field(ge=0.0, le=3.0)]
+
+
+@dataclass(frozen=True)
+class MoveGoal(Command):
+    """The ball to a place (metres, world), turned as it was or as said; it then moves by hand."""
+
+    position: Point
+    wxyz: Quaternion | None = None
+
+
+@dataclass(frozen=True)
+class Nudge(Command):
+    """The ball by a step (metres, world)."""
+
+    step: Point
+
+
+@dataclass(frozen=True)
+class DragLink(Command):
+    """A grabbed point of a body follows the mouse.
+
+    ``grip`` is the point in the body's own frame, ``to`` where it should be, world, metres.
+    """
+
+    instance: Index
+    body: Annotated[str, Field(max_length=200)]
+    grip: Point
+    to: Point
+
+
+@dataclass(frozen=True)
+class Release(Command):
+    """The grabbed body is let go; the ball goes to where the tool is now."""
+
+
+@dataclass(frozen=True)
+class Reset(Command):
+    """Robots home, ball on the curve, statistics empty."""
+
+
+@dataclass(frozen=True)
+class ShowBranches(Command):
+    """All branches of a closed form as ghosts, on or off."""
+
+    on: bool
+    rebuilds: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class PickBranch(Command):
+    """The first instance goes on from the branch of that number."""
+
+    index: Annotated[int, Field(ge=0, le=63)]
+
+
+@dataclass(frozen=True)
+class SetArm(Command):
+    """The servo arm: follow the first instance, hold where it is, or let go (torque off)."""
+
+    state: Literal["follow", "hold", "release"]
+
+
+COMMANDS: dict[str, type[Command]] = {kind.key(): kind for kind in Command.__subclasses__()}
+"""Every command by its name in a log."""
+_CHECKED: dict[str, TypeAdapter[Any]] = {}
+
+
+def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
+    """The command of ``{"command": name, …}``.
+
+    Raises:
+        ConfigError: No such command, or a value that it does not take.
+    """
+    rest = dict(values)
+    name = str(rest.pop("command", ""))
+    if name not in COMMANDS:
+        close = close_matches(name, COMMANDS)
+        raise ConfigError(
+            f"there is no command {shown(name)}" + (f" (did you mean {close[0]!r}?)" if close else ""),
+            file=file, key="command", allowed=", ".join(COMMANDS),
+        )  # fmt: skip
+    checked = _CHECKED.setdefault(name, TypeAdapter(COMMANDS[name]))
+    try:
+        command: Command = checked.validate_json(json.dumps(rest), strict=True)
+    except ValidationError as error:
+        raise config_error(error, file) from error
+    return command
+
+
+def checked_command(command: Command) -> Command:
+    """The command, with its values checked as those of a file are.
+
+    Raises:
+        ConfigError: A value that it does not take.
+    """
+    return command_from({"command": command.key(), **asdict(command)}, "command")
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a session begins with.
+
+    Attributes:
+        robot: A name of the catalogue or the path of a model.
+        count: Instances side by side.
+        methods: One for each of four instances; of fewer the first count.  Empty: the robot's usual ones.
+        seed: Of the random places of the ball.
+        rate: Ticks a second, Hz.
+    """
+
+    robot: str = "puma560"
+    count: Count = 1
+    methods: tuple[str, ...] = ()
+    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1
+    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+
+@dataclass(frozen=True)
+class CommandLog:
+    """Everything that decides what a session does.
+
+    Attributes:
+        start: What it began with.
+        commands: (tick, command): which took effect before which tick, in order.
+        ticks: How many ticks it ran; 0 when the file does not say.
+        digest: Of its last view; empty when the file does not say.
+    """
+
+    start: Start
+    commands: tuple[tuple[int, Command], ...]
+    ticks: int = 0
+    digest: str = ""
+
+    def save(self, path: Path) -> None:
+        """Writes the file; what was there is replaced.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        write_atomically(path, self.text())
+
+    def text(self) -> str:
+        """The file's contents."""
+        rows: list[dict[str, Any]] = [{"testbed_log": FORMAT, **asdict(self.start)}]
+        rows += [{"tick": tick, "command": one.key(), **asdict(one)} for tick, one in self.commands]
+        if self.ticks or self.digest:
+            rows.append({"end": self.ticks, "digest": self.digest})
+        return "".join(json.dumps(row) + "\n" for row in rows)
+
+    @classmethod
+    def load(cls, path: Path) -> CommandLog:
+        """Reads the file.
+
+        Raises:
+            ConfigError: With file, line and what is allowed.
+        """
+        return cls.parse(read_text(path, "command log").splitlines(), path)
+
+    @classmethod
+    def parse(cls, lines: Sequence[str], file: Path | str) -> CommandLog:
+        """As ``load``, of the file's lines."""
+        rows = [(k, parse_json(line, f"{file}:{k}")) for k, line in enumerate(lines, 1) if line.strip()]
+        for k, row in rows:
+            if not isinstance(row, dict):
+                raise ConfigError("not an object", file=f"{file}:{k}", allowed="one JSON object a line")
+        first = dict(rows[0][1]) if rows else {}
+        if first.pop("testbed_log", None) != FORMAT:
+            raise ConfigError(
+                "the first line is not that of a command log",
+                file=file, key="testbed_log", allowed=f"{FORMAT}; logs come from robot-ik view --log FILE",
+            )  # fmt: skip
+        try:
+            start: Start = TypeAdapter(Start).validate_json(json.dumps(first), strict=True)
+        except ValidationError as error:
+            raise config_error(error, file) from error
+        return cls._of_rows(start, rows[1:], file)
+
+    @classmethod
+    def _of_rows(cls, start: Start, rows: Iterable[tuple[int, Any]], file: Path | str) -> CommandLog:
+        commands: list[tuple[int, Command]] = []
+        ticks, digest = 0, ""
+        for k, row in rows:
+            here, values = f"{file}:{k}", dict(row)
+            tick = values.pop("end" if "end" in values else "tick", None)
+            last = commands[-1][0] if commands else 0
+            if not isinstance(tick, int) or isinstance(tick, bool) or not last <= tick < 1 << 40:
+                raise ConfigError(
+                    f"{tick!r} is no tick", file=here, key="tick", allowed=f"whole numbers from {last}"
+                )
+            if "end" in row:
+                ticks, digest = tick, str(values.get("digest", ""))
+            else:
+                commands.append((tick, command_from(values, here)))
+        return cls(start, tuple(commands), ticks, digest)

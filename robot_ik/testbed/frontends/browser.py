@@ -1,0 +1,408 @@
+"""The testbed in a browser: viser's server behind a gate, panels left and right, the scene between.
+
+The page shows views and sends commands; it decides nothing.  Several browsers may look: one drives, the
+others watch; STOP works from every one of them.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser import _messages as vm
+
+from robot_ik.testbed.commands import DragLink, MoveGoal, Release, SetArm
+from robot_ik.testbed.frontends.gate import open_server, quiet
+from robot_ik.testbed.frontends.panels import (
+    ArmPanel,
+    Control,
+    GoalsPanel,
+    MeasuredPanel,
+    MethodPanel,
+    RunPanel,
+    key_table,
+    page,
+    pressed,
+)
+from robot_ik.testbed.frontends.scene import Scene, reach_cloud
+from robot_ik.testbed.keymap import KEYMAP, Key
+from robot_ik.testbed.session import Session, View
+from robot_ik.testbed.staging import FIELD_OF_VIEW, corners, fitted_camera
+
+Image = NDArray[np.uint8]
+
+_LEFT, _RIGHT = 300, 350  # px
+_BRAND = (37, 99, 235)
+_PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
+_PHONE_ASPECT = 0.7
+_GIZMO = 0.15  # of the extent
+# Cell, section and plane of the ground.
+_LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
+_DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
+
+
+class Page:
+    """The front end ``browser``; a context manager.
+
+    Args:
+        session: What is shown and driven.
+        host: Address to listen at; one that others can reach gets a token.
+        port: The next free one is taken where it is busy.
+        dark: Dark to begin with.
+        token: Ask for a token on loopback, too.
+        names: Further names under which this machine is known.
+        shadows: Draw them; without a GPU the browser is quicker without.
+        camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
+
+    Attributes:
+        url: Where a browser finds the page, with its token if it needs one.
+
+    Raises:
+        ViewerError: Another viser than 1.1, or the address cannot be used.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        dark: bool = False,
+        token: bool = False,
+        names: tuple[str, ...] = (),
+        shadows: bool = True,
+        camera: Callable[[], tuple[Image, str] | None] | None = None,
+    ) -> None:
+        self.session, self._dark, self._view = session, dark, session.view()
+        self.server, self.gate = open_server(host, port, token=token, names=names)
+        query = f"?token={self.gate.token}" if self.gate.token else ""
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        self.url = f"http://{shown}:{self.server.get_port()}/{query}"
+        self._scene: Scene | None = None
+        self._grab: tuple[str, tuple[float, float, float]] | None = None
+        self._overlay = True
+        self._panel_due = self._table_due = 0.0
+        gui = self.server.gui
+        self._theme(dark)
+        gui.set_panel_label("robot_ik testbed")
+        self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
+        self.server.scene.configure_default_lights(cast_shadow=shadows)
+        self._camera = None if camera is None else _CameraThread(camera)
+        self._controls(gui)
+        self._readings(gui)
+        self._keys(gui)
+        self._add_gizmo()
+        self.server.on_client_connect(self._welcome)
+        self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
+        self.draw(self._view)
+
+    def close(self) -> None:
+        """Stops the server."""
+        if self._camera is not None:
+            self._camera.close()
+        with quiet():
+            self.server.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    # --------------------------------------------------------------------------------------- panels
+
+    def _controls(self, gui: viser.GuiApi) -> None:
+        """The panel on the left: what people do."""
+        send = self.session.send
+        gui.main_panel.dock_left()
+        gui.main_panel.set_width(_LEFT)
+        self._run = RunPanel(gui, send, self._view)
+        self.gate.always.add(self._run.stop_uuid)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Method"):
+            self._methods = MethodPanel(gui, send, self._view)
+        with tabs.add_tab("Goals"):
+            self._goals = GoalsPanel(gui, send, self._view)
+        with tabs.add_tab("Arm"):
+            self._arm = ArmPanel(gui, send, self._view)
+        with tabs.add_tab("Record"):
+            self._record(gui)
+        with gui.add_folder("Show", expand_by_default=False):
+            self._show(gui)
+        with gui.add_folder("Keys", expand_by_default=False):
+            gui.add_html(key_table())
+
+    def _record(self, gui: viser.GuiApi) -> None:
+        gui.add_html(
+            page(
+                "<small>The log holds every command. Attach it to a bug report: "
+                "<kbd>robot-ik view --replay FILE</kbd> repeats it to the same bits, and "
+                "<kbd>robot-ik video FILE OUT.mp4</kbd> films it.</small>"
+            )
+        )
+        button = gui.add_button(
+            "Save the command log", icon=viser.Icon.DOWNLOAD, hint="As a file of this browser"
+        )
+
+        def save(event: Any) -> None:
+            if event.client is not None:
+                event.client.send_file_download("testbed.jsonl", self.session.log().text().encode())
+
+        pressed(button, save)
+
+    def _show(self, gui: viser.GuiApi) -> None:
+        trails = gui.add_checkbox("Trails and labels", True, hint="Over the scene (L)")
+        self._trails = Control(trails, self._show_overlay)
+        handles = gui.add_checkbox("Goal handles", True, hint="Arrows that move the ball along one axis")
+        Control(handles, lambda value: setattr(self._gizmo, "visible", value))
+        arcs = gui.add_checkbox("Turn handles", False, hint="Arcs that turn the ball's pose")
+        Control(arcs, lambda value: setattr(self._gizmo, "disable_rotations", not value))
+        self._axes = gui.add_checkbox("Tool frames", False, hint="x red, y green, z blue")
+        Control(self._axes, self._show_axes)
+        self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
+        Control(self._reach, self._show_reach)
+        Control(gui.add_checkbox("Dark", self._dark, hint="For all browsers that look"), self._theme)
+        if self._camera is not None:
+            pictures = gui.add_checkbox("Camera pictures", False, hint="Four a second: a quarter of a core")
+            Control(pictures, self._camera.switch)
+        wheel = gui.add_button(
+            "Hand over", icon=viser.Icon.STEERING_WHEEL, hint="The next browser that acts drives"
+        )
+        pressed(wheel, lambda _: self.gate.hand_over())
+
+    def _readings(self, gui: viser.GuiApi) -> None:
+        """The panel on the right: what people look at; nothing to press, so nothing moves under the mouse."""
+        panel = gui.add_panel()
+        with panel.add_tab("Measured", viser.Icon.CHART_LINE):
+            self._measured = MeasuredPanel(gui, self.session.send, self._view)
+        if self._camera is not None:
+            with panel.add_tab("Camera", viser.Icon.CAMERA):
+                self._camera.add_to(gui)
+        panel.dock_right()
+        panel.set_width(_RIGHT)
+
+    def _keys(self, gui: viser.GuiApi) -> None:
+        for key in KEYMAP:
+            if key.browser:
+                command = gui.add_command(key.about, hotkey=key.browser)  # type: ignore[arg-type]
+                self._bind(command, key)
+
+    def _bind(self, handle: Any, key: Key) -> None:
+        async def pressed_key(event: Any) -> None:
+            if key.command is not None:
+                self.session.send(key.command(self._view))
+            else:
+                self._show_overlay(not self._overlay)
+
+        handle.on_trigger(pressed_key)
+
+    def _theme(self, dark: bool) -> None:
+        """Panels, ground and background."""
+        self._dark = dark
+        self.server.gui.configure_theme(
+            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=_BRAND
+        )
+        cell, section, plane = _DARK if dark else _LIGHT
+        self.server.scene.add_grid(
+            "/ground", infinite_grid=True, cell_size=0.1, section_size=0.5, cell_color=cell,
+            section_color=section, plane_color=plane, plane_opacity=1.0, shadow_opacity=0.35,
+            fade_distance=9.0, fade_strength=1.5,
+        )  # fmt: skip
+        self.server.scene.set_background_image(np.full((2, 2, 3), plane, np.uint8), format="png")
+
+    # ---------------------------------------------------------------------------------------- scene
+
+    def _show_overlay(self, shown: bool) -> None:
+        self._overlay = shown
+        self._trails.handle.value = shown
+        if self._scene is not None:
+            self._scene.show_overlay(shown)
+
+    def _show_axes(self, shown: bool) -> None:
+        if self._scene is not None:
+            self._scene.show_axes(shown)
+
+    def _show_reach(self, shown: bool) -> None:
+        scene = self._scene
+        if scene is not None:
+            scene.show_cloud(reach_cloud(scene.robot) if shown else None)
+
+    def _add_gizmo(self) -> None:
+        self._gizmo = self.server.scene.add_transform_controls(
+            "/goal", scale=0.2, line_width=3.0, disable_sliders=True, disable_rotations=True, depth_test=False
+        )
+
+        @self._gizmo.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None and self._scene is not None:
+                place = np.array(self._gizmo.position) - self._scene.offsets[0]
+                self.session.send(MoveGoal(_floats(place), _four(self._gizmo.wxyz)))
+
+    def _rebuild(self, view: View) -> None:
+        """Robot or number of instances have changed."""
+        if self._scene is not None:
+            self._scene.remove()
+        self._grab = None
+        self._scene = scene = Scene(self.server, self.session.robot, view.count)
+        scene.on_drag(self._drag_ball, self._drag_link)
+        scene.show_overlay(self._overlay)
+        scene.show_axes(self._axes.value)
+        if self._reach.value:
+            self._show_reach(True)
+        self._gizmo.scale = _GIZMO * scene.stage.extent
+        for client in self.server.get_clients().values():
+            # On the server's thread: a browser's own messages have no lock.
+            self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
+        self._panel_due = self._table_due = 0.0
+
+    async def _drag_ball(self, event: Any) -> None:
+        if self._scene is not None:
+            place = np.array(event.end_position) - self._scene.offsets[self._index(event)]
+            self.session.send(MoveGoal(_floats(place)))
+
+    async def _drag_link(self, event: Any) -> None:
+        """``async``: viser keeps the order of a drag's phases only then."""
+        scene, k = self._scene, self._index(event)
+        if event.phase == "end" or scene is None:
+            self._grab = None
+            self.session.send(Release())
+            return
+        if self._grab is None:
+            name = scene.name_of(event.target)
+            one = self._view.instances[k]
+            body = scene.robot.model.body(name).id
+            turned = viser.transforms.SO3(one.xquat[body]).as_matrix()
+            grip = turned.T @ (np.array(event.start_position) - scene.offsets[k] - one.xpos[body])
+            self._grab = name, _floats(grip)
+        place = np.array(event.end_position) - scene.offsets[k]
+        self.session.send(DragLink(k, *self._grab, _floats(place)))
+
+    def _index(self, event: Any) -> int:
+        return min(event.instance_index or 0, self._view.count - 1)
+
+    # ------------------------------------------------------------------------------------- browsers
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Fits the camera until the canvas keeps its shape: it gets that only when the panels have docked."""
+        shape = [0.0]
+
+        @client.camera.on_update
+        async def _(camera: viser.CameraHandle) -> None:
+            if abs(camera.aspect - shape[0]) > 0.02:
+                shape[0] = camera.aspect
+                self._fit_camera(client)
+
+    def _fit_camera(self, client: viser.ClientHandle) -> None:
+        scene, aspect = self._scene, client.camera.aspect
+        if scene is None or not (math.isfinite(aspect) and aspect > 0.05):
+            return
+        points = corners(scene.robot, scene.stage, self.session.way())
+        position, look = fitted_camera(points, scene.stage, aspect, phone=aspect < _PHONE_ASPECT)
+        with client.atomic():
+            client.camera.position = position
+            client.camera.look_at = look
+            client.camera.fov = FIELD_OF_VIEW
+
+    def _correct(self, connection: object, message: Mapping[str, Any]) -> None:
+        """A browser that only watches moved a slider: its own copy goes back to what is true."""
+        live = self.server._websock_server._live_connections
+        handle = self.server.gui._gui_input_handle_from_uuid.get(message.get("uuid", ""))
+        for client in self.server.get_clients().values():
+            if live.get(client.client_id) is not connection:
+                continue
+            if handle is not None and message["type"] == "GuiUpdateMessage":
+                true = vm.GuiUpdateMessage(message["uuid"], {"value": handle.value})
+                client._websock_connection.queue_message(true)
+            client.add_notification(
+                "Watching",
+                "Another browser drives; STOP works here, too. It hands over under Show, or is closed.",
+                auto_close_seconds=4.0,
+            )
+
+    def _driver_left(self) -> None:
+        """Nobody drags any more, and a servo arm holds."""
+        self._grab = None
+        if self._view.dragged:
+            self.session.send(Release())
+        if self._view.arm is not None and self._view.arm.wish == "follow":
+            self.session.send(SetArm("hold"))
+
+    # -------------------------------------------------------------------------------------- drawing
+
+    def draw(self, view: View) -> None:
+        """Shows a view; called by the loop, 30 times a second."""
+        self._view = view
+        scene = self._scene
+        if scene is None or scene.robot.model is not self.session.robot.model or scene.count != view.count:
+            self._rebuild(view)
+            scene = self._scene
+        assert scene is not None
+        scene.draw(view)
+        self._gizmo.position = view.ball.position + scene.stage.offsets[0]
+        if view.motion != "hand":
+            self._gizmo.wxyz = view.ball.wxyz
+        now = time.monotonic()
+        if now >= self._panel_due:
+            self._panel_due = now + _PANEL_PERIOD
+            self._run.show(view)
+            self._methods.show(view)
+            self._goals.show(view)
+            self._measured.draw(view, scene.robot)
+        if now >= self._table_due:
+            self._table_due = now + _TABLE_PERIOD
+            self._measured.show(view)
+            self._arm.show(view)
+            scene.name_instances(view)
+
+
+class _CameraThread:
+    """Pictures of a camera, at most four a second, beside the loop; off until they are switched on."""
+
+    _OFF = page("<small>no pictures: switch them on under Show, on the left</small>")
+
+    def __init__(self, read: Callable[[], tuple[Image, str] | None]) -> None:
+        self._read, self._shown = read, threading.Event()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="testbed-camera", daemon=True)
+
+    def add_to(self, gui: viser.GuiApi) -> None:
+        """Picture and text, where the caller is adding things."""
+        self._image = gui.add_image(np.full((180, 320, 3), 128, np.uint8), format="jpeg", jpeg_quality=80)
+        self._text = gui.add_html(self._OFF)
+        self._thread.start()
+
+    def switch(self, on: bool) -> None:
+        """Pictures, or none."""
+        if on:
+            self._shown.set()
+        else:
+            self._shown.clear()
+            self._text.content = self._OFF
+
+    def _work(self) -> None:
+        while not self._over.wait(_CAMERA_PERIOD):
+            found = self._read() if self._shown.is_set() else None
+            if found is not None and self._shown.is_set():
+                self._image.image = found[0]
+                self._text.content = page(found[1])
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._over.set()
+        self._thread.join(5.0)
+
+
+def _floats(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _four(values: Any) -> tuple[float, float, float, float]:
+    w, x, y, z = (float(value) for value in values)
+    return w, x, y, z

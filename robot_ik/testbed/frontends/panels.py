@@ -1,0 +1,526 @@
+"""What stands on the page beside the scene: one class a panel, drawn from a ``View``.
+
+A panel's callbacks only send commands.  They are ``async``, because viser keeps the order of events only
+then; what the program itself sets calls them, too, with no client: that is not passed on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import html
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+import viser
+from viser import uplot
+
+from robot_ik import SOLVERS, catalogue
+from robot_ik.robot import Robot
+from robot_ik.testbed.commands import (
+    COUNTS,
+    GOAL_KINDS,
+    MOTIONS,
+    Command,
+    PickBranch,
+    Reset,
+    SetArm,
+    SetCount,
+    SetExtraGoal,
+    SetGoalKind,
+    SetLimits,
+    SetMethod,
+    SetMotion,
+    SetOption,
+    SetRobot,
+    SetRunning,
+    SetSpeed,
+    ShowBranches,
+)
+from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.session import View
+from robot_ik.testbed.staging import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
+
+if TYPE_CHECKING:
+    from robot_ik.testbed.instance import InstanceView
+
+Send = Callable[[Command], None]
+
+HINT = "Drag the orange ball, or any part of the robot."
+STYLE = """<style>.rk{font:13px/1.45 system-ui,sans-serif;padding:0 .75em .5em}
+.rk table{width:100%;border-collapse:collapse}
+.rk td,.rk th{padding:3px 4px;text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+.rk th{font-weight:500;opacity:.65;font-size:11.5px}.rk td:first-child,.rk th:first-child{text-align:left}
+.rk tr+tr td{border-top:1px solid rgba(128,128,128,.25)}
+.rk i{display:inline-block;width:10px;height:10px;border-radius:3px;margin-right:6px}
+.rk i.dot{border-radius:5px}.rk small{opacity:.65}
+.rk .bar{position:relative;height:6px;border-radius:3px;background:rgba(128,128,128,.28)}
+.rk .bar b{position:absolute;top:-3px;width:4px;height:12px;border-radius:2px;margin-left:-2px}
+.rk .w{width:55%}.rk .no{color:#dc2626;white-space:normal;text-align:left}
+.rk kbd{font:600 11px system-ui;border:1px solid rgba(128,128,128,.5);border-radius:4px;padding:0 5px}
+@media(max-width:600px){[style*="max-height: 60%"]{width:100%!important;max-height:45%!important}
+[style*="max-height: 60%"] [style*="width: 20em"]{width:100%!important}}</style>"""
+
+_COUNT_WORDS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
+_MOTION_WORDS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
+_KIND_WORDS = dict(
+    zip(
+        ("pose", "position", "aim at the ball", "on a line", "on a plane"),
+        GOAL_KINDS,
+        strict=True,
+    )
+)
+_WISH_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
+_INK = "#808a97"  # of axes: readable on light and dark
+_ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
+_JOINTS_SHOWN = 8
+_STOP_HEIGHT = 52  # px
+_HAND_SECONDS = 1.5  # after a person changed a widget it does not follow for so long
+
+
+def page(text: str) -> str:
+    """HTML in the page's style; whoever calls this has escaped names and errors."""
+    return f'{STYLE}<div class="rk">{text}</div>'
+
+
+class Control:
+    """A widget that people change and that follows the session.
+
+    Args:
+        handle: viser's.
+        act: Called with the value when a person changed it.
+    """
+
+    def __init__(self, handle: Any, act: Callable[[Any], None]) -> None:
+        self.handle, self._touched = handle, -math.inf
+
+        async def changed(event: Any) -> None:
+            if event.client is not None:  # what the program sets has none
+                self._touched = time.monotonic()
+                act(event.target.value)
+
+        handle.on_update(changed)
+
+    @property
+    def value(self) -> Any:
+        """What it shows."""
+        return self.handle.value
+
+    def follow(self, value: Any) -> None:
+        """Shows what the session has; not under the hand that moves it."""
+        if self.handle.value != value and time.monotonic() - self._touched > _HAND_SECONDS:
+            self.handle.value = value
+
+
+def pressed(button: Any, act: Callable[[Any], None]) -> None:
+    """Calls ``act(event)`` when a person pressed the button."""
+
+    async def clicked(event: Any) -> None:
+        act(event)
+
+    button.on_click(clicked)
+
+
+def word_of(words: Mapping[str, Any], value: Any) -> str:
+    """The word for a value."""
+    return next(word for word, one in words.items() if one == value)
+
+
+class RunPanel:
+    """State, STOP, and what the ball and the robots do."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+        self._state = gui.add_html(page(HINT))
+        stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP, hint="Everything holds still")
+        pressed(stop, lambda _: send(SetRunning(False)))
+        self.stop_uuid: str = stop._impl.uuid
+        size = f"height:{_STOP_HEIGHT}px!important;font:700 20px system-ui;letter-spacing:.12em"
+        button = f'[id="{self.stop_uuid}"]'
+        self._large = f"<style>{button}{{{size}}}{button} svg{{margin-right:.5em}}</style>"
+        run = gui.add_button_group(
+            "Run", ("Start", "Pause", "Reset"), hint="Space starts and pauses; R resets"
+        )
+        actions = {"Start": SetRunning(True), "Pause": SetRunning(False), "Reset": Reset()}
+        pressed(run, lambda event: send(actions[event.target.value]))
+        names = tuple(dict.fromkeys((*catalogue(), view.robot)))
+        self._robot = Control(
+            gui.add_dropdown("Robot", names, initial_value=view.robot, hint="Any robot that ships"),
+            lambda value: send(SetRobot(value)),
+        )
+        self._count = Control(
+            gui.add_dropdown("Compare", tuple(_COUNT_WORDS), hint="Side by side (keys 1, 2, 4)"),
+            lambda value: send(SetCount(_COUNT_WORDS[value])),
+        )
+        self._motion = Control(
+            gui.add_dropdown("Ball", tuple(_MOTION_WORDS), hint="How the ball moves (I)"),
+            lambda value: send(SetMotion(_MOTION_WORDS[value])),
+        )
+        self._speed = Control(
+            gui.add_slider("Speed", 0.0, 3.0, 0.05, view.speed, hint="Of the ball; 1 is real time"),
+            lambda value: send(SetSpeed(float(value))),
+        )
+
+    def show(self, view: View) -> None:
+        """State line and menus, once a second and when something changed."""
+        dot, word = ("#16a34a", "running") if view.running else ("#dc2626", "holding still")
+        if view.dragged:
+            dot, word = "#f58220", f"{view.dragged} is dragged"
+        if view.tick == 0:
+            dot, word = "#f58220", "getting ready"
+        line = html.escape(view.busy or view.message or HINT)
+        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(word)}</b><br>{line}'
+        content = self._large + page(text)
+        if self._state.content != content:
+            self._state.content = content
+        self._motion.follow(word_of(_MOTION_WORDS, view.motion))
+        if view.robot in self._robot.handle.options and not view.busy:
+            self._robot.follow(view.robot)
+        self._count.follow(word_of(_COUNT_WORDS, view.count))
+        self._speed.follow(view.speed)
+
+
+class MethodPanel:
+    """A folder for each instance: its method, and that method's options made from the solver's fields."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+        self._gui, self._send = gui, send
+        self._limits = Control(
+            gui.add_checkbox("Joint limits", True, hint="Whether they hold (O)"),
+            lambda value: send(SetLimits(value)),
+        )
+        # Made once for four and hidden: widgets that come and go trouble a slow browser.
+        self._folders = [self._folder(k) for k in range(4)]
+
+    def _folder(self, k: int) -> _MethodFolder:
+        return _MethodFolder(self._gui, self._send, k)
+
+    def show(self, view: View) -> None:
+        """Follows the session."""
+        self._limits.follow(view.limits)
+        for k, folder in enumerate(self._folders):
+            folder.show(view.instances[k] if k < view.count else None, view.count, view.busy)
+
+
+class _MethodFolder:
+    """Method and options of one instance."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, k: int) -> None:
+        self._gui, self._send, self._k = gui, send, k
+        self._shown = ""
+        self._widgets: dict[str, Control] = {}
+        self._place = gui.add_folder(f"Robot {k + 1}", visible=k == 0)
+        with self._place:
+            self._colour = gui.add_html("", visible=False)
+            menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
+            self._options = gui.add_folder("Options", expand_by_default=k == 0)
+        self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
+
+    def show(self, one: InstanceView | None, count: int, busy: str) -> None:
+        """Follows the instance; None: there is none."""
+        visible = one is not None
+        if self._place.visible != visible:
+            self._place.visible = visible
+        if one is None:
+            return
+        if self._colour.visible != (count > 1):
+            colour = hexadecimal(INSTANCE_COLOURS[self._k])
+            self._colour.content = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
+            self._colour.visible = count > 1
+        if one.method and self._shown != one.method:
+            self._shown = one.method
+            self._rebuild(one)
+        if one.method and not busy:
+            self._menu.follow(one.method)
+        for name, value in one.options:
+            if name in self._widgets:
+                self._widgets[name].follow(value)
+
+    def _rebuild(self, one: InstanceView) -> None:
+        for child in list(self._options._children.values()):
+            child.remove()
+        self._widgets = {}
+        fields, values = dataclasses.fields(SOLVERS[one.method]), dict(one.options)
+        usual = [field for field in fields if is_usual(field.metadata, values[field.name])]
+        rare = [field for field in fields if field not in usual]
+        with self._options:
+            for field in usual:
+                self._add(field, values[field.name])
+            if not fields:
+                self._gui.add_html(page("<small>a closed form: nothing to set</small>"))
+            if rare:
+                with self._gui.add_folder("More", expand_by_default=not usual):
+                    for field in rare:
+                        self._add(field, values[field.name])
+
+    def _add(self, field: Any, value: Any) -> None:
+        widget = option_widget(self._gui, field.name, field.metadata, value)
+        low = field.metadata.get("low")
+
+        def changed(chosen: Any) -> None:
+            if isinstance(chosen, float) and low is not None:
+                chosen = max(chosen, low)  # a slider from 0, where 0 itself is not allowed
+            self._send(SetOption(self._k, field.name, chosen))
+
+        self._widgets[field.name] = Control(widget, changed)
+
+
+def is_usual(meta: Mapping[str, Any], value: Any) -> bool:
+    """Whether an option stands first: it has a usual range, choices, or is yes or no."""
+    return isinstance(value, bool) or bool(meta.get("choices")) or meta.get("usual") is not None
+
+
+def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: Any) -> Any:
+    """From a field's type and ranges: a box, a menu, a slider over its usual range, or a number."""
+    label, unit = name.replace("_", " "), f" ({meta['unit']})" if meta["unit"] else ""
+    text = f"{meta['help']}{unit}".replace("``", "")
+    if isinstance(value, bool):
+        return gui.add_checkbox(label, value, hint=text)
+    if meta["choices"]:
+        return gui.add_dropdown(label, meta["choices"], initial_value=value, hint=text)
+    if isinstance(value, str):
+        return gui.add_text(label, value, hint=text)
+    low, high = meta["low"], meta["high"]
+    text += f"; {low:g} … {high:g}"
+    if meta.get("usual") is None:
+        step = 1 if isinstance(value, int) else None
+        return gui.add_number(label, value, min=low, max=high, step=step, hint=text)
+    first, last = meta["usual"]
+    if isinstance(value, int):
+        return gui.add_slider(label, min(first, value), max(last, value), 1, value, hint=text)
+    fine = 10.0 ** math.floor(math.log10((last - first) / 100.0))
+    return gui.add_slider(label, min(first, value), max(last, value), fine, value, hint=text)
+
+
+class GoalsPanel:
+    """What the ball asks of the tool, goals beside it with their priorities, branches to pick from."""
+
+    _ROWS = 14
+
+    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+        self._gui, self._send = gui, send
+        self._kind = Control(
+            gui.add_dropdown("Ball asks", tuple(_KIND_WORDS), hint="Of the tool (K)"),
+            lambda value: send(SetGoalKind(_KIND_WORDS[value])),
+        )
+        self._branches = Control(
+            gui.add_checkbox("Branches", False, hint="All ways of a closed form, as ghosts (B)"),
+            lambda value: send(ShowBranches(value)),
+        )
+        self._pick = Control(
+            gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"),
+            self._picked,
+        )
+        gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
+        self._names: tuple[str, ...] = ()
+        self._place = gui.add_folder(None)
+        self._rows: dict[str, tuple[Control | None, Control]] = {}
+
+    def _picked(self, value: str) -> None:
+        if value in self._pick.handle.options[1:]:
+            self._send(PickBranch(self._pick.handle.options.index(value) - 1))
+
+    def show(self, view: View) -> None:
+        """Follows the session."""
+        self._kind.follow(word_of(_KIND_WORDS, view.kind))
+        self._branches.follow(view.show_branches)
+        names = ("–", *(branch.name for branch in view.branches))
+        if self._pick.handle.visible != view.show_branches:
+            self._pick.handle.visible = view.show_branches
+        if self._pick.handle.options != names:
+            self._pick.handle.options = names
+            self._pick.handle.value = "–"
+        if self._names != (shown := tuple(extra.name for extra in view.extras)):
+            self._names = shown
+            self._rebuild(view)
+        for extra in view.extras:
+            if extra.name in self._rows:
+                box, rank = self._rows[extra.name]
+                if box is not None:
+                    box.follow(extra.on)
+                rank.follow(extra.priority)
+
+    def _rebuild(self, view: View) -> None:
+        for child in list(self._place._children.values()):
+            child.remove()
+        self._rows = {}
+        with self._place:
+            for extra in view.extras[: self._ROWS]:
+                name = extra.name
+                changed = functools.partial(self._changed, name)
+                box = None
+                if name != "ball":
+                    box = Control(self._gui.add_checkbox(name, extra.on, hint=extra.about), changed)
+                label = "ball's priority" if name == "ball" else "priority"
+                rank = self._gui.add_slider(label, 0, 9, 1, extra.priority, hint="0 is served first")
+                self._rows[name] = box, Control(rank, changed)
+
+    def _changed(self, name: str, value: object) -> None:
+        box, rank = self._rows[name]
+        self._send(SetExtraGoal(name, True if box is None else bool(box.value), int(rank.value)))
+
+
+class ArmPanel:
+    """The servo arm that the first instance drives."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+        self._text = gui.add_html("")
+        group = gui.add_button_group(
+            "Arm", tuple(_WISH_WORDS.values()), visible=view.arm is not None,
+            hint="Follow robot 1; hold where it stands; torque off: an arm that is not supported falls",
+        )  # fmt: skip
+        wishes = {word: wish for wish, word in _WISH_WORDS.items()}
+        pressed(group, lambda event: send(SetArm(wishes[event.target.value])))  # type: ignore[arg-type]
+        self._table = gui.add_html("", visible=view.arm is not None)
+
+    def show(self, view: View) -> None:
+        """State, torque, currents, temperatures."""
+        arm = view.arm
+        if arm is None:
+            line = "<small>no arm: start with <kbd>robot-ik view --bus sim</kbd></small>"
+            if not self._text.content:
+                self._text.content = page(line)
+            return
+        said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
+        self._text.content = page(
+            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.wish)}<br>"
+            f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind</small>{said}"
+        )
+        rows = "".join(
+            f"<tr><td>{html.escape(s.joint)}</td><td>{'on' if s.torque else 'off'}</td>"
+            f"<td>{_cell(s.current_ma)}</td><td>{_cell(s.temperature)}</td>"
+            f"<td>{html.escape(', '.join(s.errors))}</td></tr>"
+            for s in arm.servos
+        )
+        self._table.content = page(
+            f"<table><tr><th>joint</th><th>torque</th><th>mA</th><th>°C</th><th>errors</th></tr>{rows}</table>"
+        )
+
+
+def _cell(value: float | None) -> str:
+    return "–" if value is None else f"{value:.0f}"
+
+
+class MeasuredPanel:
+    """Statistics, one plot with a menu, joints against their limits."""
+
+    _PLOTS: Mapping[str, tuple[int, str]] = {
+        "distance to the goal, mm": (0, "mm"),
+        "manipulability": (1, ""),
+    }
+
+    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+        self._table = gui.add_html("")
+        self._menu = gui.add_dropdown("Plot", tuple(self._PLOTS), hint="Over the last 5 seconds")
+        # Made once for every number of robots and hidden, as the folders of the methods.
+        self._plots = {(n, name): self._plot(gui, n, name) for n in COUNTS for name in self._PLOTS}
+        self._joints = gui.add_html("")
+
+    def _plot(self, gui: viser.GuiApi, n: int, name: str) -> Any:
+        lines: Any = [
+            {"label": f"{k + 1}", "stroke": hexadecimal(colour), "width": 1.5}
+            for k, colour in zip(range(n), INSTANCE_COLOURS, strict=False)
+        ]
+        axis: Any = {
+            "stroke": _INK, "grid": {"stroke": _INK + "30", "width": 1}, "ticks": {"stroke": _INK + "50"},
+            "font": "11px system-ui",
+        }  # fmt: skip
+        scale: Any = {"distr": 3, "range": _ERROR_RANGE} if self._PLOTS[name][1] else {"range": (0.0, 1.0)}
+        return gui.add_uplot(
+            (np.linspace(0.0, 1.0, 2), *(np.ones(2) for _ in range(n))), ({"label": "s"}, *lines),
+            height=190, title=f"{name}, over seconds", scales={"x": {"time": False}, "y": scale},
+            axes=(axis, axis | {"size": 56}), legend=uplot.Legend(show=False),
+            cursor=uplot.Cursor(show=False), padding=(12, 14, 0, 0), visible=False,
+        )  # fmt: skip
+
+    def show(self, view: View) -> None:
+        """The table, once a second."""
+        rows = "".join(self._row(k, one) for k, one in enumerate(view.instances))
+        head = "<tr><th>method</th><th>µs</th><th>p99</th><th>steps</th><th>solved</th><th>off mm</th></tr>"
+        count = min(one.statistics.count for one in view.instances)
+        note = f"in this page, the last {count} solves of each; for comparable times: robot-ik bench"
+        self._table.content = page(f"<table>{head}{rows}</table><small>{note}</small>")
+
+    @staticmethod
+    def _row(k: int, one: InstanceView) -> str:
+        colour, name = hexadecimal(INSTANCE_COLOURS[k]), html.escape(one.method or "…")
+        first = f'<td title="{html.escape(one.note)}"><i style="background:{colour}"></i>{name}</td>'
+        if not one.able:
+            return f'<tr>{first}<td colspan="5" class="no">{html.escape(one.status)}</td></tr>'
+        s = one.statistics
+        times = "".join(f"<td>{1e6 * t:.{0 if t > 1e-4 else 1}f}</td>" for t in (s.mean, s.p99))
+        return (
+            f"<tr>{first}{times}<td>{s.iterations:.1f}</td><td>{100.0 * s.solved:.0f} %</td>"
+            f"<td>{1e3 * one.miss:.2f}</td></tr>"
+        )
+
+    def draw(self, view: View, robot: Robot) -> None:
+        """Plot and joints, five times a second."""
+        for (n, name), plot in self._plots.items():
+            visible = (n, name) == (view.count, self._menu.value)
+            if plot.visible != visible:
+                plot.visible = visible
+            if visible:
+                self._fill(plot, view, name)
+        self._joints.content = page(joint_bars(view, robot))
+
+    def _fill(self, plot: Any, view: View, name: str) -> None:
+        column, unit = self._PLOTS[name]
+        n = min(len(one.errors) for one in view.instances)
+        if n < 2:
+            return
+        times = (np.arange(n) - n + 1.0)[::3] * (view.now / max(view.tick, 1))
+        rows = [one.errors[-n:, column][::3] for one in view.instances]
+        if unit:
+            rows = [np.clip(1e3 * row, 1.5 * _ERROR_RANGE[0], _ERROR_RANGE[1]) for row in rows]
+        else:
+            top = 1.1 * max(1e-6, *(float(row.max()) for row in rows))
+            if not 0.5 * plot.scales["y"]["range"][1] <= top <= plot.scales["y"]["range"][1]:
+                plot.scales = {"x": {"time": False}, "y": {"range": (0.0, 1.3 * top)}}
+        plot.data = (times, *rows)
+
+
+def joint_bars(view: View, robot: Robot) -> str:
+    """Joints against their limits: a bar each; of many the ones that are nearest to a limit."""
+    model = robot.model
+    active = [model.joint(name).id for name in robot.joints]
+    ids = [i for i in active if model.jnt_limited[i] and model.jnt_type[i] in (_HINGE, _SLIDE)]
+    rows = ""
+    if not ids:
+        return "<small>no joint has limits</small>"
+    low, high = model.jnt_range[ids].T
+    angles = np.array([robot.qpos(one.q)[model.jnt_qposadr[ids]] for one in view.instances])
+    shares = np.clip((angles - low) / (high - low), 0.0, 1.0)
+    order: Sequence[int] = range(len(ids))
+    if len(ids) > _JOINTS_SHOWN:
+        order = np.argsort(np.minimum(shares, 1.0 - shares).min(axis=0))[:_JOINTS_SHOWN].tolist()
+    for i in order:
+        marks = "".join(_mark(k, share) for k, share in enumerate(shares[:, i].tolist()))
+        angle = model.jnt_type[ids[i]] == _HINGE
+        value = f"{np.degrees(angles[0, i]):.1f}°" if angle else f"{1e3 * angles[0, i]:.0f} mm"
+        name = html.escape(model.joint(ids[i]).name)
+        rows += f'<tr><td>{name}</td><td class="w"><div class="bar">{marks}</div></td><td>{value}</td></tr>'
+    head = "joint" if len(ids) <= _JOINTS_SHOWN else f"nearest to a limit, of {len(ids)}"
+    return f"<table><tr><th>{head}</th><th>lower … upper</th><th></th></tr>{rows}</table>"
+
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def _mark(k: int, share: float) -> str:
+    at_limit = share < 1e-6 or share > 1.0 - 1e-6
+    colour = hexadecimal(LIMIT_COLOUR if at_limit else INSTANCE_COLOURS[k])
+    return f'<b style="left:{100.0 * share:.1f}%;background:{colour}"></b>'
+
+
+def key_table() -> str:
+    """The page's keys, from ``KEYMAP``."""
+    rows: Iterator[str] = (
+        f"<tr><td><kbd>{key.browser}</kbd></td><td>{html.escape(key.about)}</td></tr>"
+        for key in KEYMAP
+        if key.browser
+    )
+    return page(f"<table>{''.join(rows)}</table>")

@@ -1,0 +1,246 @@
+"""The 3D part of the page: robots as batched meshes (a body of all instances is one node), ball, trails.
+
+All that belongs together is drawn as batched nodes: poses of single nodes arrive by another way, and would
+run ahead of them in a slow browser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+from mjviser import conversions
+from numpy.typing import NDArray
+
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
+from robot_ik.testbed.session import View
+from robot_ik.testbed.staging import (
+    BALL_RADIUS,
+    GOAL_COLOUR,
+    INSTANCE_COLOURS,
+    Colour,
+    bodies_shown,
+    linear,
+    staged,
+)
+
+Floats = NDArray[np.float32]
+
+SEGMENTS = 58
+"""Pieces of a trail."""
+GHOSTS = 8
+"""Branches that are drawn at most."""
+_BRANCH_COLOUR: Colour = (110, 130, 155)
+_ARM_COLOUR: Colour = (250, 204, 21)
+_GHOST_OPACITY = 0.28
+_CLOUD_POINTS = 4000
+_PLATE_RADIUS = 0.21  # of the extent
+_NOWHERE = -1e3  # metres: where what is not shown lies
+_GIZMO = 0.22  # of the extent, times 1.5
+
+
+def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
+    """(body, mesh) with what MuJoCo shows by default; geoms of a body that may be merged are."""
+    for body in range(model.nbody):
+        geoms = bodies_shown(model, body)
+        for part in conversions.group_geoms_by_visual_compat(model, geoms) if geoms else ():
+            yield body, conversions.merge_geoms(model, part)
+
+
+class Ghosts:
+    """Up to ``count`` translucent copies of a robot."""
+
+    def __init__(
+        self, server: viser.ViserServer, model: mujoco.MjModel, name: str, colour: Colour, count: int
+    ) -> None:
+        self._count, self._visible = count, False
+        self._root = server.scene.add_frame(f"/robot/{name}", show_axes=False, visible=False)
+        one, far = _poses(count)
+        self._bodies: list[tuple[int, Any]] = []
+        for n, (body, mesh) in enumerate(body_meshes(model)):
+            handle = server.scene.add_batched_meshes_simple(
+                f"/robot/{name}/{n}", mesh.vertices, mesh.faces, one, far,
+                batched_colors=linear(colour), opacity=_GHOST_OPACITY, lod="off",
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            self._bodies.append((body, handle))
+
+    def draw(self, poses: list[tuple[Array, Array]], offset: Array) -> None:
+        """Bodies' positions (nbody, 3) and quaternions (nbody, 4) of each copy, beside ``offset`` (3,)."""
+        if self._visible != bool(poses):
+            self._visible = self._root.visible = bool(poses)
+        if not poses:
+            return
+        quaternions, places = _poses(self._count)
+        for body, handle in self._bodies:
+            for k, (xpos, xquat) in enumerate(poses[: self._count]):
+                places[k], quaternions[k] = xpos[body] + offset, xquat[body]
+            places[len(poses) :] = _NOWHERE
+            handle.batched_positions, handle.batched_wxyzs = places.copy(), quaternions.copy()
+
+
+def _poses(count: int) -> tuple[Floats, Floats]:
+    """Quaternions (n, 4) and places (n, 3) of what is not shown yet."""
+    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
+
+
+class Scene:
+    """What is drawn of one robot in n instances; thrown away when robot or count change."""
+
+    def __init__(self, server: viser.ViserServer, robot: Robot, count: int) -> None:
+        self._server, self.robot, self.count = server, robot, count
+        self.stage = staged(robot, count)
+        self.offsets = self.stage.offsets.astype(np.float32)
+        self.bodies: list[tuple[int, Any]] = []
+        self._ghosts: dict[str, Ghosts] = {}
+        self._cloud: Any = None
+        self._axes: Any = None
+        self._trails_shown = True
+        with server.atomic():
+            self.root = server.scene.add_frame("/robot", show_axes=False)
+            self._add_bodies()
+            self._add_ball()
+            self._trails = [self._trail(k) for k in range(count)]
+            self._labels = [self._label(k) for k in range(count)]
+
+    def _add_bodies(self) -> None:
+        for n, (body, mesh) in enumerate(body_meshes(self.robot.model)):
+            handle = self._server.scene.add_batched_meshes_trimesh(
+                f"/robot/{body}_{n}", mesh, *_poses(self.count), lod="off", receive_shadow=True
+            )
+            self.bodies.append((body, handle))
+
+    def _add_ball(self) -> None:
+        ball = trimesh.creation.icosphere(subdivisions=3, radius=BALL_RADIUS * self.stage.extent)
+        self.ball = self._server.scene.add_batched_meshes_simple(
+            "/robot/ball", ball.vertices, ball.faces, *_poses(self.count),
+            batched_colors=linear(GOAL_COLOUR), lod="off", receive_shadow=False,
+        )  # fmt: skip
+
+    def _trail(self, k: int) -> Any:
+        # Of a fixed size: colours are checked against the number of points.
+        empty = np.full((SEGMENTS, 2, 3), _NOWHERE, np.float32)
+        colour = INSTANCE_COLOURS[k]
+        return self._server.scene.add_line_segments(
+            f"/robot/trail_{k}", empty, colour, thickness=3.0, thickness_units="screen"
+        )
+
+    def _label(self, k: int) -> Any:
+        scene, several = self._server.scene, self.count > 1
+        scene.add_cylinder(
+            f"/robot/plate_{k}", radius=_PLATE_RADIUS * self.stage.extent, height=0.004,
+            color=INSTANCE_COLOURS[k], opacity=0.4, visible=several, cast_shadow=False,
+            position=self.stage.offsets[k] + np.array((0.0, 0.0, 0.003)),
+        )  # fmt: skip
+        return scene.add_label(
+            f"/robot/label_{k}", "", position=self.stage.labels[k], anchor="top-center", visible=several,
+            font_screen_scale=1.1,
+        )  # fmt: skip
+
+    def remove(self) -> None:
+        """Takes all of it away."""
+        self.root.remove()
+
+    def name_of(self, handle: object) -> str:
+        """The body that a handle draws."""
+        body = next(body for body, one in self.bodies if one is handle)
+        return str(self.robot.model.body(body).name)
+
+    def on_drag(self, ball: Callable[[Any], Any], link: Callable[[Any], Any]) -> None:
+        """Calls ``ball`` and ``link`` with viser's drag events."""
+        self.ball.on_drag("left")(ball)
+        for body, handle in self.bodies:
+            if body > 0 and self.robot.model.body_weldid[body] != 0:  # what is fixed to the world stays there
+                handle.on_drag("left")(link)
+
+    def show_overlay(self, on: bool) -> None:
+        """Trails and labels, or none."""
+        self._trails_shown = on
+        for line in self._trails:
+            line.visible = on
+        for label in self._labels:
+            label.visible = on and self.count > 1
+
+    def show_axes(self, on: bool) -> None:
+        """The tool's frame of each instance."""
+        if on and self._axes is None:
+            self._axes = self._server.scene.add_batched_axes(
+                "/robot/tools", *_poses(self.count), axes_length=0.1 * self.stage.extent,
+                axes_radius=0.004 * self.stage.extent,
+            )  # fmt: skip
+        if self._axes is not None:
+            self._axes.visible = on
+
+    def show_cloud(self, points: Array | None) -> None:
+        """Places (n, 3) that the tool can reach, or None."""
+        if self._cloud is not None:
+            self._cloud.remove()
+            self._cloud = None
+        if points is not None:
+            self._cloud = self._server.scene.add_point_cloud(
+                "/robot/reach", points.astype(np.float32), colors=GOAL_COLOUR,
+                point_size=0.006 * self.stage.extent, point_shape="circle",
+            )  # fmt: skip
+
+    def name_instances(self, view: View) -> None:
+        """Labels on the floor."""
+        for k, (label, one) in enumerate(zip(self._labels, view.instances, strict=True)):
+            label.text = f"{k + 1}  {one.method}"
+
+    def draw(self, view: View) -> None:
+        """One frame, sent as one piece."""
+        xpos = np.stack([one.xpos for one in view.instances]).astype(np.float32) + self.offsets[:, None]
+        xquat = np.stack([one.xquat for one in view.instances]).astype(np.float32)
+        with self._server.atomic():
+            for body, handle in self.bodies:
+                handle.batched_positions = xpos[:, body]
+                handle.batched_wxyzs = xquat[:, body]
+            self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
+            if self._axes is not None and self._axes.visible:
+                self._draw_axes(xpos, xquat)
+            for k, one in enumerate(view.instances if self._trails_shown else ()):
+                if len(one.trail) > 2:
+                    points = (one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]).astype(np.float32)
+                    points = np.pad(points, ((0, SEGMENTS + 1 - len(points)), (0, 0)), mode="edge")
+                    self._trails[k].points = np.stack([points[:-1], points[1:]], axis=1)
+            self._draw_ghosts(view)
+
+    def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
+        frame = self.robot.frame(self.robot.tool)
+        places, turns = np.empty((self.count, 3)), np.empty((self.count, 4))
+        for k in range(self.count):
+            mujoco.mju_rotVecQuat(places[k], frame.local.position, xquat[k, frame.body].astype(float))
+            mujoco.mju_mulQuat(turns[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
+        self._axes.batched_positions = (xpos[:, frame.body] + places).astype(np.float32)
+        self._axes.batched_wxyzs = turns.astype(np.float32)
+
+    def _draw_ghosts(self, view: View) -> None:
+        branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]
+        arm = []
+        if view.arm is not None and view.arm.xpos is not None and view.arm.xquat is not None:
+            arm = [(view.arm.xpos, view.arm.xquat)]
+        for name, colour, count, poses in (
+            ("branches", _BRANCH_COLOUR, GHOSTS, branches),
+            ("arm", _ARM_COLOUR, 1, arm),
+        ):
+            if poses and name not in self._ghosts:
+                self._ghosts[name] = Ghosts(self._server, self.robot.model, name, colour, count)
+            if name in self._ghosts:
+                self._ghosts[name].draw(poses, self.stage.offsets[0])
+
+
+def reach_cloud(robot: Robot) -> Array:
+    """(n, 3) places of the tool at random joint angles within the limits, by MuJoCo."""
+    rng, data, found = np.random.default_rng(0), mujoco.MjData(robot.model), []
+    frame = robot.frame(robot.tool)
+    for _ in range(_CLOUD_POINTS):
+        data.qpos[:] = robot.qpos(robot.sample(rng))
+        mujoco.mj_kinematics(robot.model, data)
+        turned = data.xmat[frame.body].reshape(3, 3)
+        found.append(data.xpos[frame.body] + turned @ frame.local.position)
+    return np.array(found)

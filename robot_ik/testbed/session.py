@@ -1,0 +1,554 @@
+"""The testbed without any window: commands go into a queue, an immutable ``View`` comes out.
+
+Only ``tick`` solves, and only its thread touches robots and solvers; front ends, on whatever threads,
+call ``send``.  Time is the number of ticks, so the same commands at the same ticks give the same bits,
+whichever front end they came from (``CommandLog``).  What has to load or compile is prepared beside the
+loop, and takes effect at the tick where it is ready.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import mujoco
+import numpy as np
+
+from robot_ik.errors import RobotIkError
+from robot_ik.geometry import Pose
+from robot_ik.motion.sources import RandomSource
+from robot_ik.ports import Array
+from robot_ik.robot import Robot, load_robot
+from robot_ik.testbed.commands import (
+    Command,
+    CommandLog,
+    Count,
+    DragLink,
+    GoalKind,
+    Motion,
+    MoveGoal,
+    Nudge,
+    PickBranch,
+    Release,
+    Reset,
+    SetArm,
+    SetMotion,
+    SetRobot,
+    SetRunning,
+    SetSpeed,
+    Start,
+    checked_command,
+)
+from robot_ik.testbed.instance import Instance, InstanceView
+from robot_ik.testbed.setup import (
+    ExtraGoal,
+    Ready,
+    Setup,
+    branches_of,
+    first_ball,
+    prepare,
+    usual_extras,
+    usual_kind,
+)
+
+if TYPE_CHECKING:
+    from robot_ik.testbed.arm import ArmLink, ArmView
+
+_log = logging.getLogger(__name__)
+
+MESSAGE_SECONDS = 6.0
+"""How long an error stays on the page."""
+_RANDOM_PERIOD = 2.0  # seconds of ball time at each random place
+_SLOW_TICKS = 6  # between two measurements of what is too dear for each tick
+_BRANCH_TICKS = 12
+_REACH = 3.0  # extents of the model: farther away no ball is of use
+
+
+@dataclass(frozen=True, eq=False)
+class BranchView:
+    """One way of meeting the goal: its name, angles (nq,), bodies' poses (nbody, 3) and (nbody, 4)."""
+
+    name: str
+    q: Array
+    xpos: Array
+    xquat: Array
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A session at one tick; nothing in it changes any more.
+
+    Attributes:
+        tick, now: Ticks taken, and their time in seconds.
+        robot: Name or path as it was asked for.
+        motion, running, speed: How the ball moves.
+        ball: Its pose, world.
+        kind: What it asks of the tool.
+        extras: Goals beside it.
+        limits, show_branches: Whether they are on.
+        dragged: Body that is dragged; empty: none.
+        instances: One to four.
+        branches: Of the first instance, where they are asked for.
+        busy: What is prepared beside the loop, in words; empty: nothing.
+        message: An error in one sentence, for some seconds.
+        arm: The servo arm that the first instance drives; None without.
+    """
+
+    tick: int
+    now: float
+    robot: str
+    motion: Motion
+    running: bool
+    speed: float
+    ball: Pose
+    kind: GoalKind
+    extras: tuple[ExtraGoal, ...]
+    limits: bool
+    show_branches: bool
+    dragged: str
+    instances: tuple[InstanceView, ...]
+    branches: tuple[BranchView, ...]
+    busy: str
+    message: str
+    arm: ArmView | None
+
+    @property
+    def count(self) -> Count:
+        """Instances side by side."""
+        return len(self.instances)  # type: ignore[return-value]
+
+    def digest(self) -> str:
+        """A fingerprint of all that the commands decide: not of times, and not of a servo arm."""
+        seen = hashlib.sha256()
+        words: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed, self.kind]
+        words += [[dataclasses.astuple(extra) for extra in self.extras], self.limits, self.dragged]
+        for one in self.instances:
+            words += [one.method, one.options, one.status, one.iterations, one.statistics.count]
+            words += [one.statistics.iterations, one.statistics.solved]
+        seen.update(json.dumps(words).encode())
+        arrays = [self.ball.position, self.ball.wxyz]
+        for one in self.instances:
+            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.miss, one.angle))]
+        arrays += [branch.q for branch in self.branches]
+        for array in arrays:
+            seen.update(np.ascontiguousarray(array, dtype=float).tobytes())
+        return seen.hexdigest()[:32]
+
+
+@dataclass(frozen=True)
+class _Prepared(Command):
+    """A command that was prepared beside the loop, and what came of it."""
+
+    command: Command | None = None
+    ready: Ready | None = None
+    error: str = ""
+
+
+class Session:
+    """One model, one ball, one to four instances that follow it.
+
+    Args:
+        start: What it begins with.
+        beside: Prepare what must compile on a thread, while the loop goes on; else at once, in ``tick``.
+        arm: A servo arm that follows the first instance.
+
+    Raises:
+        RobotIkError: There is no such robot.
+    """
+
+    def __init__(
+        self, start: Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
+    ) -> None:
+        self.start = Start() if start is None else start
+        self._queue: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._log: list[tuple[int, Command]] = []
+        self._period = 1.0 / self.start.rate
+        self._tick, self._phase = 0, 0.0
+        self._motion: Motion = "curve"
+        self._running, self._speed = True, 1.0
+        self._message: tuple[str, int] = ("", 0)
+        self._drag: DragLink | None = None
+        self._branches: tuple[BranchView, ...] = ()
+        self._ready: Ready | None = None
+        self.arm = arm
+        self.name = self.start.robot
+        self.robot: Robot
+        self.instances: list[Instance]
+        self._stand(load_robot(self.name), self.start.count)
+        self._preparer = _Preparer(
+            Setup.of(self.start), self.robot, self._queue.put if beside else self._adopt
+        )
+        if beside:
+            self._preparer.begin()
+        self._preparer.ask(None)
+
+    # --------------------------------------------------------------------------------- from any thread
+
+    def send(self, command: Command) -> None:
+        """Takes a command from any thread; it takes effect with the next tick, or when it is prepared."""
+        self._queue.put(command)
+
+    @property
+    def busy(self) -> str:
+        """What is prepared beside the loop, in words; empty: nothing."""
+        return self._preparer.doing
+
+    def close(self) -> None:
+        """Leaves the arm, if there is one; the session is over."""
+        self._preparer.close()
+        if self.arm is not None:
+            self.arm.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    # ------------------------------------------------------------------------------------ the loop's own
+
+    @property
+    def ready(self) -> bool:
+        """Whether something can be solved yet; until then time stands still."""
+        return self._ready is not None
+
+    def tick(self) -> None:
+        """Takes what was asked, moves the ball, solves every instance once."""
+        while not self._queue.empty():
+            self._take(self._queue.get())
+        if self._ready is None:
+            return
+        self._tick += 1
+        if self._running:
+            self._step(self._ready)
+        if self.arm is not None:
+            self.arm.follow(self.instances[0].robot, self.instances[0].q, self._running)
+
+    def _step(self, ready: Ready) -> None:
+        self._phase += self._speed * self._period
+        if self._motion != "hand" and self._drag is None:
+            self._ball = self._moving_ball()
+        if self._drag is not None:
+            self._follow_drag(self._drag, ready)
+        else:
+            for one in self.instances:
+                one.solve(ready.goals, self._ball)
+        slow = self._tick % _SLOW_TICKS == 0
+        for one in self.instances:
+            if slow:
+                one.measure_manipulability()
+            if self._tick % round(self.start.rate) == 0:
+                one.measure_statistics()
+        if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
+            self._find_branches(ready)
+
+    def _follow_drag(self, drag: DragLink, ready: Ready) -> None:
+        for one in self.instances:
+            one.drag(drag, np.array(drag.grip), ready.drag_solver, ready.goals, self._ball)
+
+    def _moving_ball(self) -> Pose:
+        assert self._ready is not None
+        source = self._random if self._motion == "random" else self._ready.curve
+        moved = source.poll(self._phase).target
+        return moved if self._ready.goals.kind == "pose" else Pose(moved.position, self._ball.wxyz)
+
+    def view(self) -> View:
+        """What is seen now."""
+        setup = self._ready.setup if self._ready is not None else None
+        text, until = self._message
+        return View(
+            tick=self._tick,
+            now=self._tick * self._period,
+            robot=self.name,
+            motion=self._motion,
+            running=self._running,
+            speed=self._speed,
+            ball=self._ball,
+            kind=usual_kind(self.robot) if setup is None or setup.kind is None else setup.kind,
+            extras=usual_extras(self.robot) if setup is None or setup.extras is None else setup.extras,
+            limits=setup is None or setup.limits,
+            show_branches=setup is not None and setup.branches,
+            dragged=self._drag.body if self._drag is not None else "",
+            instances=tuple(one.view() for one in self.instances),
+            branches=self._branches,
+            busy=self.busy,
+            message=text if self._tick <= until else "",
+            arm=self.arm.view() if self.arm is not None else None,
+        )
+
+    def log(self) -> CommandLog:
+        """All that took effect up to now, and the digest of the present view."""
+        return CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
+
+    def way(self) -> Array:
+        """(n, 3) places of the ball on its curve, for a camera that shall see all of it."""
+        if self._ready is None:
+            return np.array([self._ball.position])
+        curve, times = self._ready.curve, np.linspace(0.0, 8.0, 9)
+        return np.array([curve.poll(float(t)).target.position for t in times])
+
+    # ---------------------------------------------------------------------------------------- commands
+
+    def _take(self, command: Command) -> None:
+        """Does what was asked; what cannot be done is said in the view, never raised."""
+        if isinstance(command, _Prepared):
+            self._adopt(command)
+            return
+        try:
+            command = checked_command(command)
+        except RobotIkError as error:
+            self._say(str(error).splitlines()[0])
+            return
+        if command.rebuilds:
+            self._preparer.ask(command)
+            return
+        self._log.append((self._tick, command))
+        self._apply(command)
+
+    def _apply(self, command: Command) -> None:
+        match command:
+            case SetMotion(motion):
+                self._motion = motion
+            case SetRunning(running):
+                self._running = running
+            case SetSpeed(speed):
+                self._speed = speed
+            case MoveGoal(position, wxyz):
+                self._move_ball(np.array(position), wxyz)
+            case Nudge(step):
+                self._move_ball(np.array(self._ball.position) + step, None)
+            case DragLink():
+                self._grab(command)
+            case Release():
+                if self._drag is not None:
+                    if self._running and self._ready is not None:
+                        # A slow browser's drag may come with its end in one tick: where it ended counts.
+                        self._follow_drag(self._drag, self._ready)
+                    self._ball = self.instances[min(self._drag.instance, len(self.instances) - 1)].tool_pose()
+                    self._drag, self._motion = None, "hand"
+            case Reset():
+                self._phase, self._motion, self._running, self._drag = 0.0, "curve", True, None
+                self._begin_random()
+                for one in self.instances:
+                    one.reset()
+            case PickBranch(index):
+                if index < len(self._branches):
+                    self.instances[0].move_to(self._branches[index].q)
+                else:
+                    self._say("there is no branch of that number")
+            case SetArm():
+                self._set_arm(command)
+
+    def _set_arm(self, command: SetArm) -> None:
+        if self.arm is None:
+            self._say("there is no arm: start with --bus sim, pty or a port")
+        else:
+            self.arm.ask(command.state)
+
+    def _move_ball(self, position: Array, wxyz: Sequence[float] | None) -> None:
+        """By hand from now on; never farther than a robot of this size could use."""
+        self._motion = "hand"
+        far = _REACH * float(self.robot.model.stat.extent)
+        middle = np.array(self.robot.model.stat.center)
+        away = position - middle
+        distance = float(np.linalg.norm(away))
+        position = position if distance <= far else middle + away * (far / distance)
+        turned = self._ball.wxyz if wxyz is None else np.array(wxyz)
+        if np.linalg.norm(turned) > 1e-6:
+            self._ball = Pose(position, turned / np.linalg.norm(turned))
+
+    def _grab(self, command: DragLink) -> None:
+        body = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body)
+        if body <= 0:
+            self._say(f"this part cannot be dragged: {command.body or 'it has no name'}")
+            return
+        self._drag = command
+
+    def _adopt(self, found: _Prepared) -> None:
+        """What was prepared takes effect now."""
+        if found.ready is None:
+            self._say(found.error)
+            return
+        if found.command is not None:
+            self._log.append((self._tick, found.command))
+        before, self._ready = self._ready, found.ready
+        ready = found.ready
+        if isinstance(found.command, SetRobot) or ready.setup.robot != self.name:
+            self.name = ready.setup.robot
+            self._phase, self._motion, self._drag = 0.0, "curve", None
+            self._stand(ready.robot, ready.setup.count)
+        elif len(self.instances) != ready.setup.count:
+            missing = ready.setup.count - len(self.instances)
+            fresh = [Instance(ready.robot, None, self.start.rate) for _ in range(missing)]
+            self.instances = [*self.instances, *fresh][: ready.setup.count]
+        self.robot, self._branches = ready.robot, ()
+        for one, solver, refused in zip(self.instances, ready.solvers, ready.refused, strict=True):
+            flat = ready.goals.flattened(solver)
+            one.take(ready.robot, solver, refused, "all goals at one priority" if flat else "")
+        self._begin_random()
+        if before is None:
+            self._ball = self._moving_ball()
+        for k, why in enumerate(ready.refused):
+            if why:
+                self._say(f"robot {k + 1}: {why}")
+
+    def _stand(self, robot: Robot, count: int) -> None:
+        """New robots, at home."""
+        self.robot = robot
+        self.instances = [Instance(robot, None, self.start.rate) for _ in range(count)]
+        self._ball = first_ball(robot)
+        self._branches = ()
+
+    def _begin_random(self) -> None:
+        self._random = RandomSource(self.robot, seed=self.start.seed, period=_RANDOM_PERIOD)
+        self._random.poll(0.0)
+
+    def _find_branches(self, ready: Ready) -> None:
+        one, found = self.instances[0], []
+        try:
+            branches = branches_of(ready.robot, ready.goals.main(self._ball), one.q)
+        except RobotIkError as error:
+            self._branches = ()
+            self._say(str(error).splitlines()[0])
+            return
+        data = mujoco.MjData(ready.robot.model)
+        for branch in branches:
+            data.qpos[:] = ready.robot.qpos(branch.q)
+            mujoco.mj_kinematics(ready.robot.model, data)
+            found.append(BranchView(branch.name, branch.q.copy(), data.xpos.copy(), data.xquat.copy()))
+        self._branches = tuple(found)
+
+    def _say(self, text: str) -> None:
+        _log.debug("%s", text)
+        self._message = text, self._tick + round(MESSAGE_SECONDS * self.start.rate)
+
+
+class _Preparer:
+    """Makes setups ready, one after the other: on a thread once ``begin`` was called, else at once.
+
+    Args:
+        setup: What the session begins with.
+        robot: That of the setup.
+        done: Called with what came of each.
+    """
+
+    def __init__(self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None]) -> None:
+        self._setup, self._robot, self._done = setup, robot, done
+        self._ready: Ready | None = None
+        self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._waiting = 0
+        self._lock = threading.Lock()
+        self._text = ""
+
+    @property
+    def doing(self) -> str:
+        """In words; empty: nothing."""
+        return self._text if self._waiting else ""
+
+    def begin(self) -> None:
+        """From now on beside the loop."""
+        self._thread = threading.Thread(target=self._work, name="testbed-preparer", daemon=True)
+        self._thread.start()
+
+    def ask(self, command: Command | None) -> None:
+        """Prepares what the command asks for; None: what the session begins with."""
+        self._count(1)
+        if self._thread is None:
+            self._do(command)
+        else:
+            self._jobs.put(command)
+
+    def close(self) -> None:
+        """No more; what is being compiled is not waited for."""
+        self._jobs.put(_Preparer)
+
+    def _work(self) -> None:
+        while True:
+            job = self._jobs.get()
+            if job is _Preparer:
+                return
+            self._do(job)  # type: ignore[arg-type]
+
+    def _do(self, command: Command | None) -> None:
+        self._text = "preparing …"
+        try:
+            wanted = self._setup if command is None else self._setup.after(command)
+            if isinstance(command, SetRobot):
+                self._say(f"loading {command.name} …")
+                robot = load_robot(wanted.robot)
+            else:
+                robot = self._robot
+            ready = prepare(wanted, robot, self._ready, self._say)
+        except RobotIkError as error:
+            self._done(_Prepared(command, error=str(error).splitlines()[0]))
+        except Exception as error:  # on a thread nobody else would see it, and the page would wait for ever
+            _log.exception("cannot prepare %s", command)
+            self._done(_Prepared(command, error=f"cannot do that: {error}"))
+        else:
+            self._setup, self._robot, self._ready = ready.setup, robot, ready
+            self._done(_Prepared(command, ready=ready))
+        finally:
+            self._count(-1)
+
+    def _count(self, change: int) -> None:
+        with self._lock:
+            self._waiting += change
+
+    def _say(self, text: str) -> None:
+        self._text = text
+
+
+def replayed(log: CommandLog) -> Iterator[Session]:
+    """The session of a log, tick by tick; the last one is over all its commands.
+
+    Raises:
+        RobotIkError: As ``Session``.
+    """
+    with Session(log.start, beside=False) as session:
+        waiting = list(log.commands)
+        last = max([log.ticks, *(tick + 1 for tick, _ in waiting)])
+        for tick in range(last):
+            while waiting and waiting[0][0] <= tick:
+                session.send(waiting.pop(0)[1])
+            session.tick()
+            yield session
+
+
+def run(
+    session: Session,
+    draw: Callable[[View], None],
+    stop: threading.Event,
+    *,
+    every: int = 2,
+    now: Callable[[], float] = time.perf_counter,
+) -> None:
+    """The only loop of a front end: ticks in real time, and draws each ``every``-th view.
+
+    It runs on absolute deadlines; after a stall it goes on from there and does not hurry.
+
+    Args:
+        session: Ticks at its own rate.
+        draw: Shows a view.
+        stop: Ends the loop.
+        every: Ticks for each view that is drawn.
+        now: The clock, seconds.
+    """
+    step, due, count = 1.0 / session.start.rate, now(), 0
+    while not stop.is_set():
+        session.tick()
+        if count % every == 0:
+            draw(session.view())
+        count, due = count + 1, due + step
+        if (rest := due - now()) > 0.0:
+            stop.wait(rest)
+        else:
+            due = now()

@@ -1,0 +1,438 @@
+"""What a session solves: robot, methods, goals.  Commands change it; making it ready may compile kernels.
+
+``Setup`` is the choice, in words and numbers.  ``prepare`` makes of it what the loop needs; it loads models
+and compiles, which takes seconds, so the session runs it beside the loop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
+from robot_ik.geometry import Pose
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    Goal,
+    LineGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
+from robot_ik.inverse_kinematics import Branch, solve_all
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.motion.sources import CurveSource
+from robot_ik.ports import Array
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot
+from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers.base import Solver
+from robot_ik.testbed.commands import (
+    Command,
+    Count,
+    GoalKind,
+    SetCount,
+    SetExtraGoal,
+    SetGoalKind,
+    SetLimits,
+    SetMethod,
+    SetOption,
+    SetRobot,
+    ShowBranches,
+    Start,
+)
+
+BUDGET = Budget(iterations=200)
+"""Of one solve: steps and not seconds, so that a replay gives the same bits."""
+METHODS = ("dls", "lm", "pseudoinverse", "ccd")
+"""What four arms begin with: a damped, a trusted, an undamped and a geometric method."""
+WHOLE_BODY_METHODS = ("lm", "dls", "sdls", "bfgs")
+"""As ``METHODS`` for figures, whose balance and gaze geometric methods do not serve."""
+DRAG_METHOD = "dls"
+"""Follows a grabbed part where the instance's own method cannot."""
+CURVE_PERIOD = 8.0
+"""Seconds of ball time for once round the curve."""
+_CURVE_RADIUS = 0.15  # of the model's extent
+_CURVE_STEPS = 12
+_SHRINK, _SHRINKS = 0.7, 5
+_HOLD_GOALS = 6  # frames beside the tool that are offered to be held
+_GAZE = "gaze"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method and those of its options that are not its own defaults."""
+
+    method: str
+    options: tuple[tuple[str, Any], ...] = ()
+
+    def solver(self) -> Solver:
+        """The solver; without restarts unless they are asked for: an arm that follows must not jump.
+
+        Raises:
+            UnknownSolverError, ConfigError: No such method, option or value.
+        """
+        options = dict(self.options)
+        if self.method not in SOLVERS:
+            raise UnknownSolverError(self.method, list(SOLVERS))
+        if any(field.name == "restarts" for field in dataclasses.fields(SOLVERS[self.method])):
+            options.setdefault("restarts", 0)
+        return make_solver(self.method, **options)
+
+
+@dataclass(frozen=True)
+class ExtraGoal:
+    """A goal beside the ball's: its name on the page, whether it is on, its priority."""
+
+    name: str
+    on: bool
+    priority: int
+    about: str
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is solved.
+
+    Attributes:
+        robot: A name of the catalogue or the path of a model.
+        count: Instances side by side.
+        choices: Of four instances; the first ``count`` are used.
+        kind: What the ball asks of the tool; None: what suits the robot.
+        extras: Goals beside the ball's, whose own priority is that of ``ball``; None: what suits the robot.
+        limits: Whether joint limits hold.
+        branches: Whether all branches of a closed form are looked for.
+    """
+
+    robot: str
+    count: Count = 1
+    choices: tuple[Choice, ...] = ()
+    kind: GoalKind | None = None
+    extras: tuple[ExtraGoal, ...] | None = None
+    limits: bool = True
+    branches: bool = False
+
+    @classmethod
+    def of(cls, start: Start) -> Setup:
+        """What a session begins with."""
+        return cls(start.robot, start.count, tuple(Choice(method) for method in start.methods))
+
+    def after(self, command: Command) -> Setup:
+        """What is solved after a command that rebuilds.
+
+        Raises:
+            ConfigError: It names a goal that there is not.
+        """
+        match command:
+            case SetRobot(name):
+                return Setup(name, self.count, self.choices)
+            case SetCount(count):
+                return replace(self, count=count)
+            case SetMethod(k, method):
+                return self._with_choice(k, Choice(method))
+            case SetOption(k, name, value):
+                old = self.choices[k]
+                options = tuple(sorted((dict(old.options) | {name: value}).items()))
+                return self._with_choice(k, Choice(old.method, options))
+            case SetGoalKind(kind):
+                return replace(self, kind=kind)
+            case SetLimits(on):
+                return replace(self, limits=on)
+            case ShowBranches(on):
+                return replace(self, branches=on)
+            case SetExtraGoal():
+                return self._with_extra(command)
+        raise TypeError(f"{command!r} rebuilds nothing")
+
+    def _with_choice(self, k: int, choice: Choice) -> Setup:
+        return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
+
+    def _with_extra(self, command: SetExtraGoal) -> Setup:
+        extras = self.extras or ()
+        names = [extra.name for extra in extras]
+        if command.name not in names:
+            raise ConfigError(
+                f"there is no goal {command.name!r}",
+                file="command", key="name", allowed=", ".join(names) or "none with this robot",
+            )  # fmt: skip
+        return replace(
+            self,
+            extras=tuple(
+                replace(extra, on=command.on, priority=command.priority)
+                if extra.name == command.name
+                else extra
+                for extra in extras
+            ),
+        )
+
+
+class Goals:
+    """The goals of one robot, made for each tick from the ball's pose."""
+
+    def __init__(self, robot: Robot, kind: GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
+        self.robot, self.kind = robot, kind
+        self.priority = next(extra.priority for extra in extras if extra.name == "ball")
+        self._extras = [
+            (extra, _extra_goal(robot, extra)) for extra in extras if extra.on and extra.name != "ball"
+        ]
+
+    def main(self, ball: Pose, priority: int | None = None) -> Goal:
+        """What the ball asks of the tool."""
+        rank = self.priority if priority is None else priority
+        tool, place = self.robot.tool, ball.position
+        match self.kind:
+            case "pose":
+                return PoseGoal(tool, place, ball.wxyz, priority=rank)
+            case "position":
+                return PositionGoal(tool, place, priority=rank)
+            case "aim":
+                return AimGoal(tool, place, axis=gaze_axis(tool), priority=rank)
+            case "line":
+                return LineGoal(tool, place, ball.rotation[:, 2], priority=rank)
+            case "plane":
+                return PlaneGoal(tool, place, ball.rotation[:, 2], priority=rank)
+
+    def all(self, ball: Pose, solver: Solver) -> list[Goal]:
+        """The ball's goal first, then the others.
+
+        A method that cannot order goals gets them at one priority, and no posture to fall back on.
+        """
+        ranked = "priorities" in solver.capabilities
+        goals = [self.main(ball, None if ranked else 0)]
+        for extra, goal in self._extras:
+            if isinstance(goal, PostureGoal):
+                if ranked:
+                    goals.append(goal)
+            elif extra.name == _GAZE:
+                goals.append(
+                    AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority if ranked else 0)
+                )
+            elif goal is not None:
+                goals.append(goal if ranked else replace(goal, priority=0))
+        return goals
+
+    def flattened(self, solver: Solver) -> bool:
+        """Whether the method takes goals at one priority that have several."""
+        ranks = {self.priority, *(extra.priority for extra, _ in self._extras)}
+        return len(ranks) > 1 and "priorities" not in solver.capabilities
+
+
+def gaze_axis(tool: str) -> str:
+    """Which axis of a frame aims: x of eyes, z of hands and tools."""
+    return "x" if tool == _GAZE else "z"
+
+
+def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
+    """The goal of that name where its target stays; None for the gaze, which follows the ball."""
+    home = robot.home
+    verb, _, frame = extra.name.partition(" ")
+    if verb == "keep":
+        pose = robot.forward(home, frame)
+        return PoseGoal(frame, pose.position, pose.wxyz, priority=extra.priority)
+    if verb == "hold":
+        return PositionGoal(frame, robot.forward(home, frame).position, priority=extra.priority)
+    if verb == "balance":
+        return CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", priority=extra.priority)
+    if verb == "posture":
+        kinds = zip(robot.joints, robot.tree.kind.tolist(), strict=True)
+        free = [joint for joint, kind in kinds if kind == FREE]
+        return PostureGoal(q=home, joints=dict.fromkeys(free, 0.0), priority=extra.priority)
+    return None
+
+
+def is_figure(robot: Robot) -> bool:
+    """Whether it stands on feet: a floating base and frames to keep."""
+    return robot.nq > robot.nv and bool(robot.file.gallery and robot.file.gallery.keep)
+
+
+def usual_kind(robot: Robot) -> GoalKind:
+    """A pose where six freedoms carry the tool; else a position, which an arm of five joints can meet."""
+    return "position" if is_figure(robot) or robot.nv < 6 else "pose"
+
+
+def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
+    """The goals that the page offers beside the ball's."""
+    figure = is_figure(robot)
+    keep = robot.file.gallery.keep if figure and robot.file.gallery else ()
+    found = [ExtraGoal(f"keep {frame}", True, 0, f"{frame} stays where it is at home") for frame in keep]
+    if figure:
+        found.append(ExtraGoal("balance", True, 1, "centre of mass over its place at home"))
+    found.append(ExtraGoal("ball", True, 2 if figure else 0, "what the ball asks of the tool"))
+    tools = robot.file.tools
+    if figure and _GAZE in tools and robot.tool != _GAZE:
+        found.append(ExtraGoal(_GAZE, True, 3, "the eyes look at the ball"))
+    others = [name for name in tools if name not in (robot.tool, _GAZE, *keep)]
+    if figure:
+        found += [ExtraGoal(f"hold {n}", False, 3, f"{n} stays at its place") for n in others[:_HOLD_GOALS]]
+    found.append(ExtraGoal("posture", figure, 4 if figure else 1, "joints as near to home as can be"))
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A setup that the loop can solve at once.
+
+    Attributes:
+        setup: With what suits the robot filled in.
+        robot: Within its limits; the robot of every instance.
+        goals: What is asked.
+        solvers: One for each instance.
+        drag_solver: For grabbed parts, where an instance's own method cannot.
+        loaded: The robot within the limits of its model.
+        curve: The ball's way; the tool can follow it.
+        refused: For each instance why its method cannot serve these goals; empty where it can.
+    """
+
+    setup: Setup
+    robot: Robot
+    goals: Goals
+    solvers: tuple[Solver, ...]
+    drag_solver: Solver
+    loaded: Robot
+    curve: CurveSource
+    refused: tuple[str, ...]
+
+
+def completed(setup: Setup, robot: Robot) -> Setup:
+    """The setup with what suits the robot where nothing was chosen."""
+    usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
+    choices = setup.choices + tuple(Choice(method) for method in usual[len(setup.choices) :])
+    return replace(
+        setup,
+        choices=choices,
+        kind=setup.kind or usual_kind(robot),
+        extras=usual_extras(robot) if setup.extras is None else setup.extras,
+    )
+
+
+def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[str], None]) -> Ready:
+    """Compiles and tries all that the setup needs.
+
+    Args:
+        setup: The choice.
+        loaded: Its robot.
+        before: What was made ready last: what did not change since is taken over.
+        say: Called with what is going on, in words.
+
+    Raises:
+        RobotIkError: No such method or option.
+    """
+    if before is not None and is_figure(before.loaded) is not is_figure(loaded):
+        setup = replace(setup, choices=())  # an arm's methods do not suit a figure, nor a figure's an arm
+    setup = completed(setup, loaded)
+    assert setup.kind is not None and setup.extras is not None
+    same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
+    used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
+    goals = Goals(used, setup.kind, setup.extras)
+    home, refused = first_ball(loaded), []
+    solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
+    for solver in solvers:
+        say(f"preparing {solver.name} …")
+        refused.append(_tried(used, goals, solver, home))
+    drag_solver = Choice(DRAG_METHOD).solver()
+    if not all(solver.supports(PositionGoal(None, home.position)) for solver in solvers):
+        say(f"preparing {DRAG_METHOD} …")
+        _try(used, [PositionGoal(used.tool, home.position)], drag_solver)
+    if setup.branches:
+        with contextlib.suppress(RobotIkError):
+            branches_of(used, goals.main(home), used.home)
+    if before and same and (before.setup.kind, before.setup.extras) == (setup.kind, setup.extras):
+        curve = before.curve
+    else:
+        able = [solver for solver, why in zip(solvers, refused, strict=True) if not why]
+        curve = reachable_curve(used, goals, able[0] if able else drag_solver)
+    return Ready(setup, used, goals, solvers, drag_solver, loaded, curve, tuple(refused))
+
+
+def _tried(robot: Robot, goals: Goals, solver: Solver, ball: Pose) -> str:
+    """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
+    try:
+        _try(robot, goals.all(ball, solver), solver)
+        if solver.supports(PositionGoal(robot.tool, ball.position)):
+            _try(robot, [PositionGoal(robot.tool, ball.position)], solver)
+    except RobotIkError as error:
+        return str(error).splitlines()[0]
+    return ""
+
+
+def _try(robot: Robot, goals: list[Goal], solver: Solver) -> None:
+    problem = Problem(robot, goals, budget=BUDGET)
+    solver.load(problem)
+    retarget(problem, goals)
+    solver.solve(problem, robot.home)
+
+
+def retarget(problem: Problem, goals: list[Goal]) -> None:
+    """Moves the targets of a problem that was made for such goals."""
+    for index, goal in enumerate(goals):
+        if not isinstance(goal, PostureGoal | CenterOfMassGoal):  # these stay where they are
+            problem.retarget(goal, index)
+
+
+def branches_of(robot: Robot, goal: Goal, start: Array) -> tuple[Branch, ...]:
+    """All branches that a closed form knows, the nearest to ``start`` (nq,) first.
+
+    Raises:
+        UnsupportedGoalError: No closed form is known.
+    """
+    return solve_all(robot, replace(goal, priority=0), start=start)
+
+
+def without_limits(robot: Robot) -> Robot:
+    """The robot whose hinges and slides may go anywhere; balls keep their cones."""
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    for kind, at in zip(robot.tree.kind.tolist(), robot.tree.vadr.tolist(), strict=True):
+        if kind in (HINGE, SLIDE):
+            lower[at], upper[at] = -np.inf, np.inf
+    tree = robot.tree.with_limits(lower, upper)
+    return dataclasses.replace(robot, tree=tree, lower=lower, upper=upper)
+
+
+def first_ball(robot: Robot) -> Pose:
+    """Where the ball is before it moves: what the robot's gallery picture reaches for, else home."""
+    home = robot.measure(robot.home)  # by MuJoCo: nothing has to be compiled for the first picture
+    goals = robot.file.gallery.goals if robot.file.gallery else {}
+    if robot.tool not in goals:
+        return home
+    values = goals[robot.tool]
+    return Pose(values[:3], values[3:] if len(values) == 7 else home.wxyz)
+
+
+def reachable_curve(robot: Robot, goals: Goals, solver: Solver) -> CurveSource:
+    """A figure of eight round the first ball, as large as the tool can follow it."""
+    ball, extent = first_ball(robot), float(robot.model.stat.extent)
+    middle, radius = np.array(ball.position), _CURVE_RADIUS * extent
+    towards = np.array(robot.forward(robot.home).position)
+    for _ in range(_SHRINKS):
+        curve = CurveSource.lemniscate(
+            robot.tool, middle, radius, CURVE_PERIOD, normal=(1.0, 0.0, 0.2), wxyz=ball.wxyz
+        )
+        if _follows(robot, goals, solver, curve):
+            break
+        radius *= _SHRINK
+        middle = _SHRINK * middle + (1.0 - _SHRINK) * towards
+    return CurveSource(robot.tool, curve.curve)
+
+
+def _follows(robot: Robot, goals: Goals, solver: Solver, curve: CurveSource) -> bool:
+    """Whether the tool gets to all of a curve, from home on."""
+    q, problem = robot.home, None
+    for t in np.linspace(0.0, CURVE_PERIOD, _CURVE_STEPS):
+        wanted = goals.all(curve.poll(float(t)).target, solver)
+        problem = Problem(robot, wanted, budget=BUDGET) if problem is None else problem
+        try:
+            retarget(problem, wanted)
+            solution = solver.solve(problem, q)
+        except RobotIkError:
+            return True  # the method cannot serve these goals: any curve will do
+        q = solution.q
+        if solution.misses[0].position > 1e-3 or solution.misses[0].angle > 1e-2:
+            return False
+    return True

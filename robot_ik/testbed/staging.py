@@ -1,0 +1,131 @@
+"""Where instances stand, and from where they are seen: the same on every front end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
+
+Colour = tuple[int, int, int]
+
+INSTANCE_COLOURS: tuple[Colour, ...] = ((37, 99, 235), (13, 148, 136), (147, 51, 234), (219, 39, 119))
+"""Of plate, trail, table row, plot line and joint mark: told apart by the colour-blind, too."""
+GOAL_COLOUR: Colour = (245, 130, 32)
+"""Orange, as in the gallery; no instance has it."""
+LIMIT_COLOUR: Colour = (220, 38, 38)
+BALL_RADIUS = 0.03
+"""Of the model's extent."""
+FIELD_OF_VIEW = math.radians(38.0)
+_USUAL_VIEW_DEG = -60.0
+_DOWN = 0.42  # tangent of the elevation: about 23 degrees
+_PLATE_DISTANCE = 0.24  # of the extent: where the label stands in front of the base
+_MARGIN = 0.9  # part of the picture that is used: balls and hands reach beyond their middles
+_SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is left, and how far it is up
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Where things stand.
+
+    Attributes:
+        offsets: (n, 3) of each instance from the world's origin, metres.
+        labels: (n, 3) on the floor in front of each instance.
+        ahead, right: (2,) unit vectors on the floor as the first view sees them.
+        extent: Of the model, metres.
+    """
+
+    offsets: Array
+    labels: Array
+    ahead: Array
+    right: Array
+    extent: float
+
+
+def staged(robot: Robot, count: int) -> Stage:
+    """The places of ``count`` instances: 1 2 behind, 3 4 in front, as the first view sees them."""
+    gallery = robot.file.gallery
+    azimuth = math.radians(gallery.view_deg[0] if gallery else _USUAL_VIEW_DEG)
+    ahead = -np.array((math.cos(azimuth), math.sin(azimuth)))
+    right = np.array((-math.sin(azimuth), math.cos(azimuth)))
+    extent = float(robot.model.stat.extent)
+    grid: Sequence[tuple[float, float]] = {
+        1: [(0.0, 0.0)],
+        2: [(-1.0, 0.0), (1.0, 0.0)],
+        4: [(-1.0, 1.25), (1.0, 1.25), (-1.0, -1.25), (1.0, -1.25)],
+    }[count]
+    flat = np.array([0.5 * extent * (x * right + y * ahead) for x, y in grid])
+    offsets = np.column_stack([flat, np.zeros(count)])
+    labels = offsets - np.array((*(_PLATE_DISTANCE * extent * ahead), 0.0))
+    return Stage(offsets, labels, ahead, right, extent)
+
+
+def corners(robot: Robot, stage: Stage, way: Array) -> Array:
+    """(n, 3) what a camera should see: boxes round the instances at home and round the ball's way (m, 3)."""
+    model = robot.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.qpos(robot.home)
+    mujoco.mj_kinematics(model, data)
+    solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
+    # A ball round a long geom is much larger than the geom: 0.7 of it holds the robots that ship.
+    reach, places = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]
+    low = np.vstack([places - reach, way]).min(axis=0)
+    high = np.vstack([places + reach, way]).max(axis=0)
+    low[2] = max(low[2], min(0.0, float(way[:, 2].min())))
+    box = np.array(
+        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    return (stage.offsets[:, None] + box).reshape(-1, 3)
+
+
+def fitted_camera(points: Array, stage: Stage, aspect: float, *, phone: bool = False) -> tuple[Array, Array]:
+    """Position (3,) and look-at (3,) of a camera that sees all points, from ahead and a little above.
+
+    Args:
+        points: (n, 3) what has to be seen.
+        stage: Says where ahead is.
+        aspect: Width of the picture over its height.
+        phone: Keep the lower half of the picture free.
+    """
+    ahead = np.array((*stage.ahead, -_DOWN)) / math.hypot(1.0, _DOWN)
+    right = np.array((*stage.right, 0.0))
+    up = np.cross(right, ahead)
+    x, y, z = points @ right, points @ up, points @ ahead
+    wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect
+    tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
+    middle = np.array(((x.min() + x.max()) / 2.0, (y.min() + y.max()) / 2.0))
+    away = float(max((np.abs(x - middle[0]) / wide - z).max(), (np.abs(y - middle[1]) / tall - z).max()))
+    depth = float(z.mean())
+    drop = _SHEET[1] * math.tan(FIELD_OF_VIEW / 2.0) * (away + depth) if phone else 0.0
+    look = middle[0] * right + (middle[1] - drop) * up + depth * ahead
+    return look - (away + depth) * ahead, look
+
+
+def bodies_shown(model: mujoco.MjModel, body: int) -> list[int]:
+    """Geoms of a body that MuJoCo shows by default, floors left out."""
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    return [
+        g
+        for g in range(first, first + count)
+        if model.geom_group[g] < 3
+        and model.geom_rgba[g, 3] > 0
+        and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
+    ]
+
+
+def hexadecimal(colour: Colour) -> str:
+    """As CSS has it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def linear(colour: Colour) -> NDArray[np.uint8]:
+    """A screen colour (sRGB) as linear light, which is what batched meshes take theirs for."""
+    share = np.array(colour) / 255.0
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.round(255.0 * light).astype(np.uint8)

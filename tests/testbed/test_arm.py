@@ -1,0 +1,107 @@
+"""The servo arm that follows the testbed: simulated servos, real time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from robot_ik.errors import ConfigError
+from robot_ik.jobs.testbed import arm_link
+from robot_ik.testbed.arm import ArmLink
+from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
+from robot_ik.testbed.session import Session, View
+
+PATIENCE = 20.0
+
+
+@pytest.fixture
+def link() -> Iterator[ArmLink]:
+    made = arm_link("tabletop_puma", None, "sim")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def session(link: ArmLink) -> Session:
+    return Session(Start("tabletop_puma"), beside=False, arm=link)
+
+
+def until(session: Session, holds: Callable[[View], object], what: str) -> View:
+    end = time.monotonic() + PATIENCE
+    while True:
+        session.tick()
+        view = session.view()
+        if holds(view):
+            return view
+        assert time.monotonic() < end, f"{what}: {view.arm}"
+        time.sleep(0.01)
+
+
+def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -> None:
+    view = until(session, lambda v: v.arm is not None and v.arm.q is not None, "no reading")
+    assert view.arm is not None and view.arm.state == "connected"
+    session.send(MoveGoal((0.2, 0.05, 0.1)))
+    session.send(SetArm("follow"))
+    view = until(
+        session, lambda v: v.arm and v.arm.state == "enabled" and v.arm.apart < 0.02, "does not follow"
+    )
+    assert view.arm is not None and view.arm.q is not None
+    assert np.abs(view.arm.q - view.instances[0].q).max() < 0.02
+    assert np.isfinite(view.arm.xpos).all()
+    until(session, lambda v: v.arm and v.arm.servos and all(s.torque for s in v.arm.servos), "no telemetry")
+    session.send(SetRunning(False))
+    until(session, lambda v: v.arm and v.arm.state == "hold", "stop does not hold the arm")
+    session.send(SetRunning(True))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not go on")
+    session.send(SetArm("release"))
+    until(session, lambda v: v.arm and v.arm.state == "connected", "torque stays on")
+
+
+def test_a_session_that_falls_silent_makes_the_arm_hold(session: Session, link: ArmLink) -> None:
+    session.send(SetArm("follow"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
+    end = time.monotonic() + PATIENCE
+    while link.view().state != "hold":
+        assert time.monotonic() < end, "nobody held the arm"
+        time.sleep(0.02)
+
+
+def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link: ArmLink) -> None:
+    session.send(SetArm("follow"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
+    session.send(SetRobot("koch_v11"))
+    view = until(session, lambda v: v.arm and v.arm.state == "hold", "the wrong robot moves the arm")
+    assert view.robot == "koch_v11" and view.arm is not None and "tabletop_puma" in view.arm.message
+
+
+def test_a_ball_that_jumps_makes_the_arm_walk(session: Session, link: ArmLink) -> None:
+    session.send(SetArm("follow"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled" and v.arm.apart < 0.05, "does not follow")
+    fastest = float(link._arm.config.velocity.max())
+    session.send(MoveGoal((-0.15, -0.2, 0.2)))
+    last, most = link.view().q, 0.0
+    begin = time.monotonic()
+    assert last is not None
+    for _ in range(60):
+        session.tick()
+        time.sleep(0.01)
+    now = link.view().q
+    assert now is not None
+    most = float(np.abs(now - last).max()) / (time.monotonic() - begin)
+    assert 0.0 < most <= 1.2 * fastest
+
+
+def test_closing_leaves_the_arm_by_its_policy() -> None:
+    link = arm_link("tabletop_puma", None, "sim", "torque_off")
+    with Session(Start("tabletop_puma"), beside=False, arm=link) as session:
+        session.send(SetArm("follow"))
+        until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
+    assert link.view().state == "disconnected" and "torque" in link.left
+
+
+def test_a_robot_without_an_arm_file_is_said() -> None:
+    with pytest.raises(ConfigError, match="arm file"):
+        arm_link("panda", None, "sim")

@@ -1,0 +1,193 @@
+"""One script of commands, every front end: the same view; and what the recorder writes."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_ik.camera.drawing.renderers import PainterArtist
+from robot_ik.cli.main import main
+from robot_ik.errors import MissingExtraError
+from robot_ik.jobs.testbed import film
+from robot_ik.testbed.commands import CommandLog, MoveGoal, SetCount, SetMethod, SetSpeed, Start
+from robot_ik.testbed.frontends.recorder import Recorder
+from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.session import Session, replayed
+from robot_ik.testbed.staging import GOAL_COLOUR, INSTANCE_COLOURS
+from tests.testbed.test_window import PATIENCE, Screen, screen  # noqa: F401 (a fixture)
+
+SCRIPT = CommandLog(
+    Start("tabletop_puma"),
+    (
+        (2, SetCount(2)),
+        (4, SetMethod(1, "ccd")),
+        (10, SetSpeed(2.0)),
+        (20, MoveGoal((0.2, 0.05, 0.1))),
+    ),
+    ticks=40,
+)
+
+IN_WINDOW = """
+import sys
+from pathlib import Path
+from robot_ik.testbed.commands import CommandLog
+from robot_ik.testbed.frontends.window import SessionWindow
+from robot_ik.testbed.session import replayed
+
+window = None
+for session in replayed(CommandLog.load(Path(sys.argv[1]))):
+    window = window or SessionWindow(session)
+    window.draw(session.view())
+print(session.view().digest(), flush=True)
+window.close()
+"""
+
+
+def drawn(make: Callable[[Session], Any]) -> str:
+    """Digest of the script's last view, each view drawn by a front end."""
+    front: Any = None
+    try:
+        for session in replayed(SCRIPT):
+            front = front or make(session)
+            front.draw(session.view())
+        return session.view().digest()
+    finally:
+        if hasattr(front, "close"):
+            front.close()
+
+
+@pytest.fixture(scope="module")
+def wanted() -> str:
+    *_, session = replayed(SCRIPT)
+    return session.view().digest()
+
+
+def test_the_same_script_gives_the_same_view_in_the_recorder(wanted: str) -> None:
+    assert drawn(lambda session: Recorder(session, PainterArtist(1), (64, 48))) == wanted
+
+
+def test_the_same_script_gives_the_same_view_in_the_browser(wanted: str) -> None:
+    pytest.importorskip("viser", reason="needs the extra web")
+    from robot_ik.testbed.frontends.browser import Page
+
+    assert drawn(lambda session: Page(session, port=8710)) == wanted
+
+
+def test_the_same_script_gives_the_same_view_in_the_window(
+    screen: Screen,  # noqa: F811
+    wanted: str,
+    tmp_path: Path,
+) -> None:
+    SCRIPT.save(tmp_path / "script.jsonl")
+    environment = {**os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+    environment.pop("MUJOCO_GL", None)
+    done = subprocess.run(
+        [sys.executable, "-c", IN_WINDOW, str(tmp_path / "script.jsonl")],
+        env=environment, text=True, capture_output=True, timeout=2 * PATIENCE, check=False,
+    )  # fmt: skip
+    assert done.stdout.split() == [wanted], done.stderr[-2000:]
+
+
+def test_no_key_means_two_things() -> None:
+    for column in ("browser", "window"):
+        keys = [getattr(key, column) for key in KEYMAP if getattr(key, column)]
+        assert len(set(keys)) == len(keys)
+    # viser's scene moves its camera with these, and no switch turns that off
+    assert not {"W", "A", "S", "D", "Q", "E"} & {key.browser for key in KEYMAP}
+
+
+def near(image: Any, colour: tuple[int, int, int], within: int = 40) -> int:
+    """Number of pixels (RGB) near a colour."""
+    return int((np.abs(image.astype(int) - colour).max(axis=-1) < within).sum())
+
+
+def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="needs the extra video")
+    out, numbers = tmp_path / "bed.mp4", tmp_path / "bed.csv"
+    seen: list[int] = []
+    view = film(
+        SCRIPT, out, numbers=numbers, size=(320, 240), rate_hz=30.0, backend="painter",
+        on_tick=lambda view, count: seen.append(count),
+    )  # fmt: skip
+    assert view.tick == 40 and seen == [40] * 40
+    with av.open(str(out)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 20 and frames[0].shape == (240, 320, 3)
+    assert np.abs(frames[-1].astype(int) - frames[3].astype(int)).max() > 60
+    assert near(frames[-1], GOAL_COLOUR) > 20, "no ball"
+    assert near(frames[-1], INSTANCE_COLOURS[1], 60) > 20, "no second instance"
+    ground = near(frames[-1], (246, 247, 249), 12)
+    assert 0.3 < ground / (240 * 320) < 0.95, "no robot"
+    with numbers.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 1 + 2 * 19 and {row["method"] for row in rows[4:]} == {"dls", "ccd"}
+    assert float(rows[-1]["miss_m"]) == view.instances[1].miss
+
+
+def test_a_gif_is_written(tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="needs the extra video")
+    film(SCRIPT, tmp_path / "a.gif", size=(96, 64), seconds=0.2, backend="painter")
+    with av.open(str(tmp_path / "a.gif")) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 6
+
+
+def test_a_log_without_a_length_is_no_film(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    CommandLog(Start("tabletop_puma"), ()).save(tmp_path / "a.jsonl")
+    assert main(["video", str(tmp_path / "a.jsonl"), str(tmp_path / "a.png")]) == 2
+    assert "--seconds" in capsys.readouterr().err
+    assert main(["video", str(tmp_path / "a.png")]) == 2
+    assert main(["video", "--seconds", "1", "--count", "3", str(tmp_path / "a.png")]) == 2
+    assert main(["video", str(tmp_path / "a.jsonl"), str(tmp_path / "a.png"), "--count", "2"]) == 2
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_a_replay_says_whether_it_ends_in_the_same_bits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], wanted: str
+) -> None:
+    good, bad = tmp_path / "good.jsonl", tmp_path / "bad.jsonl"
+    CommandLog(SCRIPT.start, SCRIPT.commands, SCRIPT.ticks, wanted).save(good)
+    CommandLog(SCRIPT.start, SCRIPT.commands, SCRIPT.ticks, "0" * 32).save(bad)
+    assert main(["view", "--replay", str(good)]) == 0
+    assert "the same bits" in capsys.readouterr().err
+    assert main(["view", "--replay", str(bad)]) == 1
+    assert "other bits" in capsys.readouterr().err
+    assert main(["view", "--replay", str(tmp_path / "none.jsonl")]) == 2
+
+
+def test_view_opens_the_page_writes_its_log_and_ends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser", reason="needs the extra web")
+    log = tmp_path / "log.jsonl"
+    words = "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser --seconds 2 --log"
+    assert main([*words.split(), str(log)]) == 0
+    assert "http://127.0.0.1:87" in capsys.readouterr().out
+    again = CommandLog.load(log)
+    assert again.start.robot == "tabletop_puma" and again.digest
+
+
+def test_the_viewer_is_chosen_and_said(capsys: pytest.CaptureFixture[str]) -> None:
+    from robot_ik.cli.view import choose_viewer
+
+    assert choose_viewer("auto", browser=True) == "browser"
+    assert choose_viewer("auto", browser=False, window=True) == "window"
+    assert "robot_ik[web]" in capsys.readouterr().err
+    assert choose_viewer("auto", browser=False, window=False) == "recorder"
+    assert "recorder" in capsys.readouterr().err
+    with pytest.raises(MissingExtraError, match="viser"):
+        choose_viewer("browser", browser=False)
+
+
+def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", "--count", "3", "--no-open"]) == 2
+    assert main(["view", "--robot", "puma561", "--no-open"]) == 2
+    assert main(["view", "--bus", "sim", "--robot", "panda", "--no-open"]) == 2
+    assert "arm file" in capsys.readouterr().err
