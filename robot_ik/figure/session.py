@@ -144,7 +144,8 @@ class FigureSession:
     @property
     def busy(self) -> bool:
         """Whether something is being done or about to be."""
-        return self._motion is not None or bool(self._way) or bool(self._commands) or self._asked()
+        planned = bool(self._way) or self._after is not None
+        return self._motion is not None or planned or bool(self._commands) or self._asked()
 
     def send(self, command: Command) -> None:
         """Queues a command for the next frame."""
