@@ -31,7 +31,7 @@ class VideoOptions:
     last picture), or a folder. Exit code 0: done. 2: wrong input or environment.
     """
 
-    files: Positional[Annotated[tuple[Path, ...], arg(metavar="[LOG.jsonl] OUT")]]
+    files: Positional[Annotated[tuple[Path, ...], arg(metavar="[LOG.jsonl] OUT", help_behavior_hint="")]]
     """What happens, and where the film goes."""
     robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: {SHOWN_ROBOT})")] = ""
     """Without a log: a name of `robot-ik robots`, or any MJCF or URDF file."""
