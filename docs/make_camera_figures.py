@@ -17,9 +17,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera_motion import compare_filters
-from robot_ik.bench.camera_rows import Figure
-from robot_ik.camera.ar.registration import remedy_errors
+from robot_ik.bench.camera import Figure
+from robot_ik.bench.camera.accuracy import remedy_errors
+from robot_ik.bench.camera.arm import compare_filters
 from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
 DOCS = Path(__file__).resolve().parent
@@ -90,7 +90,7 @@ def prediction(data: Data, others: Data) -> str:
     return "\n".join([*lines, ""])
 
 
-def remedies(data: Data, others: Data) -> str:
+def latency_options(data: Data, others: Data) -> str:
     """What is left of a delay of 66 ms, by remedy."""
     lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
     for name, (rms, worst) in data["remedies"].items():
@@ -128,7 +128,7 @@ def _rms(data: Data) -> str:
 
 
 TABLES: dict[str, Callable[[Data, Data], str]] = {
-    make.__name__: make for make in (camera, prediction, remedies, headlines)
+    make.__name__: make for make in (camera, prediction, latency_options, headlines)
 }
 
 

@@ -3,6 +3,8 @@
     python docs/make_performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the page
     python docs/make_performance.py            # docs/performance.json -> the page
 
+Of RESULTS that lack a folder (``peers``, ``methods``, ``kernels``, ``batch``) the rest is taken: what was
+measured before stays.
 A table stands between `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
 """
 
@@ -33,29 +35,37 @@ PICTURES = {
 
 def collect(results: Path) -> dict[str, Any]:
     """What the page needs of a folder of results; also puts the pictures into docs/images."""
-    from robot_ik.bench.results import Cell, read_results
-
-    found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
-    runs = {name: read_results(results / name / "bench.json") for name in BENCHES}
+    from robot_ik.bench.methods.results import Cell, read_results
 
     def summary(cell: Cell) -> dict[str, Any]:
         times = {str(k): round(cell.microsecond(k), 2) for k in ("median", "mean")} if cell.count else {}
         about = {key: getattr(cell, key) for key in ("solver", "robot", "set", "goal", "count")}
         return about | {"rate": round(cell.rate, 4), **times}
 
-    for source, name in PICTURES.items():
-        shutil.copy(results / source, IMAGES / name)
-    return {
-        "machine": runs["methods"].machine.model_dump(),
-        "comparison": {key: found[key] for key in ("count", "rounds", "seconds", "seed")}
-        | {"when": found["machine"]["when"], "missing": sorted({**found["missing"], **found["failed"]})},
-        "peers": collect_peers(found),
-        "four_goals": collect_four_goals(found),
-        "methods": [summary(cell) for cell in runs["methods"].cells],
-        "floors": [one.model_dump() for one in runs["kernels"].floors],
-        "growth": [one.model_dump() for one in runs["kernels"].growth],
-        "batches": [one.model_dump() for one in runs["batch"].batches],
+    data: dict[str, Any] = {}
+    if (results / "peers").is_dir():
+        found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
+        comparison = {key: found[key] for key in ("count", "rounds", "seconds", "seed")} | {
+            "when": found["machine"]["when"], "missing": sorted({**found["missing"], **found["failed"]}),
+        }  # fmt: skip
+        data |= {"comparison": comparison, "peers": collect_peers(found)}
+        data["four_goals"] = collect_four_goals(found)
+    runs = {
+        name: read_results(results / name / "bench.json") for name in BENCHES if (results / name).is_dir()
     }
+    if "methods" in runs:
+        data["machine"] = runs["methods"].machine.model_dump()
+        data["methods"] = [summary(cell) for cell in runs["methods"].cells]
+    if "kernels" in runs:
+        data["kernels"] = runs["kernels"].machine.model_dump()
+        data["floors"] = [one.model_dump() for one in runs["kernels"].floors]
+        data["growth"] = [one.model_dump() for one in runs["kernels"].growth]
+    if "batch" in runs:
+        data["batches"] = [one.model_dump() for one in runs["batch"].batches]
+    for source, name in PICTURES.items():
+        if (results / source).is_file():
+            shutil.copy(results / source, IMAGES / name)
+    return data
 
 
 def collect_peers(found: dict[str, Any]) -> dict[str, Any]:
@@ -222,6 +232,12 @@ def floors(data: Data) -> str:
     return table(("robot", "joints", "forward, µs", "forward + Jacobian, µs"), rows)
 
 
+def kernels(data: Data) -> str:
+    """When and on what kinematics and growth were measured; they can be measured by themselves."""
+    m = data["kernels"]
+    return f"{m['processor']}, {m['cores']} cores, {m['when']}; load {m['load']:.1f} before.\n"
+
+
 def growth(data: Data, across: str) -> str:
     """Methods × sizes."""
     points = [point for point in data["growth"] if point["across"] == across]
@@ -251,7 +267,8 @@ def methods(data: Data) -> str:
 
 TABLES: dict[str, Callable[[Data], str]] = {
     make.__name__: make for make in (
-        machine, comparison, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, methods,
+        machine, comparison, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, kernels,
+        methods,
     )
 }  # fmt: skip
 TABLES["growth_joints"] = lambda data: growth(data, "joints")
@@ -271,6 +288,7 @@ def write_page() -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in collect(Path(sys.argv[1])).items()]
+        data = json.loads(DATA.read_text(encoding="utf-8")) | collect(Path(sys.argv[1]))
+        lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data.items()]
         DATA.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     write_page()

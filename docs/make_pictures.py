@@ -21,22 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.camera.ar.draw import Figure, PainterArtist
-from robot_ik.camera.ar.registrar import BoardWatcher, Registrar
 from robot_ik.camera.boards.board import parse_board
 from robot_ik.camera.boards.patterns import CharucoPattern
-from robot_ik.camera.calibrate.coverage import cover, coverage_picture
-from robot_ik.camera.made_up.pattern_set import pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
-from robot_ik.camera.sheets.blocks import SheetWish
+from robot_ik.camera.calibration.coverage import cover, coverage_picture
+from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
 from robot_ik.geometry import rotation_exp
-from robot_ik.jobs.ar import heights
-from robot_ik.jobs.ar_scene import BOARD, Motion, synthetic_stage
-from robot_ik.jobs.studio import fitted_camera, lens, photograph, surface
-from robot_ik.jobs.verify import VerifyRequest, run_verify
-from robot_ik.jobs.verify_picture import error_picture
+from robot_ik.jobs.ar.job import heights
+from robot_ik.jobs.ar.scene import BOARD, Motion, synthetic_stage
+from robot_ik.jobs.arm_camera.error_picture import error_picture
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 
 Image = NDArray[np.uint8]
 
@@ -81,7 +79,7 @@ def example(name: str) -> ModuleType:
 def answer(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
     """What the example solves, and its ball."""
     program, robot = example(scene.example), rik.load_robot(scene.robot)
-    return rik.solve(robot, list(program.wishes(robot).values())), program.BALL
+    return rik.solve(robot, list(program.goals(robot).values())), program.BALL
 
 
 def with_ball(path: Path, place: tuple[float, ...]) -> mujoco.MjModel:
@@ -113,9 +111,9 @@ def draw(scene: Scene) -> Image:
 def calibration() -> Image:
     """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
     board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
-    shown = list(pattern_set(board, camera, 20, seed=2, look=Look(noise=1.0)))
+    shown = list(pattern_set(board, camera, 20, seed=2, look=SensorModel(noise=1.0)))
     found = [view for view in (board.find(v.image) for v in shown) if view is not None]
-    tiles = [rasterize(make_sheet_page(SheetWish("charuco")), 60.0)]
+    tiles = [rasterize(make_sheet_page(SheetRequest("charuco")), 60.0)]
     tiles += [cv2.cvtColor(v.image, cv2.COLOR_GRAY2BGR) for v in shown[1:3]]
     for tile, corners in zip(tiles[1:], found[1:3], strict=True):
         for x, y in corners.pixels:
@@ -176,7 +174,7 @@ def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: fl
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
     watcher = BoardWatcher(parse_board(BOARD), optics)
-    registrar = Registrar(watcher, PainterArtist(16), Figure(robot.model, base, scale, things), optics)
+    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, things), optics)
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
 
 

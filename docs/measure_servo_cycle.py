@@ -30,10 +30,9 @@ from rich.console import Console
 from rich.progress import track
 
 from robot_ik.hardware.control_table import CONTROL_TABLES, Register
-from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.group import PHASES
+from robot_ik.hardware.dynamixel import PHASES, DynamixelBus
 from robot_ik.hardware.packets import read_request, write_request
-from robot_ik.hardware.virtual.protocol2 import build_fast_status, build_status
+from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
 PAGE = Path(__file__).with_name("performance.md")
 IDS = tuple(range(1, 7))

@@ -10,14 +10,14 @@ the gripper is from it: by the servos' registers, which know nothing of the offs
 import sys
 
 import robot_ik as rik
-from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.made_up.synthetic import SyntheticSource
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.marker_goals import MarkerGoalSource
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.scene import stage_for
 
 
 def main(offset_deg: float = 0.0) -> None:

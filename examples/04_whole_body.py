@@ -16,7 +16,7 @@ import robot_ik as rik
 BALL = (0.60, -0.30, 0.35)
 
 
-def wishes(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
+def goals(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
     """Goals by what they mean."""
     home = figure.home
     left, right = (figure.forward(home, side) for side in ("left_foot", "right_foot"))
@@ -33,7 +33,7 @@ def wishes(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.G
 
 def main(*ball: float) -> None:
     figure = rik.load_robot("humanoid")
-    wanted = wishes(figure, ball or BALL)
+    wanted = goals(figure, ball or BALL)
     found = rik.solve(figure, list(wanted.values()))
     print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
     print("priority  goal                      off by                 met")

@@ -17,7 +17,7 @@ BALL = (0.92, -0.20, 0.55)
 STANDING = ("front_left_paw", "hind_left_paw", "hind_right_paw")
 
 
-def wishes(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
+def goals(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
     """Goals by what they mean."""
     home = lion.home
     paws = {f"{paw} stays": rik.PoseGoal.at(paw, lion.forward(home, paw)) for paw in STANDING}
@@ -40,7 +40,7 @@ def wishes(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goa
 
 def main(*ball: float) -> None:
     lion = rik.load_robot("lion")
-    wanted = wishes(lion, ball or BALL)
+    wanted = goals(lion, ball or BALL)
     found = rik.solve(lion, list(wanted.values()))
     print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
     print("priority  goal                      off by                 met")

@@ -12,13 +12,12 @@ import sys
 import numpy as np
 
 import robot_ik as rik
-from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.goals.latest import LatestGoals
-from robot_ik.camera.made_up.synthetic import SyntheticSource
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.scene import stage_for
 
 
 def main(late: bool = False) -> None:

@@ -51,15 +51,17 @@ class Bus:
 
 
 def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
-    from robot_ik.hardware.virtual.inprocess import SimBus
+    from robot_ik.hardware.simulated import SimBus
 
     assert servos is not None
     return SimBus(servos)
 
 
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+    from robot_ik.hardware.simulated import ServedBus
+
     try:
-        from robot_ik.hardware.served import ServedBus
+        import robot_ik.hardware.virtual.pty  # noqa: F401 - whether it can be
     except ImportError as reason:
         raise no_pty(reason) from reason
 

@@ -17,16 +17,14 @@ from typing import TYPE_CHECKING, Self, TypeVar
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError, StopRequestedError, UnsafeCommandError
-from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.bus import ServoBus, read_all, shared_register
 from robot_ik.hardware.calibration import require_calibrated
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.currents import set_currents
-from robot_ik.hardware.cycle import Cycle
+from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
-from robot_ik.hardware.motion_report import MotionReport
 from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
-from robot_ik.hardware.registers import read_all, shared_register
+from robot_ik.hardware.startup import set_currents
 from robot_ik.hardware.stop_file import StopFile
 from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted

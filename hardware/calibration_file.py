@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import config_error, read_toml, write_atomically
-from robot_ik.hardware.control_table import MULTI_TURN_TICKS
+from robot_ik.files import config_error, read_json, read_toml, shown, write_atomically
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap
+from robot_ik.hardware.x_series import REVERSE
 
 SCHEMA = 1
 """Raised when a key changes its meaning."""
@@ -154,3 +159,317 @@ def as_plain(calibration: Calibration) -> dict[str, Any]:
     content = asdict(calibration)
     content["file"] = str(calibration.file) if calibration.file else ""
     return content
+
+
+# ------------------------------------------------------------------------------------------
+# LeRobot's calibration JSON: ``{joint: {id, drive_mode, homing_offset, range_min, range_max}}``.
+#
+# Positions in it are Present Position, as here, with the homing offset of the servo's register 20 in them.
+# LeRobot's zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
+# ``MotorCalibration``, and ``_normalize`` for degrees.)
+
+
+KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+
+
+def save_lerobot(path: Path, calibration: Calibration) -> None:
+    """Writes a calibration as LeRobot reads it.
+
+    Raises:
+        ConfigError: A range beyond one turn: LeRobot writes it into registers that take 0 to 4095.  Or two
+            servos turn a joint.
+        OutputError: The file cannot be written.
+    """
+    _require_no_twins([row.name for row in calibration.twins], calibration.file or path)
+    for joint in calibration.joints:
+        if not 0 <= joint.range_min < joint.range_max < TICKS_PER_TURN:
+            raise ConfigError(
+                f"ticks {joint.range_min} to {joint.range_max} of {joint.name!r} are not within a turn",
+                file=calibration.file or calibration.arm,
+                key=joint.name,
+                allowed=f"0 to {TICKS_PER_TURN - 1} (LeRobot writes it into the servo's position limits)",
+            )
+    content = {joint.name: {key: getattr(joint, key) for key in KEYS} for joint in calibration.joints}
+    write_atomically(path, json.dumps(content, indent=4) + "\n")
+
+
+def _require_no_twins(names: Sequence[str], file: Path) -> None:
+    if names:
+        raise ConfigError(
+            f"two servos turn {', '.join(names)}: LeRobot's file has one for each joint",
+            file=file,
+            key=names[0],
+            hint="calibrate by hand: robot-ik servo calibrate",
+        )
+
+
+def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
+    """A calibration out of LeRobot's file, for the joints of an arm file.
+
+    Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
+    middle of the range.  Directions are those of the arm file.
+
+    Raises:
+        ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
+    """
+    _require_no_twins([joint.name for joint in config.joints if joint.twin is not None], path)
+    rows = _rows(path)
+    by_id = {row["id"]: row for row in rows.values()}
+    joints = []
+    for joint in config.joints:
+        row = rows.get(joint.name) or by_id.get(joint.id)
+        if row is None:
+            allowed = ", ".join(f"{name} (id {row['id']})" for name, row in rows.items())
+            raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
+        _require_usable(joint, row, path)
+        joints.append(
+            JointCalibration(
+                name=joint.name,
+                model=joint.model,
+                firmware=0,
+                direction=joint.direction,
+                zero_ticks=(row["range_min"] + row["range_max"]) // 2,
+                urdf_lower=0.0,
+                urdf_upper=0.0,
+                present_at_save=(row["range_min"] + row["range_max"]) // 2,
+                **row,
+            )
+        )
+    return Calibration(config.name, config.robot, created, config.baud, tuple(joints), file=path)
+
+
+def _require_usable(joint: JointMap, row: dict[str, int], path: Path) -> None:
+    """Offset and direction of counting that the servo of the arm file has as well."""
+    if joint.mode == OperatingMode.POSITION and abs(row["homing_offset"]) > HOMING_ONE_TURN:
+        raise ConfigError(
+            f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
+            f"{row['homing_offset']} ticks",
+            file=path,
+            key=f"{joint.name}.homing_offset",
+            allowed=HOMING_CURES,
+        )
+    if bool(row["drive_mode"] & REVERSE) != bool(joint.reverse):
+        said = "not reversed" if joint.reverse else "reversed"
+        raise ConfigError(
+            f"the servo of {joint.name!r} is {said} in it (drive_mode {row['drive_mode']}), and the arm file "
+            f"says reverse = {str(bool(joint.reverse)).lower()}",
+            file=path,
+            key=f"{joint.name}.drive_mode",
+            allowed=f"reverse = {str(not joint.reverse).lower()} in the arm file",
+        )
+
+
+def _rows(path: Path) -> dict[str, dict[str, int]]:
+    content = read_json(path, "LeRobot's calibration")
+    if not isinstance(content, dict) or not content:
+        raise ConfigError(
+            "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
+        )
+    return {str(name): _row(name, row, path) for name, row in content.items()}
+
+
+def _row(name: str, row: Any, path: Path) -> dict[str, int]:
+    limits = {"id": (0, 252), "drive_mode": (0, 255)}
+    found = {}
+    for key in KEYS:
+        value = row.get(key) if isinstance(row, dict) else None
+        low, high = limits.get(key, (-MULTI_TURN_TICKS, MULTI_TURN_TICKS))
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise ConfigError(
+                f"{shown(value)} is not right", file=path, key=f"{name}.{key}", allowed=f"{low}..{high}"
+            )
+        found[key] = value
+    if found["range_min"] >= found["range_max"]:
+        raise ConfigError("the range is empty", file=path, key=name, allowed="range_min < range_max")
+    return found
+
+
+def completed(
+    calibration: Calibration,
+    firmware: dict[int, int],
+    present: dict[int, int],
+    limits: dict[str, tuple[float, float]],
+) -> Calibration:
+    """What LeRobot's file does not say, from servos and model.
+
+    Args:
+        calibration: Of ``load_lerobot``.
+        firmware: Servo id -> version.
+        present: Servo id -> Present Position, ticks.
+        limits: Joint -> limits of the model, deg (mm of a slide).
+    """
+    joints = (
+        replace(
+            joint,
+            firmware=firmware[joint.id],
+            present_at_save=present[joint.id],
+            urdf_lower=limits[joint.name][0],
+            urdf_upper=limits[joint.name][1],
+        )
+        for joint in calibration.joints
+    )
+    return replace(calibration, joints=tuple(joints))
+
+
+# ------------------------------------------------------------------------------------------
+# New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
+
+
+_JOINT = re.compile(r"^\s*\[\[\s*joints\s*\]\]")
+_TWIN = re.compile(r"^\s*\[\s*joints\s*\.\s*twin\s*\]")
+_TABLE = re.compile(r"^\s*\[")
+_ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)(.*)$", re.DOTALL)
+
+# Where an arm file says no zero.
+_MIDDLE = TICKS_PER_TURN // 2
+
+
+@dataclass(frozen=True)
+class ZeroChange:
+    """A zero of one servo.
+
+    Attributes:
+        joint: Its name; ``id`` of the servo.
+        before, after: Ticks at q = 0.
+    """
+
+    joint: str
+    id: int
+    before: int
+    after: int
+
+
+def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
+    """The arm with zeros by which the joints are where they really are.
+
+    Args:
+        config: The arm as it was when the offsets were found.
+        offsets: Joint -> rad (m of a slide) by which it is ahead of what its servos say.
+
+    Raises:
+        UnknownJointError: No such joint.
+        ConfigError: A zero that no servo can have.
+    """
+    for name in offsets:
+        config.joint(name)
+    moved = [_moved(joint, offsets.get(joint.name, 0.0)) for joint in config.joints]
+    return replace(config, joints=tuple(moved))
+
+
+def _moved(joint: JointMap, offset: float) -> JointMap:
+    made = replace(joint, zero_ticks=_ticks(joint, offset))
+    if joint.twin is not None and not joint.twin.shadow:
+        made = replace(made, twin=replace(joint.twin, zero_ticks=_ticks(joint.servos[1], offset)))
+    return made
+
+
+def _ticks(servo: JointMap, offset: float) -> int:
+    """Its zero by which it is where it really is; of a bent gear in the middle of its range."""
+    middle = sum(servo.limits) / 2.0 if servo.swing else 0.0
+    return round(servo.zero_ticks + servo.position(middle - offset) - servo.position(middle))
+
+
+def changes(before: ArmConfig, after: ArmConfig) -> tuple[ZeroChange, ...]:
+    """The zeros that differ, of every servo."""
+    pairs = zip(before.servos, after.servos, strict=True)
+    return tuple(
+        ZeroChange(a.name, a.id, a.zero_ticks, b.zero_ticks) for a, b in pairs if a.zero_ticks != b.zero_ticks
+    )
+
+
+def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tuple[Path, ...]:
+    """Writes the zeros into the arm file, and into the calibration beside it where there is one.
+
+    The old files are kept beside the new ones.  Servos are not touched.
+
+    Args:
+        file: The arm file.
+        used: The arm as it was when the offsets were found; its joints may be some of the file's.
+        offsets: As for ``zeros_moved``.
+
+    Returns:
+        Where the old files are kept.
+
+    Raises:
+        ConfigError: The file has changed since, or it is written in a way that cannot be edited.
+        OutputError: It cannot be written; everything is as it was.
+    """
+    old = ArmConfig.load(file)
+    for joint in used.joints:
+        if old.joint(joint.name) != joint:
+            raise ConfigError(
+                f"joint {joint.name!r} has been changed since the arm was measured; nothing is written",
+                file=file, key="joints", hint="measure again",
+            )  # fmt: skip
+    new = zeros_moved(old, offsets)
+    text = file.read_bytes().decode("utf-8")  # line ends as they are
+    edited = _edited(text, new, file)
+    calibration = calibration_beside(file)
+    kept = [_backup(file, text)]
+    if calibration.exists():
+        found = Calibration.load(calibration)
+        kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
+        _with_zeros(found, new).save(calibration)
+    write_atomically(file, edited)
+    return tuple(kept)
+
+
+def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
+    """The calibration with the arm's zeros: else arm and calibration would contradict each other."""
+    zeros = {servo.id: servo.zero_ticks for servo in arm.servos if servo.shadow_of is None}
+    joints, twins = (
+        tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
+        for rows in (found.joints, found.twins)
+    )
+    return replace(found, joints=joints, twins=twins)
+
+
+def _edited(text: str, new: ArmConfig, file: Path) -> str:
+    """The text with the zeros of ``new``; checked by reading it again."""
+    every = (*new.joints, *new.aside)
+    lines: list[str] = []
+    number, wanted = -1, None  # of the table that we are in; None: it has no zero, or had it
+    for line in text.splitlines(keepends=True):
+        if _TABLE.match(line):
+            _complete(lines, wanted)
+            number += bool(_JOINT.match(line))
+            twin = every[number].twin if number >= 0 and number < len(every) else None
+            wanted = None
+            if _JOINT.match(line) and number < len(every):
+                wanted = every[number].zero_ticks
+            elif _TWIN.match(line) and twin is not None:
+                wanted = twin.zero_ticks
+        elif wanted is not None and (found := _ZERO.match(line)):
+            if int(found[2]) != wanted:
+                line = f"{found[1]}{wanted}{found[3]}"
+            wanted = None
+        lines.append(line)
+    _complete(lines, wanted)
+    edited = "".join(lines)
+    if ArmConfig.parse(edited, file) != replace(new, file=file):
+        zeros = ", ".join(f"{one.name} {one.zero_ticks}" for one in new.servos)
+        raise ConfigError(
+            "the arm file is written in a way that cannot be edited; nothing is written",
+            file=file, key="joints.zero_ticks", allowed=f"by hand: {zeros}",
+        )  # fmt: skip
+    return edited
+
+
+def _complete(lines: list[str], wanted: int | None) -> None:
+    """Adds the zero to a table that ends and had none (its zero was the default)."""
+    if wanted is None or wanted == _MIDDLE:
+        return
+    at = len(lines)
+    while at > 0 and not lines[at - 1].strip():
+        at -= 1
+    if at > 0 and not lines[at - 1].endswith("\n"):
+        lines[at - 1] += "\n"
+    lines.insert(at, f"zero_ticks = {wanted}\n")
+
+
+def _backup(file: Path, text: str) -> Path:
+    number = 1
+    while (kept := file.with_name(f"{file.name}.{number}.bak")).exists():
+        number += 1
+    write_atomically(kept, text)
+    return kept

@@ -15,7 +15,8 @@ from functools import lru_cache
 from types import MappingProxyType
 
 from robot_ik.errors import ConfigError, close_matches
-from robot_ik.hardware.control_table_data import (
+from robot_ik.hardware.x_series import (
+    MODELS,
     REVERSE,
     SHARED,
     SLAVE,
@@ -23,10 +24,9 @@ from robot_ik.hardware.control_table_data import (
     TORQUE_BY_GOAL,
     Indirect,
     Model,
+    Motor,
     Row,
 )
-from robot_ik.hardware.control_table_models import MODELS
-from robot_ik.hardware.control_table_motors import Motor
 
 TICKS_PER_TURN = 4096
 RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN

@@ -5,23 +5,164 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import MotorFaultError, UnsafeCommandError
-from robot_ik.hardware import suspicion
-from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.control_table import OperatingMode, Register
+from robot_ik.errors import (
+    BusCorruptError,
+    BusTimeoutError,
+    HardwareError,
+    MotorFaultError,
+    UnsafeCommandError,
+)
+from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import OperatingMode, Register, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
-from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
-from robot_ik.hardware.motion_report import MotionReport
-from robot_ik.hardware.registers import read_all, shared_register
+from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.torque import arm_watchdog
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array, Clock
+
+# ------------------------------------------------------------------------------------------
+# What happened to the commands of an arm.
+
+
+@dataclass
+class MotionReport:
+    """What happened to the commands since torque came on.
+
+    Attributes:
+        sent: Commands sent.
+        stale: Times no command came for too long and the arm was held by itself.
+        clipped: Joint -> number of ticks in which its command lay outside the limits.
+        capped: Joint -> number of ticks in which a cap held it back.
+        last: What the limiter did to the last command.
+        tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
+        largest_tracking_error: (n,) rad.
+    """
+
+    tracking_error: Array
+    largest_tracking_error: Array
+    sent: int = 0
+    stale: int = 0
+    clipped: dict[str, int] = field(default_factory=dict)
+    capped: dict[str, int] = field(default_factory=dict)
+    last: LimiterReport = field(default_factory=LimiterReport)
+
+    @classmethod
+    def empty(cls, n: int) -> MotionReport:
+        """Before the first command of ``n`` joints."""
+        return cls(np.zeros(n), np.zeros(n))
+
+    def count(self, report: LimiterReport) -> None:
+        """Adds one command."""
+        self.sent += 1
+        self.last = report
+        for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
+            for name in names:
+                counts[name] = counts.get(name, 0) + 1
+
+    def track(self, error: Array) -> None:
+        """Adds (n,) rad, one cycle's tracking error."""
+        self.tracking_error = error
+        self.largest_tracking_error = np.fmax(self.largest_tracking_error, error)
+
+
+# ------------------------------------------------------------------------------------------
+# Something in a cycle looks wrong: the servo itself is asked what it is, and the fault is put into words.
+
+
+def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
+    """The fault of a servo whose answers carry the alert bit, with what its register says."""
+    try:
+        value = bus.read(servo.id, servo.table["hardware_error_status"]).data or 0
+    except HardwareError as error:
+        log.warning("hardware error status of %s: %s", servo.name, error)
+        value = 0
+    return MotorFaultError(
+        servo.name,
+        hardware_error_names(value) or ("hardware_error",),
+        hint="the others hold; remove the cause, then: robot-ik servo reset-fault, or Arm.reset_fault()",
+    )
+
+
+def torque_lost(servo: JointMap) -> MotorFaultError:
+    """The fault of a servo that has no torque and should."""
+    return MotorFaultError(
+        servo.name,
+        ("torque_lost",),
+        hint="the servo has probably restarted: check its supply; the other joints hold",
+    )
+
+
+def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
+    """The fault of a servo whose position changed by more than it can have moved, in ticks.
+
+    It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
+    """
+    there, here = (servo.text(servo.to_radians(ticks)) for ticks in (before, now))
+    return MotorFaultError(
+        servo.name,
+        ("position_jump",),
+        hint=f"it read {there}, now {here}: it lost count of its turns, or a horn is loose: "
+        "all hold. Check it, then: robot-ik servo reset-fault, or Arm.reset_fault()",
+    )
+
+
+def has_torque(bus: ServoBus, servo: JointMap) -> bool:
+    """Whether a servo says so itself; False where it cannot be heard.
+
+    Raises:
+        MotorFaultError: It has none.
+        BusDisconnectedError: The port went away.
+    """
+    try:
+        torque = bus.read(servo.id, servo.table["torque_enable"]).data
+    except (BusTimeoutError, BusCorruptError):
+        return False
+    if not torque:
+        raise torque_lost(servo)
+    return True
+
+
+def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> int | None:
+    """Present position of a servo that has not answered for ``age`` s, asked by itself.
+
+    Args:
+        bus: Open.
+        servo: Who.
+        age: s; infinite if it never answered.
+        everyone: All others are silent too.
+
+    Raises:
+        MotorFaultError: ``no_status`` or ``corrupt``.
+        BusTimeoutError: Nobody answers.
+        BusDisconnectedError: The port went away.
+    """
+    try:
+        return bus.read(servo.id, servo.table["present_position"]).data
+    except BusTimeoutError:
+        status, cause = "no_status", "its cable and power"
+    except BusCorruptError:
+        status, cause = "corrupt", "whether another servo has this id"
+    if everyone:
+        raise BusTimeoutError(
+            id=servo.id,
+            register="present_position",
+            port=bus.port,
+            joint=servo.name,
+            last_good=age if math.isfinite(age) else None,
+            everyone=True,
+            hint="check their power, the cable and the adapter; torque stays as it was",
+        )
+    hint = f"no good answer of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
+    raise MotorFaultError(servo.name, (status,), hint=hint)
+
 
 log = logging.getLogger(__name__)
 
@@ -158,12 +299,12 @@ class Cycle:
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
         for servo in self._config.servos:
             if statuses[servo.id].alert:
-                raise suspicion.shut_down(self._bus, servo)
+                raise shut_down(self._bus, servo)
             if measured[servo.id].torque is False:
                 self._confirm_torque(servo)
             if servo.id in self.samples.jumped:
-                suspicion.has_torque(self._bus, servo)
-                raise suspicion.jumped(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
+                has_torque(self._bus, servo)
+                raise jumped(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
@@ -301,11 +442,11 @@ class Cycle:
         statuses = self._bus.sync_read(self._config.servo_ids, torque)
         for servo in self._config.servos:
             if statuses[servo.id].data == 0:
-                raise suspicion.torque_lost(servo)
+                raise torque_lost(servo)
 
     def _confirm_torque(self, servo: JointMap) -> None:
         """The feedback of a servo says it has no torque."""
-        if not suspicion.has_torque(self._bus, servo):
+        if not has_torque(self._bus, servo):
             return  # not heard: if it stays so, it is a silent servo
         log.warning("servo %d has torque and its feedback denies it: read plainly from here on", servo.id)
         self.feedback.read_plainly(servo.id)
@@ -314,6 +455,6 @@ class Cycle:
         """Who is about to be given up is asked once more, by itself and with all patience."""
         for servo in silent:
             age = self.samples.age(servo, self._clock.now())
-            ticks = suspicion.last_word(self._bus, servo, age, everyone=everyone)
+            ticks = last_word(self._bus, servo, age, everyone=everyone)
             nobody: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
             self.samples.take(nobody | {servo.id: ticks}, self._clock.now())

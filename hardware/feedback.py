@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware.bus import ServoBus, Status
-from robot_ik.hardware.config import ArmConfig, JointMap, StopAt
-from robot_ik.hardware.config_check import current_unit
+from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import ControlTable, Register, control_table
+from robot_ik.hardware.joint_map import JointMap, StopAt
 
 log = logging.getLogger(__name__)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from robot_ik.errors import HardwareError, UnsafeCommandError, apart
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.config_check import current_unit
+from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.cycle import Cycle
+from robot_ik.hardware.joint_map import JointMap
 
 GRIPPER = "gripper"
 """Group of the joints that grip."""

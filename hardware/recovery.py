@@ -12,12 +12,12 @@ from robot_ik.errors import (
     BusTimeoutError,
     HardwareError,
 )
-from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.bus import ServoBus, joint_named, read_all
 from robot_ik.hardware.calibration import check_beside
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
-from robot_ik.hardware.registers import joint_named, read_all
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.startup import check_servos, set_up_servos
 from robot_ik.ports import Clock

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.ports import Array
 
 SILENCE = 0.13

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
-from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
-from robot_ik.hardware.registers import read_all, shared_register
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Clock, RealClock

@@ -10,15 +10,11 @@ context and compiles nothing.
 """
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from robot_ik.catalogue import catalogue
-    from robot_ik.chain import make_chain
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -33,19 +29,19 @@ if TYPE_CHECKING:
         PoseGoal,
         PositionGoal,
         PostureGoal,
+        Tolerance,
     )
+    from robot_ik.inverse_kinematics import solve, solve_all, solve_batch, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
-    from robot_ik.problem import Budget, Problem, Tolerance
-    from robot_ik.robot import Robot, load_robot
+    from robot_ik.problem import Budget, Problem
+    from robot_ik.robot import Robot, load_robot, make_chain
+    from robot_ik.robot_file import catalogue
     from robot_ik.solution import Miss, Solution, Status
-    from robot_ik.solve import solve, solve_all, solve_batch, warm_up
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
-    "robot_ik.catalogue": ("catalogue",),
-    "robot_ik.chain": ("make_chain",),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -60,14 +56,16 @@ _HOME = {
         "PoseGoal",
         "PositionGoal",
         "PostureGoal",
+        "Tolerance",
     ),
     "robot_ik.motion.line": ("line_move",),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
-    "robot_ik.problem": ("Budget", "Problem", "Tolerance"),
-    "robot_ik.robot": ("Robot", "load_robot"),
+    "robot_ik.problem": ("Budget", "Problem"),
+    "robot_ik.robot": ("Robot", "load_robot", "make_chain"),
+    "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
-    "robot_ik.solve": ("solve", "solve_all", "solve_batch", "warm_up"),
+    "robot_ik.inverse_kinematics": ("solve", "solve_all", "solve_batch", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
@@ -113,19 +111,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-
-    class _Package(ModuleType):
-        """A package whose public names win over its modules of the same name (``solve``, ``catalogue``).
-
-        Importing ``robot_ik.solve`` anywhere would otherwise put the module where the function belongs.
-        """
-
-        def __setattr__(self, name: str, value: Any) -> None:
-            if isinstance(value, ModuleType) and _MODULE_OF.get(name) == value.__name__:
-                value = getattr(value, name)
-            super().__setattr__(name, value)
-
-    sys.modules[__name__].__class__ = _Package
 
     def __getattr__(name: str) -> Any:
         module = _MODULE_OF.get(name)

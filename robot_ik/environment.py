@@ -11,11 +11,13 @@ itself fails with an ``AttributeError`` about ``glGetError`` or ``eglQueryString
 
 from __future__ import annotations
 
+import getpass
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
@@ -187,3 +189,61 @@ def _serves(file: Path, terminal: str) -> bool:
         return False
     about = (file.parent.parent / "fdinfo" / file.name).read_text(encoding="utf-8")
     return f"tty-index:\t{os.path.basename(terminal)}\n" in about
+
+
+OK, NOTE, PROBLEM = "ok", "note", "problem"
+
+
+@dataclass(frozen=True)
+class CheckRow:
+    """One line of the report: what was looked at, how it is, what was found, what to do about it."""
+
+    what: str
+    status: str
+    found: str
+    do: str = ""
+
+
+def _group_of(path: str) -> str:
+    try:
+        import grp
+
+        return grp.getgrgid(os.stat(path).st_gid).gr_name
+    except (ImportError, KeyError, OSError):
+        return ""
+
+
+def permission_hint(path: str) -> str:
+    """What gives this user the right to use the device file."""
+    group = _group_of(path)
+    if group in ("", "root", "wheel"):
+        return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"
+    return f"sudo usermod -aG {group} {getpass.getuser()}, then log out and in again"
+
+
+def named_users_of(path: str) -> list[str]:
+    """Programs that have ``path`` open, as ``name (pid)``; only what this user may see, Linux only."""
+    return [f"{name} ({number})" for number, name in users_of(path).items()]
+
+
+OPENCV_WHEELS = (
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "opencv-python",
+)
+
+
+def version_of(package: str) -> str:
+    """Installed version of a distribution, or an empty string."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of robot_ik and of what it stands on, without importing any of it."""
+    opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
+    names = ("robot_ik", "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
+    return {name: version_of(name) for name in names}

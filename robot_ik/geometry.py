@@ -38,14 +38,17 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 def quat_to_matrix(wxyz: Array) -> Array:
     """Rotation matrix (3, 3) of a unit quaternion (4,)."""
+    return np.array(rotation_entries(wxyz)).reshape(3, 3)
+
+
+def rotation_entries(wxyz: Array) -> tuple[float, ...]:
+    """The nine entries of that matrix, row by row."""
     w, x, y, z = wxyz.tolist()  # Python's own numbers are quicker one by one than NumPy's
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
 
 
 def matrix_to_quat(rotation: ArrayLike) -> Array:

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.fault_file import FaultScript
+    from robot_ik.hardware.virtual.faults import FaultScript
     from robot_ik.ports import Array
 
 
 @pytest.fixture
 def virtual_arm_config() -> ArmConfig:
     """The arm file: that of the desk arm.  Define a fixture of this name for another one."""
-    from robot_ik.catalogue import SERVO_ROBOT, catalogue
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
     return ArmConfig.load(catalogue()[SERVO_ROBOT] / "arm.toml")
 
@@ -91,9 +91,9 @@ class FaultPlayer:
     """
 
     def __init__(self, config: ArmConfig, bus: VirtualBus) -> None:
-        from robot_ik.jobs.script.faults import Mischief
+        from robot_ik.hardware.virtual.faults import ScriptFaults
 
-        self._config, self._bus, self._mischief = config, bus, Mischief(bus)
+        self._config, self._bus, self._mischief = config, bus, ScriptFaults(bus)
 
     def __call__(self, source: str | Path) -> FaultScript:
         """Plays a file of faults, or the text of one.
@@ -103,7 +103,7 @@ class FaultPlayer:
         """
         import dataclasses
 
-        from robot_ik.hardware.virtual.fault_file import load_faults, parse_faults
+        from robot_ik.hardware.virtual.faults import load_faults, parse_faults
 
         text = isinstance(source, str) and "\n" in source
         script = parse_faults(str(source), self._config) if text else load_faults(source, self._config)
@@ -127,7 +127,7 @@ class FaultPlayer:
         Raises:
             ConfigError: No such kind, joint or value.
         """
-        from robot_ik.jobs.script.faults import fault_for
+        from robot_ik.hardware.virtual.faults import fault_for
 
         fault = fault_for(self._config, kind, joint=joint, id=id, value=value, file="fault_script")
         self._mischief.inject(fault, in_s, for_s)

@@ -3,30 +3,348 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.catalogue import RobotFile, find_robot
-from robot_ik.couplings import declared_couplings, with_couplings
-from robot_ik.errors import UnknownFrameError, UnsupportedJointError
-from robot_ik.model_file import (
+from robot_ik.errors import InvalidModelError, ModelError, UnknownFrameError, UnsupportedJointError, apart
+from robot_ik.geometry import Pose
+from robot_ik.kernels import kinematics
+from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
+from robot_ik.model import (
+    LEAST_MASS,
+    Attachment,
+    Coupling,
+    Frame,
     active_joints,
+    build_tree,
+    declared_couplings,
     guess_tool,
     home_qpos,
+    inertia_table,
     joint_names,
     joint_stiffness,
+    mass_table,
     model_frames,
     motion_limits,
+    narrowed,
+    pose_row,
+    qpos_addresses,
+    random_q,
     read_model,
+    row_pose,
+    with_couplings,
 )
-from robot_ik.model_tree import build_tree
-from robot_ik.robot_description import Robot
+from robot_ik.robot_file import RobotFile, find_robot
 
-__all__ = ["Robot", "load_robot", "make_robot"]
+# ------------------------------------------------------------------------------------------
+# ``Robot``: an immutable description of what moves, read from MJCF, URDF or the catalogue.
+#
+# ``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
+# shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
+# frame's origin.
+
+
+Array = NDArray[np.float64]
+
+
+_ARRAYS = ("lower", "upper", "velocity", "acceleration", "stiffness", "home", "frozen_qpos")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot:
+    """What a robot is.  Made by ``load_robot``; never changes: its arrays are read-only.
+
+    Attributes:
+        name: Catalogue name, or the file's stem.
+        path: The model file.
+        model: MuJoCo's model; treat as read-only.
+        joints: Names of the active joints, in declared order.
+        lower, upper: (nv,) limits, rad or m; ±inf where unlimited; a ball joint has its cone angle.
+        velocity, acceleration: (nv,) limits of motion, rad/s and rad/s² (m for slides).
+        stiffness: (nv,) what moving a joint costs beside the others.
+        home: (nq,) where the robot rests.
+        tool: Name of the default frame.
+        tree: The same kinematics compiled.
+        file: What ``robot.toml`` says beyond the model.
+        couplings: Joints of the model that follow another.
+    """
+
+    name: str
+    path: Path
+    model: mujoco.MjModel
+    tree: Tree
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    stiffness: Array
+    home: Array
+    tool: str
+    frozen_qpos: Array
+    file: RobotFile
+    couplings: tuple[Coupling, ...]
+    _frames: dict[str, Frame] = field(repr=False)
+    _bodies: tuple[Attachment, ...] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            array = np.array(getattr(self, name), dtype=float)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key != "memory"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()  # copies of arrays can be written to
+
+    def __repr__(self) -> str:
+        shown = ", ".join(self.joints[:8]) + (f", … {len(self.joints) - 8} more" if self.nv > 8 else "")
+        return (
+            f"Robot({self.name!r}, {len(self.joints)} joints: {shown}; tool {self.tool!r}, "
+            f"{len(self._frames)} frames; {self.path.name})"
+        )
+
+    @cached_property
+    def memory(self) -> dict[str, Any]:
+        """What others worked out for this robot and keep with it; copies begin without."""
+        return {}
+
+    @property
+    def nq(self) -> int:
+        """Numbers in ``q``."""
+        return self.tree.nq
+
+    @property
+    def nv(self) -> int:
+        """Degrees of freedom: numbers in ``dq``."""
+        return self.tree.nv
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the model file."""
+        return self.path.parent
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames: tools first, then sites and bodies."""
+        return tuple(self._frames)
+
+    @property
+    def arm_file(self) -> Path | None:
+        """``arm.toml`` beside the model (servo ids, signs, zeros), if there is one."""
+        file = self.folder / "arm.toml"
+        return file if file.is_file() else None
+
+    def frame(self, name: str | None = None) -> Frame:
+        """The frame of that name (default: the tool).
+
+        Raises:
+            UnknownFrameError: With the close names.
+        """
+        try:
+            return self._frames[self.tool if name is None else name]
+        except KeyError:
+            raise UnknownFrameError(str(name), self._frames) from None
+
+    def check_q(self, q: ArrayLike, what: str = "q") -> Array:
+        """``q`` as a float array (nq,).
+
+        Raises:
+            ModelError: Wrong length, or a number that is not finite.
+        """
+        try:
+            array = np.asarray(q, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"{what} must be {self.nq} numbers, not {q!r}") from error
+        if array.shape != (self.nq,):
+            raise ModelError(
+                f"{what} must have shape ({self.nq},), not {array.shape}",
+                hint=f"{self.name} has these active joints: {', '.join(self.joints)}",
+            )
+        # A sum of floats is finite whenever all are (and of a sane size), and costs a third of isfinite.
+        if not math.isfinite(sum(array.tolist())) and not np.isfinite(array).all():
+            raise ModelError(f"{what} must be finite, not {array.tolist()}")
+        return array
+
+    def attachment(self, frame: str | None = None) -> tuple[int, Array]:
+        """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,)."""
+        at = self.frame(frame)
+        body = self._bodies[at.body]
+        return body.node, pose_row(body.local.compose(at.local))
+
+    def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
+        """Pose of a frame (default: the tool) in the world at ``q`` (nq,).
+
+        Raises:
+            UnknownFrameError, ModelError: Unknown frame; q of the wrong shape or not finite.
+        """
+        node, local = self.attachment(frame)
+        nodes, world, scratch = self._work(node)
+        out = np.empty((1, 12))
+        kinematics.tree_frame(
+            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out
+        )
+        return row_pose(out[0])
+
+    def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
+        """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
+        node, local = self.attachment(frame)
+        nodes, world, scratch = self._work(node)
+        out, jacobian = np.empty((1, 12)), np.empty((6, self.nv))
+        kinematics.tree_jacobian(
+            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out, jacobian
+        )
+        return jacobian
+
+    def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
+        """Pose of a frame by MuJoCo's own forward pass: the independent judge of every solution."""
+        at = self.frame(frame)
+        data = self._kinematics(q)
+        return Pose(data.xpos[at.body], data.xquat[at.body]).compose(at.local)
+
+    def center_of_mass(self, q: ArrayLike, body: str | None = None) -> Array:
+        """(3,) centre of mass of a body and all that hangs on it (None: the whole model), by MuJoCo."""
+        data = self._kinematics(q)
+        mujoco.mj_comPos(self.model, data)
+        return np.array(data.subtree_com[self._body_id(body)])
+
+    def masses(self, body: str | None = None) -> Array:
+        """(n + 1, 4) mass and centre of what each node carries, see ``model_tree.mass_table``.
+
+        Raises:
+            UnknownFrameError: No such body.
+            ModelError: It has no mass.
+        """
+        table = mass_table(self.model, self.tree, self._bodies, self._body_id(body))
+        if not table[:, 0].sum() > LEAST_MASS:
+            raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
+        return table
+
+    def inertias(self) -> Array:
+        """(n, 10) mass, centre and inertia of what each node carries, see ``model_tree.inertia_table``."""
+        return inertia_table(self.model, self.tree, self._bodies)
+
+    def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
+        """(nv,) the way from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
+        whole = np.zeros(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, whole, 1.0, self.qpos(start), self.qpos(end))
+        places: list[int] = []
+        for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
+            first = int(self.model.jnt_dofadr[joint])
+            places += range(first, first + V_WIDTH[int(kind)])
+        return np.asarray(whole[places])
+
+    def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.qpos(q)
+        mujoco.mj_kinematics(self.model, data)
+        return data
+
+    def _body_id(self, name: str | None) -> int:
+        if name is None:
+            return 0
+        names = [self.model.body(b).name for b in range(self.model.nbody)]
+        if name not in names:
+            raise UnknownFrameError(name, [n for n in names if n])
+        return names.index(name)
+
+    def qpos(self, q: ArrayLike) -> Array:
+        """(model.nq,): ``q`` at its places, the frozen joints where they stand."""
+        qpos = self.frozen_qpos.copy()
+        qpos[self._addresses] = self.check_q(q)
+        return qpos
+
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
+        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``)."""
+        moved = self.check_q(q).copy()
+        step = np.asarray(dq, dtype=float).reshape(self.nv)
+        kinematics.tree_integrate(self.tree.handle, np.arange(self.tree.size), moved, step)
+        return moved
+
+    def clip(self, q: ArrayLike) -> Array:
+        """The nearest q (nq,) inside the limits, joint by joint."""
+        inside = self.check_q(q).copy()
+        kinematics.tree_clip(self.tree.handle, np.arange(self.tree.size), inside)
+        return inside
+
+    def follow(self, q: ArrayLike) -> Array:
+        """``q`` (nq,) with each coupled joint where its leader puts it."""
+        moved = self.check_q(q).copy()
+        kinematics.tree_follow(self.tree.handle, moved)
+        return moved
+
+    def outside(self, q: ArrayLike, slack: float = 1e-9) -> list[str]:
+        """Names of joints beyond their limits by more than ``slack`` (rad or m)."""
+        q = self.check_q(q)
+        gone = np.abs(self.clip(q) - q)
+        if not gone.max(initial=0.0) > slack:
+            return []
+        tree, names = self.tree, []
+        for k, joint in enumerate(self.joints):
+            width = Q_WIDTH[int(tree.kind[k])]
+            if gone[tree.qadr[k] : tree.qadr[k] + width].max() > slack:
+                names.append(joint)
+        return names
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
+        return self.follow(random_q(self.tree, self.home, rng))
+
+    def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
+        """The same robot inside the intersection of its limits and these (nv,); home moves inside.
+
+        Raises:
+            ModelError: No room is left for some joint, or not one number for each degree of freedom.
+        """
+        try:
+            low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
+        if np.isnan(low).any() or np.isnan(high).any():
+            raise ModelError(f"limits must be numbers, not {low.tolist()}, {high.tolist()}")
+        low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
+        for v in range(self.nv):
+            if low[v] > high[v]:
+                joint = self.joints[int(np.searchsorted(self.tree.vadr, v, side="right")) - 1]
+                other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
+                one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
+                raise ModelError(
+                    f"no room is left for joint {joint!r}: the model allows {one} … {two}, "
+                    f"the other side {three} … {four}",
+                    hint="check sign, zero and range of the joint in the arm file",
+                )
+        tree = narrowed(self.tree.with_limits(low, high))
+        robot = dataclasses.replace(self, tree=tree, lower=tree.lower.copy(), upper=tree.upper.copy())
+        return dataclasses.replace(robot, home=robot.follow(robot.clip(self.home)))
+
+    def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
+        """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
+
+        The centre is where the first joint stands; the radius adds up all offsets after it, slides at
+        their longest.  None where the base floats or a slide is unlimited.
+        """
+        node, local = self.attachment(frame)
+        return self.tree.reach(node, local)
+
+    def _work(self, node: int) -> tuple[NDArray[np.int64], Array, Array]:
+        nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
+        return nodes, np.empty((self.tree.size, 12)), np.empty((2, 12))
+
+    @cached_property
+    def _addresses(self) -> NDArray[np.int64]:
+        return qpos_addresses(self.model, self.tree)
 
 
 def load_robot(
@@ -108,3 +426,79 @@ def make_robot(
     speed, acceleration = motion_limits(robot.tree, robot.joints, file)
     home = robot.follow(robot.clip(rest[robot._addresses]))
     return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
+
+
+# ------------------------------------------------------------------------------------------
+# Robots built in memory: of any MuJoCo model, and chains of ball joints, where animation began.
+
+
+# A link is drawn this thick, as a share of its length.
+_THICKNESS = 0.06
+LONGEST = 500
+"""Links of a chain."""
+
+
+def robot_from_model(
+    model: mujoco.MjModel,
+    *,
+    name: str = "model",
+    joints: Sequence[str] | str | None = None,
+    tool: str | None = None,
+) -> Robot:
+    """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
+
+    Args:
+        model: A compiled model; treat it as read-only from now on.
+        name: What to call the robot.
+        joints: As in ``load_robot``.
+        tool: As in ``load_robot``.
+
+    Raises:
+        ModelError, UnknownJointError, UnknownFrameError: As ``load_robot``.
+    """
+    # A folder that cannot exist, so that nothing is ever found beside the model.
+    return make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
+
+
+def make_chain(n: int, length: float = 1.0) -> Robot:
+    """A chain of ``n`` unlimited ball joints (3 degrees of freedom each), built in memory.
+
+    The base is at the origin of the world; at home all links lie along z.  Joints are ``joint1`` …
+    ``joint<n>``, bodies ``link1`` … ``link<n>``; the tool is the site ``tip`` at the end of the last
+    link, z along it.
+
+    Args:
+        n: Number of links, one or more.
+        length: Of each link, metres.
+
+    Raises:
+        InvalidModelError: No links or too many, or a length that is not positive and finite.
+    """
+    given: object = n
+    if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
+        raise InvalidModelError(
+            f"a chain has 1 to {LONGEST} links, not {n!r}",
+            hint="what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400",
+        )
+    try:
+        metres = float(length)
+    except (TypeError, ValueError):
+        metres = math.nan
+    if not (math.isfinite(metres) and metres > 0.0):
+        raise InvalidModelError(f"a link's length is positive and finite, not {length!r}")
+    spec = mujoco.MjSpec()
+    spec.modelname = f"chain{n}"
+    body = spec.worldbody
+    for i in range(1, n + 1):
+        body = body.add_body(name=f"link{i}", pos=[0.0, 0.0, length if i > 1 else 0.0])
+        body.add_joint(name=f"joint{i}", type=mujoco.mjtJoint.mjJNT_BALL)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
+            size=[_THICKNESS * length, 0.0, 0.0],
+            rgba=[0.9, 0.55, 0.2, 1.0] if i % 2 else [0.25, 0.35, 0.5, 1.0],
+            contype=0,
+            conaffinity=0,
+        )
+    body.add_site(name="tip", pos=[0.0, 0.0, length])
+    return robot_from_model(spec.compile(), name=f"chain{n}", tool="tip")

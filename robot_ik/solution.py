@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.compiled_goals import moved_goal
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
-from robot_ik.kernels import work
+from robot_ik.kernels import workspace
+from robot_ik.problem import moved_goal
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 class Status(enum.IntEnum):
     """How a solve ended; only CONVERGED means that every goal that is needed is within tolerance."""
 
-    CONVERGED = work.CONVERGED
-    STALLED = work.STALLED
-    ITERATION_LIMIT = work.ITERATION_LIMIT
-    TIME_LIMIT = work.TIME_LIMIT
-    UNREACHABLE = work.UNREACHABLE
-    BLOCKED_BY_LIMITS = work.BLOCKED
-    NUMERICAL = work.NUMERICAL
+    CONVERGED = workspace.CONVERGED
+    STALLED = workspace.STALLED
+    ITERATION_LIMIT = workspace.ITERATION_LIMIT
+    TIME_LIMIT = workspace.TIME_LIMIT
+    UNREACHABLE = workspace.UNREACHABLE
+    BLOCKED_BY_LIMITS = workspace.BLOCKED
+    NUMERICAL = workspace.NUMERICAL
 
     @property
     def meaning(self) -> str:

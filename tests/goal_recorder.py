@@ -17,7 +17,7 @@ import pytest
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.protocol2 import Packet, Parser
+    from robot_ik.hardware.virtual.protocol import Packet, Parser
 
 _WRITE, _REG_WRITE, _SYNC_WRITE, _BULK_WRITE = 0x03, 0x04, 0x83, 0x93
 
@@ -37,7 +37,7 @@ class GoalRecorder:
 
     def watch(self, bus: VirtualBus, config: ArmConfig) -> None:
         """The servos of this bus are those of this arm; the bus is kept, so that its id is not given anew."""
-        from robot_ik.hardware.virtual.protocol2 import Parser
+        from robot_ik.hardware.virtual.protocol import Parser
 
         self._watched[id(bus)] = (bus, {servo.id: servo for servo in config.servos}, Parser())
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.catalogue import catalogue, find_robot, read_robot_file
 from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
 from robot_ik.robot import load_robot
+from robot_ik.robot_file import catalogue, find_robot, read_robot_file
 
 MODEL = """<mujoco><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
 <body name="b" pos="1 0 0"><joint name="two"/><joint name="finger" type="slide"/><geom size="0.1"/>

@@ -13,11 +13,11 @@ from robot_ik.errors import (
     UnsupportedGoalError,
     UnsupportedJointError,
 )
-from robot_ik.goals import PositionGoal, PostureGoal
+from robot_ik.goals import PositionGoal, PostureGoal, Tolerance
+from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.residuals import residual_and_jacobian
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
-from robot_ik.solve import solve
 from robot_ik.solvers import SOLVERS, make_solver
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
@@ -36,7 +36,7 @@ LAWS = {
     "chain": '<joint joint1="j3" joint2="j2" polycoef="0 -0.5 0 0 0"/><joint joint1="j4" joint2="j3"/>',
 }
 _EXACT = Tolerance(1e-9, 1e-9)
-HONOUR = [name for name, kind in SOLVERS.items() if "couplings" in kind.honours and name != "combined"]
+HONOUR = [name for name, kind in SOLVERS.items() if "couplings" in kind.capabilities and name != "combined"]
 
 
 def arm(folder: Path, equality: str, **options):
@@ -164,7 +164,7 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     stiff = described(tmp_path, "[stiffness]\nj1 = 25.0\nj3 = 4.0")
     assert stiff.stiffness.tolist() == [25.0, 1.0, 4.0, 1.0, 1.0]
     goal = PostureGoal(q=soft.home)  # all joints count, so all are columns
-    assert np.allclose(Problem(stiff, goal).compiled.goal_arrays["ease"], [0.2, 1.0, 0.5, 1.0, 1.0])
+    assert np.allclose(Problem(stiff, goal).compiled.goal_arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
     start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
     place = soft.forward(start).position
     near = PositionGoal(None, place + np.array([0.0, 1e-4, 1e-4]))

@@ -28,7 +28,7 @@ from typing import Any
 import pytest
 
 from robot_ik.cli import main as cli
-from robot_ik.cli.commands import find_command
+from robot_ik.cli.main import find_command
 
 # The helpers lie beside this file; they are nobody's package.
 _spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))

@@ -19,9 +19,9 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.inprocess import SimBus
-from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, Parser
+from robot_ik.hardware.virtual.protocol import Instruction, Packet, Parser
 from robot_ik.ports import VirtualClock
 
 ROOT = Path(__file__).parents[1]

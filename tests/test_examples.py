@@ -136,6 +136,14 @@ def test_lion(tmp_path: Path) -> None:
     assert bends["tail at ease"] < 1.0 < bends["legs at ease"]
 
 
+def test_poses(tmp_path: Path) -> None:
+    out = run("08_poses.py", tmp_path, str(tmp_path))
+    assert number(r"in ([\d.]+) s", out) == pytest.approx(0.8 + 0.6 + 0.8 + 1.1 - 0.4, abs=0.3)
+    assert number(r"and ([\d.]+) m high", out) == pytest.approx(1.6, abs=0.02)
+    assert 1.0 < number(r"went ([\d.]+) m", out) < 2.0
+    assert {path.name for path in tmp_path.iterdir()} == {"poses.toml", "motion.csv", "motion.bvh"}
+
+
 def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
     pictures = program(EXAMPLES.parent / "docs" / "make_pictures.py")
     for name, scene in pictures.SCENES.items():
@@ -148,3 +156,11 @@ def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         np.testing.assert_allclose(data.geom("ball").xpos, ball)
+
+
+def test_moving_figure(tmp_path: Path) -> None:
+    out = run("07_moving_figure.py", tmp_path)
+    actions = re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE)
+    assert actions == ["reach", "bend", "walk", "reach"]
+    misses = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]
+    assert len(misses) == 3 and max(misses) <= 5.0

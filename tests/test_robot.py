@@ -208,4 +208,4 @@ def test_a_robot_says_in_a_line_what_it_is(arm_file):
     text = repr(load_robot(arm_file))
     assert text == "Robot('arm', 3 joints: shoulder, rail, wrist; tool 'tcp', 4 frames; arm.xml)"
     figure = repr(load_robot("humanoid"))
-    assert "35 joints" in figure and "27 more" in figure and len(figure) < 300 and "\n" not in figure
+    assert "37 joints" in figure and "29 more" in figure and len(figure) < 300 and "\n" not in figure

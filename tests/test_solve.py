@@ -140,7 +140,7 @@ def compiled(monkeypatch):
             made.append(args)
             super().__init__(*args, **options)
 
-    monkeypatch.setattr(sys.modules["robot_ik.solve"], "Problem", Counted)
+    monkeypatch.setattr(sys.modules["robot_ik.inverse_kinematics"], "Problem", Counted)
     return made
 
 

@@ -13,25 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual import instructions
-from robot_ik.hardware.virtual.collision import collide
-from robot_ik.hardware.virtual.faults import TICKS_PER_DEGREE, Faults, Wire
-from robot_ik.hardware.virtual.instructions import ANSWERS_ALL, ANSWERS_READ, Request, answering, fast_answers
-from robot_ik.hardware.virtual.protocol2 import (
-    BROADCAST,
-    ErrorCode,
-    Instruction,
-    Packet,
-    Parser,
-    build_status,
+from robot_ik.hardware.virtual import servo as instructions
+from robot_ik.hardware.virtual.faults import TICKS_PER_DEGREE, Faults, SupplyFaults, Wire, feed
+from robot_ik.hardware.virtual.protocol import BROADCAST, ErrorCode, Instruction, Packet, Parser, build_status
+from robot_ik.hardware.virtual.servo import (
+    ANSWERS_ALL,
+    ANSWERS_READ,
+    Request,
+    VirtualServo,
+    answering,
+    fast_answers,
 )
-from robot_ik.hardware.virtual.schedule import Schedule
-from robot_ik.hardware.virtual.servo import VirtualServo
-from robot_ik.hardware.virtual.supply import SupplyFaults, feed
+from robot_ik.hardware.virtual.wire import Schedule, collide
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.virtual.fault_kinds import Fault
+    from robot_ik.hardware.virtual.faults import Fault
     from robot_ik.hardware.virtual.world import World
 
 

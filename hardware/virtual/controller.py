@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from robot_ik.hardware.control_table import HARDWARE_ERRORS, RADIANS_PER_TICK, WATCHDOG_UNIT, OperatingMode
-from robot_ik.hardware.control_table_data import SLAVE, TORQUE_BY_GOAL
-from robot_ik.hardware.virtual import drive
-from robot_ik.hardware.virtual.load import PWM_FULL, Electrics
-from robot_ik.hardware.virtual.memory import FEEDFORWARD, GAINS, PROFILE, Memory
-from robot_ik.hardware.virtual.rules import TRIPPED
+from robot_ik.hardware.virtual import motor
+from robot_ik.hardware.virtual.memory import FEEDFORWARD, GAINS, PROFILE, TRIPPED, Memory
+from robot_ik.hardware.virtual.motor import PWM_FULL, Electrics
 from robot_ik.hardware.virtual.shaft import Shaft
+from robot_ik.hardware.x_series import SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 _ERROR_BITS = {name: 1 << bit for bit, name in HARDWARE_ERRORS.items()}
 # Heat and strain change slowly: they are looked at no more often than this, s.
 _ELECTRICS_PERIOD = 0.02
-_NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *drive.TORQUE_MODES)))
+_NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *motor.TORQUE_MODES)))
 
 
 class Controller:
@@ -40,7 +39,7 @@ class Controller:
         self._shaft = shaft
         self._clock = clock
         self._has_watchdog = "bus_watchdog" in memory.table
-        self._current_unit = drive.current_unit(memory)
+        self._current_unit = motor.current_unit(memory)
         self._reactions: dict[str, Callable[[bool], None]] = {
             "torque_enable": self._torque_written,
             "goal_position": self._position_written,
@@ -181,7 +180,7 @@ class Controller:
     def _effort_written(self, had_torque: bool) -> None:
         # In the other modes it is a limit: what was too weak may be strong enough now.
         torque_on = bool(self._values["torque_enable"])
-        self._goal_written(torque_on or self._values["operating_mode"] in drive.TORQUE_MODES)
+        self._goal_written(torque_on or self._values["operating_mode"] in motor.TORQUE_MODES)
 
     def _goal_written(self, of_this_mode: bool) -> None:
         if not of_this_mode or self._slave:

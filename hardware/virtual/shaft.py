@@ -7,18 +7,19 @@ from collections.abc import Callable
 from typing import Protocol
 
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.control_table_data import REVERSE, SLAVE
-from robot_ik.hardware.virtual import drive
-from robot_ik.hardware.virtual.load import PWM_FULL, Load
+from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.memory import Memory
-from robot_ik.hardware.virtual.profile import (
+from robot_ik.hardware.virtual.motor import (
     PHYSICAL_ACCELERATION,
+    PWM_FULL,
     VELOCITY_TICKS,
+    Load,
     Motion,
     ProfileKind,
     brake,
     rest,
 )
+from robot_ik.hardware.x_series import REVERSE, SLAVE
 from robot_ik.ports import Clock
 
 # Homing Offset beyond a quarter turn is ignored in the one-turn mode.

@@ -8,18 +8,162 @@ joint share it: its shafts are rigidly coupled, and each gives half of what the 
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 
 from robot_ik.errors import UnknownJointError
-from robot_ik.hardware.config import ArmConfig, JointMap
-from robot_ik.hardware.virtual.world_motor import Motor, Seat
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import RADIANS_PER_TICK, OperatingMode
+from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.virtual import motor as drive
+from robot_ik.hardware.virtual.servo import VirtualServo
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.ports import Array
+
+
+# ------------------------------------------------------------------------------------------
+# One servo on a joint of a MuJoCo world: what its controller wants, and what its motor can give.
+
+
+STIFFNESS = 60.0
+"""rad/s; natural frequency with which a servo pulls its joint to the profile.  There is no integral part (the
+manual's initial Position I Gain is 0): a load of a rad/s^2 leaves it 1 / STIFFNESS^2 off its goal."""
+DAMPING = 1.0
+"""Critical: no overshoot that the profile has not."""
+
+
+class Seat(NamedTuple):
+    """Where motors sit: a joint of a model.
+
+    Attributes:
+        model, data: MuJoCo's.
+        at: Of the joint in qpos; ``dof``: in qvel.
+        changed: Called when the joint was put elsewhere.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    at: int
+    dof: int
+    changed: Callable[[], None]
+
+
+class Motor:
+    """One servo on a joint of the world; the ``Body`` of its shaft.
+
+    Args:
+        seat: The joint.
+        row: The joint by this servo.
+        servo: The servo.
+        start: rad (m) of the joint at first: there this shaft stands where it stands.
+
+    Attributes:
+        position, velocity, torque: Encoder ticks, ticks/s and N m at the servo's shaft, as last seen.
+        gear: rad of the shaft for one of the joint (for a metre) where it stands, signed.
+        strength: N m (N) at the joint, where it stood at first.
+    """
+
+    def __init__(self, seat: Seat, row: JointMap, servo: VirtualServo, start: float) -> None:
+        self._seat, self._servo, self._row = seat, servo, row
+        motor = servo.table.motor
+        # A servo whose Drive Mode reverses it was mounted the other way round.
+        self._sign = servo.shaft.sign
+        self._ticks_per = self._sign * row.ticks_per(start)
+        self.gear = self._ticks_per * RADIANS_PER_TICK
+        self.strength = motor.stall_torque * abs(self.gear)
+        self._no_load, self._stall = motor.no_load_speed, motor.stall_torque
+        self.position = servo.shaft.encoder
+        self.velocity = self.torque = 0.0
+        # Where two shafts do not agree at first, they are coupled as they stand.
+        self._zero = self.position + servo.zero_offset_ticks - self._sign * row.position(start)
+
+    @property
+    def stuck(self) -> bool:
+        """Broken, or held fast."""
+        shaft = self._servo.shaft
+        return shaft.stuck_at is not None or shaft.stops[0] == shaft.stops[1]
+
+    @property
+    def stops(self) -> tuple[float, float]:
+        """Joint values between which its shaft can turn."""
+        low, high = sorted(self._angle(ticks) for ticks in self._servo.shaft.stops)
+        return low, high
+
+    def attach(self) -> None:
+        """From here on the joint moves the shaft."""
+        self._servo.shaft.stop()
+        self._servo.shaft.body = self
+
+    def look(self) -> None:
+        """What the encoder says now."""
+        data = self._seat.data
+        angle = float(data.qpos[self._seat.at])
+        self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the place
+        self.gear = self._ticks_per * RADIANS_PER_TICK
+        self.position = self._zero + self._sign * self._row.position(angle) - self._servo.zero_offset_ticks
+        self.velocity = float(data.qvel[self._seat.dof]) * self._ticks_per
+
+    def turn_by(self, ticks: float) -> None:
+        """Somebody turns the joint by hand."""
+        seat = self._seat
+        seat.data.qpos[seat.at] = self._angle(self.position + ticks)
+        seat.data.qvel[seat.dof] = 0.0
+        mujoco.mj_forward(seat.model, seat.data)
+        seat.changed()
+
+    def wanted(self, t: float) -> float | None:
+        """Acceleration that its controller wants, rad/s^2 (m/s^2) at the joint; None where it wants none."""
+        servo, data = self._servo, self._seat.data
+        servo.controller.watch(t)
+        shaft = servo.shaft
+        if not shaft.powered or servo.memory.get("operating_mode") in drive.TORQUE_MODES:
+            return None
+        position, velocity = shaft.motion.at(t)
+        q, dq = float(data.qpos[self._seat.at]), float(data.qvel[self._seat.dof])
+        error = self._angle(position) - q
+        if servo.memory.get("operating_mode") == OperatingMode.VELOCITY:
+            most = 0.1 * self._row.lever  # it minds its speed, not how far it has fallen behind
+            error = max(-most, min(most, error))
+        rate = velocity / self._ticks_per - dq
+        return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
+
+    def push(self, demand: float) -> float:
+        """N m (N) at the joint: ``demand`` within what the motor can do and is allowed to."""
+        servo = self._servo
+        shaft = servo.shaft
+        if not shaft.powered or shaft.stuck_at is not None:
+            self.torque = 0.0
+            return 0.0
+        volts = shaft.volts
+        stall = self._stall * volts / servo.table.motor.volts
+        # The faster it turns, the less torque the voltage that is left can give.
+        speed = float(self._seat.data.qvel[self._seat.dof]) * self.gear
+        lost = stall * speed / (self._no_load * volts / servo.table.motor.volts)
+        limit = drive.torque_limit(servo.memory, volts)
+        mode = servo.memory.get("operating_mode")
+        torque = demand / self.gear
+        if mode in drive.TORQUE_MODES:
+            torque = shaft.sign * drive.effort(servo.memory, volts)
+            torque -= lost if mode == OperatingMode.PWM else 0.0
+            limit = stall
+        torque = max(-limit, min(limit, torque))
+        self.torque = max(min(-stall - lost, 0.0), min(max(stall - lost, 0.0), torque))
+        return self.torque * self.gear
+
+    def outside(self) -> float:
+        """N m (N) at the joint by the fault ``push``."""
+        return -self._servo.shaft.load.push * self.gear
+
+    def _angle(self, ticks: float) -> float:
+        return self._row.to_radians(self._sign * (ticks + self._servo.zero_offset_ticks - self._zero))
+
 
 STEP = 0.002
 """s of one step of the physics."""
@@ -147,7 +291,7 @@ class _Joint:
             heft = sum(motor.strength * abs(motor.gear) for motor in self.motors)
             model.dof_armature[self.dof] = heft / ROTOR_ACCELERATION
         self._held: float | None = None
-        self._wishes: list[float | None] = []
+        self._demands: list[float | None] = []
 
     def attach(self) -> None:
         """From here on the joint moves the shafts."""
@@ -161,9 +305,9 @@ class _Joint:
 
     def wanted(self, t: float) -> float:
         """Acceleration that the controllers want, rad/s^2 (m/s^2): of two the mean."""
-        self._wishes = [motor.wanted(t) for motor in self.motors]
-        wishes = [wish for wish in self._wishes if wish is not None]
-        return sum(wishes) / len(wishes) if wishes else 0.0
+        self._demands = [motor.wanted(t) for motor in self.motors]
+        demands = [demand for demand in self._demands if demand is not None]
+        return sum(demands) / len(demands) if demands else 0.0
 
     def push(self, force: float) -> float:
         """N m (N) at the joint of all motors together: ``force`` within what each can do and is allowed to.
@@ -171,12 +315,12 @@ class _Joint:
         Two that want different things pull against each other, as hard as they differ.
         """
         self._hold_if_told()
-        wishes = [wish for wish in self._wishes if wish is not None]
-        mean = sum(wishes) / len(wishes) if wishes else 0.0
-        inertia = self._inertia() if len(wishes) > 1 else 0.0
+        demands = [demand for demand in self._demands if demand is not None]
+        mean = sum(demands) / len(demands) if demands else 0.0
+        inertia = self._inertia() if len(demands) > 1 else 0.0
         total = 0.0
-        for motor, wish in zip(self.motors, self._wishes, strict=True):
-            share = 0.0 if wish is None else (force + inertia * (wish - mean)) / len(wishes)
+        for motor, demand in zip(self.motors, self._demands, strict=True):
+            share = 0.0 if demand is None else (force + inertia * (demand - mean)) / len(demands)
             total += motor.push(share)
         return total
 
@@ -221,3 +365,61 @@ def joint_torques(world: World) -> Array:
     data.qacc[:] = 0.0
     mujoco.mj_inverse(world.model, data)
     return np.array([float(data.qfrc_inverse[joint.dof]) for joint in world._joints])
+
+
+# ------------------------------------------------------------------------------------------
+# Things to grip in a MuJoCo world: boxes that lie about and fall.
+
+
+FRICTION = (1.0, 0.02, 0.0005)
+"""Of rubber pads on wood: sliding, and so many metres of turning and rolling."""
+SOLREF, SOLIMP = (0.004, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0)
+"""As stiff as the step of the world allows: at 10 N a thing of 50 g gives by less than 0.1 mm."""
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A box.
+
+    Attributes:
+        name: Of its body.
+        position: Centre, m, world; wxyz: how it is turned.
+        size: Edges, m.
+        mass: kg.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    size: tuple[float, float, float]
+    mass: float
+    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+
+def model_with(path: Path, things: Sequence[Thing], floor: float | None = None) -> mujoco.MjModel:
+    """The model of a robot with things beside it, for a ``World`` with contacts.
+
+    Args:
+        path: The robot's model file.
+        things: What lies about.
+        floor: Height of a plane to lie on, m; None: there is none.
+
+    Raises:
+        ValueError: MuJoCo cannot compile it, e.g. a name is taken.
+    """
+    spec = mujoco.MjSpec.from_file(str(path))
+    for key in list(spec.keys):
+        spec.delete(key)  # they know nothing of the things' places
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    spec.option.noslip_iterations = 3  # else a grip creeps
+    if floor is not None:
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.01], pos=[0, 0, floor])
+    for thing in things:
+        body = spec.worldbody.add_body(name=thing.name, pos=thing.position, quat=thing.wxyz)
+        body.add_freejoint()
+        geom = body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5 * edge for edge in thing.size], mass=thing.mass
+        )
+        geom.condim, geom.priority, geom.friction = 4, 1, FRICTION
+        geom.solref, geom.solimp = SOLREF, SOLIMP
+    return spec.compile()

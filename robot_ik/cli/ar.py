@@ -10,13 +10,14 @@ import numpy as np
 from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.catalogue import SHOWN_ROBOT
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
+from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.ar import ArReport, ArRequest
+    from robot_ik.bench.camera.accuracy import Misses
+    from robot_ik.jobs.ar.job import ArReport, ArRequest
 
 
 # Sides of a picture, px; larger ones than any camera's would take all memory before they fail.
@@ -96,11 +97,9 @@ def run(options: ArOptions) -> int:
     """Runs the job; 0 done, 1 not."""
     import_mujoco()
     if options.self_test:
-        from robot_ik.cli.ar_self_test import run_self_test
-
         return run_self_test(json=options.json)
     request = make_request(options)
-    from robot_ik.jobs.ar import run_ar
+    from robot_ik.jobs.ar.job import run_ar
 
     with console.progress() as bar:
         task = bar.add_task("drawing", total=None, note="")
@@ -149,7 +148,7 @@ def _print(report: ArReport) -> None:
 
 
 def _default_out() -> str:
-    from robot_ik.jobs.ar_files import films_can_be_written
+    from robot_ik.jobs.ar.output import films_can_be_written
 
     if films_can_be_written():
         return "ar.mp4"
@@ -163,9 +162,9 @@ def make_request(options: ArOptions) -> ArRequest:
     Raises:
         ConfigError: A malformed option.
     """
-    from robot_ik.camera.ar.registrar import Remedies
-    from robot_ik.jobs.ar import ArRequest
-    from robot_ik.jobs.ar_script import robot_of
+    from robot_ik.camera.registration import LatencyOptions
+    from robot_ik.jobs.ar.job import ArRequest
+    from robot_ik.jobs.ar.motion import robot_of
 
     if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
         raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
@@ -198,7 +197,7 @@ def make_request(options: ArOptions) -> ArRequest:
         backend=options.backend,
         phantoms=Path(options.phantoms) if options.phantoms else None,
         phantom_geoms=options.phantom_geoms,
-        remedies=Remedies(options.sync, options.predict, options.shift),
+        latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         delay=options.delay,
         alpha=options.alpha,
         shadow=options.shadow,
@@ -208,3 +207,91 @@ def make_request(options: ArOptions) -> ArRequest:
         size=(options.size[0], options.size[1]) if options.size else None,
         seed=options.seed,
     )
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik ar --self-test``: drawings against ``cv2.projectPoints`` and exact truth, on the terminal.
+
+
+# RMS and worst allowed, pixels: spheres without and with lens distortion, a robot on a board.
+_IDENTITY, _BENT, _OVERLAY = (0.05, 0.15), (0.08, 0.20), (0.30, 1.0)
+_DISTANCES = (0.7, 1.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of the self-test; no limits: it is told, not judged."""
+
+    what: str
+    misses: Misses
+    limits: tuple[float, float] | None
+
+    @property
+    def good(self) -> bool:
+        """Whether both figures are within their limits."""
+        if self.limits is None:
+            return True
+        return self.misses.rms <= self.limits[0] and self.misses.worst <= self.limits[1]
+
+
+def run_self_test(*, json: bool = False) -> int:
+    """Measures and prints; 0 when all is within its limits, else 1."""
+    rows, notice = measure()
+    good = all(row.good for row in rows)
+    if json:
+        console.print_json(
+            {
+                "good": good,
+                "notice": notice,
+                "rows": [
+                    {
+                        "what": row.what,
+                        "rms_px": row.misses.rms,
+                        "worst_px": row.misses.worst,
+                        "limits_px": None if row.limits is None else list(row.limits),
+                        "good": row.good,
+                    }
+                    for row in rows
+                ],
+            }
+        )
+    else:
+        table = console.table("registration, px", "RMS", "allowed", "worst", "allowed", "")
+        for row in rows:
+            rms, worst = ("", "") if row.limits is None else (f"{v:.2f}" for v in row.limits)
+            verdict = "" if row.limits is None else "good" if row.good else "NOT GOOD"
+            table.add_row(row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, verdict)
+        console.out().print(table)
+    if notice:
+        console.say(notice, style="yellow")
+    return console.DONE if good else console.NOT_ACHIEVED
+
+
+def measure() -> tuple[list[Row], str]:
+    """All figures, and one line where OpenGL is missing."""
+    from robot_ik.bench.camera import accuracy
+    from robot_ik.camera.drawing.gl import make_artist
+
+    rows, notice = [], ""
+    with console.progress() as bar:
+        task = bar.add_task("measuring", total=9, note="")
+        for name in ("painter", "ray", "gl"):
+            artist, missing = make_artist(name)
+            notice = missing or notice
+            for lens, limits, words in (
+                (accuracy.STRAIGHT, _IDENTITY, "no distortion"),
+                (accuracy.BENT, _BENT, "distortion"),
+            ):
+                bar.update(task, advance=1, note=name)
+                if not missing:
+                    misses = accuracy.projection_identity(artist, lens)
+                    rows.append(Row(f"{name}: spheres, {words}", misses, limits))
+            getattr(artist, "close", lambda: None)()
+        for distance in _DISTANCES:
+            bar.update(task, advance=1, note="board")
+            misses = accuracy.overlay_error(distance)
+            rows.append(Row(f"robot on a 2 x 2 board at {distance:g} m", misses, _OVERLAY))
+        bar.update(task, advance=1, note="delay")
+        for name, misses in accuracy.remedy_errors().items():
+            rows.append(Row(f"66 ms behind a moving hand: {name}", misses, None))
+    return rows, notice

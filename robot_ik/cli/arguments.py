@@ -12,10 +12,14 @@ import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
-from typing import Any, TextIO, get_type_hints
+from typing import TYPE_CHECKING, Any, TextIO, get_type_hints
 
 from robot_ik.cli.console import NARROWEST
-from robot_ik.errors import ConfigError, close_matches
+from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
+
+if TYPE_CHECKING:
+    from robot_ik.geometry import Pose
+
 
 HELP_FLAGS = ("--help", "-h")
 #: What tyro writes for programs to read: no line of it is folded.
@@ -297,3 +301,32 @@ class _Slip:
         problem = f"{bad[0]!r} is no{whole} number" if bad else f"{' '.join(given)!r} cannot be read"
         takes = self._takes(flag)
         return wrong(flag, problem, "" if bad and takes in _KINDS.values() else takes, self._hint)
+
+
+# ------------------------------------------------------------------------------------------
+# A pose on the command line: seven numbers.
+
+
+def pose_option(numbers: tuple[float, ...], key: str) -> Pose | None:
+    """Position in metres and quaternion w x y z, or position alone; None when nothing was given.
+
+    Raises:
+        ConfigError, InvalidGoalError: Another count of numbers, or no pose.
+    """
+    from robot_ik.geometry import Pose
+
+    if not numbers:
+        return None
+    if len(numbers) not in (3, 7):
+        raise wrong(key, f"{len(numbers)} numbers", "x y z in metres, and an orientation as w x y z")
+    try:
+        return Pose(numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0))
+    except ValueError as error:
+        raise InvalidGoalError(f"{key}: {error}") from error
+
+
+def pose_words(pose: Pose) -> str:
+    """Millimetres and quaternion, for tables."""
+    x, y, z = (1e3 * pose.position).tolist()
+    w = " ".join(f"{v:.5f}" for v in pose.wxyz)
+    return f"{x:.2f} {y:.2f} {z:.2f} mm, wxyz {w}"

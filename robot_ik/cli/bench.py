@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
+from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.results import results_folder
+from robot_ik.cli.console import results_folder
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.files import write_atomically
@@ -21,10 +23,11 @@ from robot_ik.files import write_atomically
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from robot_ik.bench.results import Results, Settings
-    from robot_ik.bench.runner import Bench
+    from robot_ik.bench.methods.results import Cell, Results, Settings
+    from robot_ik.bench.methods.runner import Bench
     from robot_ik.robot import Robot
     from robot_ik.solvers.base import Solver
+
 
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 _EXTRA = ("kernels", "batch")
@@ -41,7 +44,8 @@ class BenchOptions:
     A time is that of the whole Python call: 4×4 matrix in, joint array out, limits obeyed. Kernels are
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
-    Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera --help
+    Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera --help,
+    robot-ik bench figure --help
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
@@ -75,9 +79,8 @@ class BenchOptions:
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
     import_mujoco()
-    from robot_ik.bench.plots import need_matplotlib
-    from robot_ik.bench.results import Results, Settings, this_machine
-    from robot_ik.problem import Tolerance
+    from robot_ik.bench.methods.results import Results, Settings, need_matplotlib, this_machine
+    from robot_ik.goals import Tolerance
 
     solvers, robots = _solvers(options), _robots(options)
     Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
@@ -147,8 +150,8 @@ def _prepare(
     options: BenchOptions, solvers: list[Solver], robots: list[Robot], settings: Settings, bar: Progress
 ) -> list[Bench]:
     """All that takes long and is not measured: problem sets, and kernels, which announce themselves."""
-    from robot_ik.bench.problems import make_set
-    from robot_ik.bench.runner import prepare
+    from robot_ik.bench.methods.problems import make_set
+    from robot_ik.bench.methods.runner import prepare
 
     benches = []
     names = [name for name in dict.fromkeys(options.sets) if name not in _EXTRA]
@@ -163,7 +166,7 @@ def _prepare(
 
 
 def _run_cells(benches: list[Bench], results: Results, bar: Progress) -> None:
-    from robot_ik.bench.runner import curve
+    from robot_ik.bench.methods.runner import curve
 
     task = bar.add_task("solving", total=max(1, len(benches)), note="")
     for done, bench in enumerate(benches):
@@ -177,17 +180,17 @@ def _run_cells(benches: list[Bench], results: Results, bar: Progress) -> None:
 
 
 def _run_kernels(solvers: list[Solver], robots: list[Robot], results: Results, bar: Progress) -> None:
-    from robot_ik.bench import floors
+    from robot_ik.bench.methods import growth
     from robot_ik.robot import load_robot
 
     task = bar.add_task("kernels", total=len(solvers), note="forward and Jacobian")
-    seed, figure = results.settings.seed, load_robot(floors.FIGURE)
-    results.floors += [floors.floor(robot, seed) for robot in robots]
+    seed, figure = results.settings.seed, load_robot(growth.FIGURE)
+    results.floors += [growth.floor(robot, seed) for robot in robots]
     for solver in solvers:
         bar.update(task, note=f"growth, {solver.name}")
-        for point in floors.growth_with_joints(solver, seed):
+        for point in growth.growth_with_joints(solver, seed):
             results.growth.append(point)
-        for point in floors.growth_with_goals(solver, figure, seed):
+        for point in growth.growth_with_goals(solver, figure, seed):
             results.growth.append(point)
         bar.advance(task)
     bar.remove_task(task)
@@ -196,7 +199,7 @@ def _run_kernels(solvers: list[Solver], robots: list[Robot], results: Results, b
 def _run_batches(
     options: BenchOptions, solvers: list[Solver], robots: list[Robot], results: Results, bar: Progress
 ) -> None:
-    from robot_ik.bench.floors import batches
+    from robot_ik.bench.methods.growth import batches
 
     task = bar.add_task("batches", total=len(robots) * len(solvers), note="")
     for robot in robots:
@@ -215,9 +218,7 @@ def _run_batches(
 
 
 def _finish(results: Results, folder: Path, *, plots: bool) -> None:
-    from robot_ik.bench.plots import draw
-    from robot_ik.bench.results import results_text
-    from robot_ik.cli.bench_table import print_results
+    from robot_ik.bench.methods.results import draw, results_text
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
     if not (results.cells or results.floors or results.batches):
@@ -227,3 +228,95 @@ def _finish(results: Results, folder: Path, *, plots: bool) -> None:
     for name, picture in (draw(results) if plots else {}).items():
         write_atomically(folder / name, picture)
     console.say(f"{'' if results.complete else 'partial '}results: {folder}", "dim")
+
+
+# ------------------------------------------------------------------------------------------
+# The tables that ``robot-ik bench`` prints.
+
+
+def print_results(results: Results) -> None:
+    """One table for each robot and set, then kernels and batches: whatever there is."""
+    groups: dict[tuple[str, str], list[Cell]] = {}
+    for cell in results.cells:
+        groups.setdefault((cell.robot, cell.set), []).append(cell)
+    for (robot, name), cells in groups.items():
+        _print_cells(robot, name, cells)
+    _print_floors(results)
+    _print_growth(results)
+    _print_batches(results)
+
+
+def _print_cells(robot: str, name: str, cells: list[Cell]) -> None:
+    reasons = {cell.skipped for cell in cells}
+    if len(reasons) == 1 and "" not in reasons:  # the problems do not exist, whoever would solve them
+        console.out().print(Text(f"{robot}, {name}: {reasons.pop()}\n"))
+        return
+    shown = console.table(
+        "solver", "goal", "solved %", "median µs", "mean µs", "p99 µs", "steps", "restarts", "note",
+        title=f"{robot}, {name}",
+    )  # fmt: skip
+    for cell in sorted((c for c in cells if c.count), key=lambda c: (-c.rate, c.microsecond("mean"))):
+        shown.add_row(
+            cell.solver, cell.goal, f"{100 * cell.rate:.1f}",
+            *(microseconds(cell.microsecond(which)) for which in ("median", "mean", 99.0)),
+            f"{np.mean(cell.iterations):.1f}", f"{np.mean(cell.restarts):.2f}", Text(_note(cell)),
+        )  # fmt: skip
+    for cell in (c for c in cells if not c.count):
+        shown.add_row(cell.solver, *["-"] * 7, Text(cell.skipped, style="dim"))
+    console.out().print(shown)
+    console.out().print()
+
+
+def microseconds(value: float) -> str:
+    """A time with three figures that mean something."""
+    return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+
+
+def _note(cell: Cell) -> str:
+    notes = []
+    if cell.count < cell.asked:
+        notes.append(f"{cell.count} of {cell.asked} tried")
+    if cell.jumps:
+        notes.append(f"{cell.jumps} jumps")
+    if cell.set == "unreachable":
+        notes.append(f"proven: {cell.status.count('UNREACHABLE')}")
+    return "; ".join(notes)
+
+
+def _print_floors(results: Results) -> None:
+    if results.floors:
+        shown = console.table(
+            "robot", "joints", "forward µs", "forward + Jacobian µs", title="kinematics in a compiled loop"
+        )
+        for one in results.floors:
+            shown.add_row(one.robot, str(one.joints), f"{one.forward_us:.3f}", f"{one.jacobian_us:.3f}")
+        console.out().print(shown)
+        console.out().print()
+
+
+def _print_growth(results: Results) -> None:
+    for across in ("joints", "goals"):
+        points = [point for point in results.growth if point.across == across]
+        if not points:
+            continue
+        sizes = sorted({point.size for point in points})
+        shown = console.table("solver", *map(str, sizes), title=f"µs a step, by number of {across}")
+        for solver in dict.fromkeys(point.solver for point in points):
+            mine = {point.size: point.step_us for point in points if point.solver == solver}
+            shown.add_row(solver, *(microseconds(mine[size]) if size in mine else "-" for size in sizes))
+        console.out().print(shown)
+        console.out().print()
+
+
+def _print_batches(results: Results) -> None:
+    if results.batches:
+        shown = console.table(
+            "robot", "solver", "poses", "threads", "solves/s", "solved %", title="batches of cold poses"
+        )
+        for one in results.batches:
+            shown.add_row(
+                one.robot, one.solver, str(one.poses), str(one.threads), f"{one.per_second:.0f}",
+                f"{100 * one.success:.2f}",
+            )  # fmt: skip
+        console.out().print(shown)
+        console.out().print()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.bench.camera_rows import ROWS, Effort, Figure, Row
+from robot_ik.bench.camera import ROWS, Effort, Figure, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Rows that a bench may not import, because they measure whole jobs.
 JOB_ROWS: tuple[Row, ...] = (
-    Row("zeros", "joint zero offsets, from 30 poses", "robot_ik.jobs.verify_bench:joint_zero_offsets"),
+    Row("zeros", "joint zero offsets, from 30 poses", "robot_ik.bench.camera.arm:joint_zero_offsets"),
 )
 ALL_ROWS = (*ROWS, *JOB_ROWS)
 
@@ -197,7 +197,7 @@ def _verdict(one: Figure) -> Text:
 
 
 def _write(path: Path, found: Measured, effort: Effort) -> None:
-    from robot_ik.bench.results import this_machine
+    from robot_ik.bench.methods.results import this_machine
 
     facts = {
         "schema": 1,

@@ -17,8 +17,8 @@ from robot_ik.errors import CalibrationError
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
-    from robot_ik.camera.calibrate import CalibrationResult
-    from robot_ik.camera.calibrate.views import ViewGatherer
+    from robot_ik.camera.calibration.intrinsic import CalibrationResult
+    from robot_ik.camera.calibration.views import ViewGatherer
     from robot_ik.camera.sources import Frame, FrameSource
 
 # More views than these teach nothing.
@@ -84,12 +84,12 @@ def run(options: CameraCalibrateOptions) -> int:
 def _calibrate(options: CameraCalibrateOptions) -> int:
     import dataclasses
 
-    from robot_ik.camera.boards.pattern_kinds import PatternWish
-    from robot_ik.camera.calibrate import calibrate
-    from robot_ik.camera.calibrate.views import ViewGatherer
+    from robot_ik.camera.boards.patterns import PatternRequest
+    from robot_ik.camera.calibration.intrinsic import calibrate
+    from robot_ik.camera.calibration.views import ViewGatherer
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
-    wish = PatternWish(options.pattern, *(getattr(options, field) for field in fields))
+    wish = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
     gatherer, shelf = ViewGatherer(wish.pattern()), _Shelf(options)
     with _kept_on_interrupt(gatherer, shelf):
         for text in options.sources:
@@ -122,7 +122,7 @@ class _Shelf:
 
     def keep(self, frame: Frame) -> None:
         """Adds a picture to a folder beside the result."""
-        from robot_ik.camera.sources.picture_files import write_image
+        from robot_ik.camera.image import write_image
         from robot_ik.files import make_folder
 
         if not self.count:
@@ -194,8 +194,8 @@ def _gather(text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCal
 def _gather_moving(
     source: FrameSource, text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCalibrateOptions
 ) -> None:
-    from robot_ik.camera.boards.pattern_guess import describe
-    from robot_ik.camera.calibrate.views import missing_words
+    from robot_ik.camera.boards.patterns import describe
+    from robot_ik.camera.calibration.views import missing_words
 
     live, unseen = source.live, 0
     if live:
@@ -222,8 +222,8 @@ def _coverage_file(out: Path) -> Path:
 
 
 def _draw_coverage(result: CalibrationResult, out: Path) -> Path:
-    from robot_ik.camera.calibrate.coverage import coverage_picture
-    from robot_ik.camera.sources.picture_files import write_image
+    from robot_ik.camera.calibration.coverage import coverage_picture
+    from robot_ik.camera.image import write_image
 
     path = _coverage_file(out)
     write_image(path, coverage_picture(result.coverage))

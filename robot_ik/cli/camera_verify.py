@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
-from robot_ik.cli.bus_argument import bus_argument
-from robot_ik.cli.camera_arm import arm_camera_values, measured
-from robot_ik.cli.poses import pose_option
+from robot_ik.cli.arguments import pose_option, wrong
+from robot_ik.cli.arm_camera import arm_camera_values, measured, numbers_of_seen
+from robot_ik.cli.connection import bus_argument
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.verify import VerifyReport, VerifyRequest
+    from robot_ik.camera.calibration.kinematic import PoseError
+    from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
+
 
 _NOT_WRITTEN = "nothing is written: to keep these zeros, give your arm file with --arm"
 _NEEDED = "(needed for a real camera)"
@@ -94,7 +97,7 @@ class CameraVerifyOptions:
 def run(options: CameraVerifyOptions) -> int:
     """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
     import_mujoco()
-    from robot_ik.jobs.verify_picture import require_plots
+    from robot_ik.jobs.arm_camera.error_picture import require_plots
 
     request = make_request(options)
     if options.picture:
@@ -108,9 +111,8 @@ def run(options: CameraVerifyOptions) -> int:
 
 
 def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
-    from robot_ik.cli.camera_verify_tables import as_json, print_plan, print_report
-    from robot_ik.jobs.verify import run_verify
-    from robot_ik.jobs.verify_picture import error_picture
+    from robot_ik.jobs.arm_camera.error_picture import error_picture
+    from robot_ik.jobs.arm_camera.verify import run_verify
 
     if options.samples:
         report = _again(options, request)
@@ -140,8 +142,8 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
 
 
 def _again(options: CameraVerifyOptions, request: VerifyRequest) -> VerifyReport:
-    from robot_ik.jobs.verify import verify_from_samples
-    from robot_ik.jobs.verify_samples import VerifySamples
+    from robot_ik.jobs.arm_camera.measuring import VerifySamples
+    from robot_ik.jobs.arm_camera.verify import verify_from_samples
 
     known = VerifySamples.load(Path(options.samples))
     return verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
@@ -155,7 +157,7 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     if report.config is None:
         console.say(_NOT_WRITTEN, "yellow")
         return False
-    from robot_ik.jobs.verify_arm_file import changes, write_zeros, zeros_moved
+    from robot_ik.hardware.calibration_file import changes, write_zeros, zeros_moved
 
     changed = changes(report.config, zeros_moved(report.config, offsets))
     if not changed:
@@ -193,7 +195,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     Raises:
         ConfigError, CameraError, InvalidGoalError: A malformed option.
     """
-    from robot_ik.jobs.verify_request import BOARD_SIGMA, VerifyRequest
+    from robot_ik.jobs.arm_camera.verify import BOARD_SIGMA, VerifyRequest
 
     _check(options)
     sigma = options.board_sigma
@@ -228,3 +230,146 @@ def _offsets(items: tuple[str, ...]) -> dict[str, float]:
         if not math.isfinite(found[joint]):
             raise wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     return found
+
+
+# ------------------------------------------------------------------------------------------
+# What ``robot-ik camera verify`` prints: tables for people, JSON for programs.
+
+
+def print_plan(report: VerifyReport) -> None:
+    """The joint angles of all stops."""
+    rows = console.table("pose", *report.robot.joints, title="planned, degrees")
+    for number, q in enumerate(report.stops, 1):
+        rows.add_row(str(number), *(f"{math.degrees(v):.1f}" for v in q))
+    console.out().print(rows)
+
+
+def print_report(report: VerifyReport, allowed_mm: float) -> None:
+    """Errors of each pose, sums by region, offsets."""
+    screen = console.out()
+    screen.print(_poses(report))
+    screen.print(_regions("the arm as it is", report.judged(corrected=False)))
+    if report.by_arm:
+        screen.print(
+            "The camera's place was found by moving this arm: what all poses are off by alike is in it.\n"
+            "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
+        )
+    if report.fit is not None:
+        screen.print(_offset_table(report))
+        for one in report.fit.mixtures:
+            screen.print(f"{one.words}: {one.joint} is held", soft_wrap=True)
+        title = "with these zeros: each pose by the fit to all others"
+        screen.print(_regions(title, report.judged(corrected=True)))
+    if report.unseen:
+        screen.print("board not seen at " + ", ".join(str(k + 1) for k in report.unseen))
+    for corrected, words in ((False, "as it is"), (True, "with these zeros"))[: 1 + (report.fit is not None)]:
+        largest = 1e3 * max(one.distance for one in report.judged(corrected=corrected))
+        verdict = "within" if largest <= allowed_mm else "beyond"
+        screen.print(f"largest error {words}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
+
+
+def _poses(report: VerifyReport) -> Any:
+    after = () if report.fit is None else report.fit.errors
+    columns = ["pose", "x", "y", "z", "off: mm", "sigma", "deg", "sigma"]
+    rows = console.table(*columns, *(("then: mm", "sigma") if after else ()), "", title="poses, mm")
+    numbers = numbers_of_seen(len(report.errors), report.unseen)
+    for number, one in enumerate(report.errors):
+        cells = [str(numbers[number]), *(f"{1e3 * x:.0f}" for x in one.place)]
+        cells += [f"{1e3 * one.distance:.2f}", f"{1e3 * one.sigma:.2f}"]
+        cells += [f"{math.degrees(one.angle):.3f}", f"{math.degrees(one.sigma_angle):.3f}"]
+        if after:
+            then = after[number]
+            cells += [f"{1e3 * then.distance:.2f}", f"{1e3 * then.sigma:.2f}"]
+        rows.add_row(*cells, _doubt(report, number))
+    return rows
+
+
+def _doubt(report: VerifyReport, number: int) -> str:
+    if report.fit is not None and number in report.fit.outliers:
+        return "contradicts the others: does not count"
+    return "measured badly: does not count" if number in report.unsure else ""
+
+
+def _regions(title: str, errors: Sequence[PoseError]) -> Any:
+    from robot_ik.jobs.arm_camera.verify import regions
+
+    rows = console.table("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm", title=title)
+    for one in regions(errors):
+        rows.add_row(
+            one.name, str(one.count), f"{1e3 * one.rms:.2f}", f"{1e3 * one.median:.2f}",
+            f"{1e3 * one.largest:.2f}", f"{math.degrees(one.angle):.3f}", f"{1e3 * one.sigma:.2f}",
+        )  # fmt: skip
+    return rows
+
+
+def _offset_table(report: VerifyReport) -> Any:
+    fit = report.fit
+    assert fit is not None
+    truth = report.true_offsets
+    columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
+    rows = console.table(*columns, title="joint zeros")
+    for k, name in enumerate(fit.joints):
+        held = name not in fit.found
+        cells = [name, f"{math.degrees(fit.offsets[k]):.3f}"]
+        cells.append("held" if held else f"{math.degrees(fit.sigma[k]):.3f}")
+        rows.add_row(*cells, *(() if truth is None else (f"{math.degrees(truth[k]):.3f}",)))
+    return rows
+
+
+def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, Any]:
+    """Everything, in metres and rad; ``verdict`` None for a dry run."""
+    found: dict[str, Any] = {
+        "schema": 1,
+        "job": "verify",
+        "robot": report.samples.robot,
+        "joints": report.robot.joints,
+        "frame": report.frame,
+        "stops": [q.tolist() for q in report.stops],
+        "unseen": list(report.unseen),
+    }
+    if verdict is None:
+        return found
+    found |= verdict
+    found["place_by_arm"] = report.by_arm
+    found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
+    found["unsure"] = list(report.unsure)
+    found["regions"] = _sums(report.judged(corrected=False))
+    fit = report.fit
+    if fit is not None:
+        found["fit"] = {
+            "offsets_rad": fit.offsets,
+            "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
+            "true_rad": report.true_offsets,
+            "held": [{"joint": one.joint, "why": one.words} for one in fit.mixtures],
+            "singular_values": fit.singular_values,
+            "joint_noise_rad": fit.joint_noise,
+            "residual_px": fit.residual_px,
+            "outliers": list(fit.outliers),
+            "poses": [_error(one) for one in fit.errors],
+            "regions": _sums(report.judged(corrected=True)),
+        }
+    return found
+
+
+def _named(report: VerifyReport) -> list[tuple[str, float]]:
+    assert report.fit is not None
+    return list(zip(report.fit.joints, np.asarray(report.fit.sigma).tolist(), strict=True))
+
+
+def _error(one: PoseError) -> dict[str, Any]:
+    return {
+        "place_m": one.place, "off_m": one.vector, "off_rad": one.angle,
+        "sigma_m": one.sigma, "sigma_rad": one.sigma_angle,
+    }  # fmt: skip
+
+
+def _sums(errors: Sequence[PoseError]) -> list[dict[str, Any]]:
+    from robot_ik.jobs.arm_camera.verify import regions
+
+    return [
+        {
+            "name": one.name, "poses": one.count, "rms_m": one.rms, "median_m": one.median,
+            "largest_m": one.largest, "rms_rad": one.angle, "sigma_m": one.sigma,
+        }
+        for one in regions(errors)
+    ]  # fmt: skip

@@ -6,7 +6,9 @@ Away from a terminal there is no colour and no progress bar, and tables are not 
 
 from __future__ import annotations
 
+import codecs
 import contextlib
+import fnmatch
 import json
 import logging
 import os
@@ -14,7 +16,8 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -22,7 +25,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from robot_ik.cli.streams import is_unicode
 from robot_ik.errors import (
     MarkerNotFoundError,
     MotorFaultError,
@@ -30,7 +32,109 @@ from robot_ik.errors import (
     RobotIkError,
     TrajectoryError,
 )
-from robot_ik.files import plain
+from robot_ik.files import claimed_folder, folder_for_results, plain
+
+# ------------------------------------------------------------------------------------------
+# The folder of a command's results: found free before the work begins, one run's alone until it ends.
+
+
+@contextlib.contextmanager
+def results_folder(out: str | Path, job: str, own: Sequence[str], *, overwrite: bool) -> Iterator[Path]:
+    """The folder for one run, as asked or ``runs/<time>-<job>``; taken back where it stays empty.
+
+    Args:
+        out: As asked; empty: a new one.
+        job: The command's name.
+        own: Patterns of the names of its files.
+        overwrite: They may be replaced.  Those of before that the run does not write are removed when it has
+            written others, so that two runs do not mix; what is not its own stays.
+
+    Raises:
+        OutputError: The folder holds something, another run writes to it, or it cannot be written to.
+    """
+    with contextlib.ExitStack() as stack:
+        if not out:
+            stack.enter_context(folder_for_results(Path("runs")))
+            out, overwrite = stack.enter_context(_new_folder(job)), False
+        folder = Path(out)
+        held = stack.enter_context(claimed_folder(folder, "[!.]*", overwrite=overwrite))
+        before = {path: _stamp(path) for path in held if any(fnmatch.fnmatch(path.name, p) for p in own)}
+        yield folder
+        written = [path for path in folder.iterdir() if _stamp(path) != before.get(path)]
+        for path in before if written else ():
+            if path.exists() and _stamp(path) == before[path]:
+                path.unlink()
+
+
+@contextlib.contextmanager
+def _new_folder(job: str) -> Iterator[Path]:
+    """A folder that no other run has, not even one that began in the same second."""
+    from robot_ik.jobs.reach_files import run_folder
+
+    while True:
+        folder = run_folder(None, job)
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir()
+            break
+    try:
+        yield folder
+    finally:
+        with contextlib.suppress(OSError):  # it holds something
+            folder.rmdir()
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """Changes whenever a file is written whole: its inode and time."""
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns
+
+
+# ------------------------------------------------------------------------------------------
+# Standard streams as they may be: closed, or of an encoding without the signs that tables use.
+
+
+# What a stream without these signs shows instead.
+_SPELLED = {
+    "°": " deg", "µ": "u", "σ": "s", "…": "...", "±": "+-", "×": "x", "·": "*", "²": "2", "³": "3", "–": "-",
+    "—": "-", "≤": "<=", "≥": ">=", "∞": "inf", "→": "->", "│": "|", "─": "-", "━": "-", "√": "sqrt",
+    **dict.fromkeys("╭╮╰╯┌┐└┘├┤┬┴┼", "+"),
+}  # fmt: skip
+_HANDLER = "robot_ik.spelled"
+
+
+def _spell(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_SPELLED.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
+
+
+def is_unicode(stream: object) -> bool:
+    """Whether a stream can show every sign."""
+    return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "").startswith("utf")
+
+
+def prepare_streams() -> bool:
+    """Makes standard streams that can be written to without an error; False: there is no standard output.
+
+    A closed descriptor is opened on the null device: the next file, a serial port perhaps, would get its
+    number, and with it what C libraries write to their standard error.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    there = sys.stdout is not None
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - for good
+        elif not is_unicode(stream):
+            codecs.register_error(_HANDLER, _spell)
+            with contextlib.suppress(AttributeError, OSError):  # a stream that somebody made himself
+                stream.reconfigure(errors=_HANDLER)
+    return there
+
 
 DONE, NOT_ACHIEVED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
@@ -14,8 +16,14 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.experiments.a00 import A00Report
-    from robot_ik.jobs.experiments.s12 import S12Report
+    from robot_ik.bench.theses.a00 import A00Report
+    from robot_ik.bench.theses.s12 import Case, S12Report
+    from robot_ik.bench.theses.tracking import Track
+
+
+if TYPE_CHECKING:
+    from robot_ik.bench.theses.a00 import A00Report
+    from robot_ik.bench.theses.s12 import S12Report
 
     Report = A00Report | S12Report
     Progress = Callable[[str, float], None]
@@ -53,7 +61,7 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
-    from robot_ik.cli.results import results_folder
+    from robot_ik.cli.console import results_folder
 
     prepare = _a00 if options.experiment == "a00" else _s12
     report, work, save, show = prepare(options)
@@ -79,9 +87,8 @@ _Prepared = tuple["Report", "Callable[[Progress], Any]", "Callable[[Path], list[
 
 
 def _a00(options: ExperimentsOptions) -> _Prepared:
-    from robot_ik.cli.experiments_table import print_a00
-    from robot_ik.jobs.experiments.a00 import ask_a00, run_a00
-    from robot_ik.jobs.experiments.results import save_a00
+    from robot_ik.bench.theses.a00 import ask_a00, run_a00
+    from robot_ik.bench.theses.results import save_a00
 
     report = ask_a00(options.tests, options.solvers, options.frames, options.seed)
     return (
@@ -93,10 +100,8 @@ def _a00(options: ExperimentsOptions) -> _Prepared:
 
 
 def _s12(options: ExperimentsOptions) -> _Prepared:
-    from robot_ik.cli.experiments_table import print_s12
-    from robot_ik.jobs.experiments.plot import require_plots
-    from robot_ik.jobs.experiments.results import save_s12
-    from robot_ik.jobs.experiments.s12 import FRAMES, S12Report, run_s12
+    from robot_ik.bench.theses.results import save_s12
+    from robot_ik.bench.theses.s12 import FRAMES, S12Report, require_plots, run_s12
 
     if options.plot:
         require_plots()
@@ -119,3 +124,153 @@ def _check(options: ExperimentsOptions) -> None:
         raise wrong("--tests" if options.tests else "--solvers", "s12 has neither", "with a00 alone")
     if options.experiment == "a00" and options.plot:
         raise wrong("--plot", "a00 has no picture", "with s12 alone")
+
+
+# ------------------------------------------------------------------------------------------
+# The tables of ``robot-ik experiments`` on the terminal.
+
+
+#: Stands where there is nothing: a method that does not serve a goal, a cell that is not run.
+NOTHING = "-"
+
+
+def _notes(title: str, lines: Iterable[str]) -> None:
+    shown = console.table("", title)
+    for line in lines:
+        shown.add_row("•", Text(line))
+    console.out().print(shown)
+    console.out().print()
+
+
+def _result(complete: bool, passed: bool, why: str) -> Text:
+    if not complete:
+        return Text.assemble(("INTERRUPTED", "bold yellow"), "  the tables hold what was done")
+    return Text.assemble(("PASSED", "bold green") if passed else ("NOT PASSED", "bold red"), f"  {why}")
+
+
+# -------------------------------------------------------------------------------------- a00
+
+
+def print_a00(report: A00Report) -> None:
+    """Courses, methods × courses, and whether what has to pass does."""
+    from robot_ik.bench.theses import a00, results
+
+    screen = console.out()
+    _notes("A00, tests 1-13: what is chosen where he states nothing", results.A00_CHOICES)
+    shown = console.table("test", "joints", "goal", "the goal moves", "frames", "A00's result")
+    for number, course in report.courses.items():
+        row = (course.goal.name.removesuffix(" goal"), course.moves, str(len(course.at)), a00.HIS[number])
+        shown.add_row(str(number), str(len(course.robot.joints)), *map(Text, row))
+    screen.print(shown)
+    screen.print()
+    _print_methods(report)
+    screen.print(_result(report.complete, report.passed, _why_a00(report) if report.complete else ""))
+
+
+def _why_a00(report: A00Report) -> str:
+    from robot_ik.bench.theses import a00
+
+    asked = [name for name in a00.MUST_PASS if name in report.solvers]
+    if report.failures:
+        return "; ".join(f"{n} in test {k}: {_loss(report, n, k)}" for n, k in report.failures)
+    if asked:
+        return f"{', '.join(asked)} met every frame; {_witness_text(report)}"
+    return "no method was asked for that has to pass"
+
+
+def _witness_text(report: A00Report) -> str:
+    metres, radians = (max(miss) for miss in zip(*report.witness_miss.values(), strict=True))
+    return f"their witnesses miss by {metres:.0e} m, {radians:.0e} rad at most"
+
+
+def _loss(report: A00Report, name: str, number: int) -> str:
+    track = report.tracks[name, number]
+    return "refused" if track.refused else f"lost at {report.lost_at(name, number)}"
+
+
+def _print_methods(report: A00Report) -> None:
+    """One row a method, one column a test: % of the frames met, and below it where the goal was lost."""
+    numbers = list(report.courses)
+    shown = console.table("% met", *map(str, numbers), title="Frames met in each test, by method")
+    for column in shown.columns[1:]:
+        column.justify = "right"
+    for name in report.solvers:
+        cells = [_share(report, name, number) for number in numbers]
+        shown.add_row(name, *cells)
+    screen = console.out()
+    screen.print(shown)
+    screen.print(
+        f"{NOTHING}: the method does not serve such a goal.  Below a share: where the goal was first lost."
+    )
+    screen.print()
+
+
+def _share(report: A00Report, name: str, number: int) -> Text:
+    track = report.tracks.get((name, number))
+    if track is None:
+        return Text("")
+    if track.refused:
+        return Text(NOTHING, style="dim")
+    if track.passed:
+        return Text("100", style="green")
+    lost = track.lost
+    course = report.courses[number]
+    at = "" if lost is None else f"\n{course.at[lost]:.0f}{course.unit}"
+    # Rounded down: what is not whole must not look whole.
+    return Text(f"{math.floor(100.0 * track.share)}{at}", style="red")
+
+
+# -------------------------------------------------------------------------------------- s12
+
+
+def print_s12(report: S12Report) -> None:
+    """His table and ours, what differs, and whether what has to pass does."""
+    from robot_ik.bench.theses import results, s12
+
+    screen = console.out()
+    _notes("S12, table 4.1: what is chosen where he states nothing", results.S12_CHOICES)
+    for case in s12.CASES:
+        screen.print(_case_table(report, case))
+        screen.print()
+    screen.print("t: mean time of a solve, ms.  N: mean number of steps.  η: % of the frames solved.")
+    screen.print()
+    _notes("Why our numbers with his parameters differ from his", results.S12_DIFFERENCES)
+    _notes("What he does not state", results.S12_NOT_STATED)
+    if report.failures:
+        why = "; ".join(
+            f"{n} in case {k}: {100.0 * report.tracks['best', n, k].share:.1f} %" for n, k in report.failures
+        )
+    else:
+        why = f"{' and '.join(s12.MUST_PASS)} reached every target of every case"
+    screen.print(_result(report.complete, report.passed, why))
+
+
+def _case_table(report: S12Report, case: Case) -> Table:
+    from robot_ik.bench.theses import s12
+
+    title = f"Case {case.number}: {case.title}, {report.frames} frames"
+    heads = ("S12, 2012", "his parameters", "α in degrees", "our parameters")
+    shown = console.table("", *(f"{head}\n{'t':>5} {'N':>3} {'η':>3}" for head in heads), title=title)
+    for column in shown.columns[1:]:
+        column.no_wrap = True
+    for name in s12.BEST_METHODS:
+        his = s12.HIS[name][case.number - 1] if name in s12.HIS else None
+        cells = [_numbers(*his) if his else NOTHING]
+        for variant in s12.VARIANTS:
+            cells.append(_cell(name, report.tracks.get((variant.name, name, case.number))))
+        shown.add_row(name, *cells)
+    return shown
+
+
+def _cell(name: str, track: Track | None) -> str:
+    from robot_ik.bench.theses import s12
+
+    if track is None:
+        return NOTHING
+    return _numbers(track.milliseconds, s12.steps_of(name, track), 100.0 * track.share)
+
+
+def _numbers(milliseconds: float, steps: float, solved: float) -> str:
+    time = f"{milliseconds:5.3f}" if milliseconds < 1.0 else f"{milliseconds:5.1f}"
+    # Rounded down: what is not whole must not look whole.
+    return f"{time} {steps:3.0f} {math.floor(solved):3d}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,10 +13,13 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.errors import ConfigError
 
 if TYPE_CHECKING:
+    from robot_ik.jobs.gallery import Portrait
     from robot_ik.robot import Robot
     from robot_ik.solvers.base import Solver
+
 
 #: Version of the JSON objects; raised when a field changes its meaning.
 SCHEMA = 1
@@ -60,8 +64,6 @@ class SolversOptions:
 def run_robots(options: RobotsOptions) -> int:
     """Prints the catalogue, or one robot, or draws them."""
     if options.gallery is not None:
-        from robot_ik.cli.gallery import run_gallery
-
         return run_gallery(
             options.robot, options.gallery, options.seed, json=options.json, overwrite=options.overwrite
         )
@@ -89,7 +91,7 @@ def run_robots(options: RobotsOptions) -> int:
 
 def catalogue_facts() -> list[dict[str, Any]]:
     """One row for each robot that comes along, from its files; MuJoCo is not asked."""
-    from robot_ik.catalogue import catalogue, read_robot_file
+    from robot_ik.robot_file import catalogue, read_robot_file
 
     rows = []
     for name, folder in catalogue().items():
@@ -233,7 +235,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "goals": [goal.name for goal in kind.goals],
         "every_goal": kind.parts and set(kind.goals) >= set(GOALS),
         "parts": kind.parts,
-        "honours": sorted(kind.honours),
+        "capabilities": sorted(kind.capabilities),
         "options": options,
     }
 
@@ -250,7 +252,7 @@ def _print_solver(facts: dict[str, Any]) -> None:
     head = console.table(facts["name"], facts["title"])
     head.add_row("goals", goals_text(facts))
     head.add_row("parts of a pose", "yes" if facts["parts"] else "no")
-    head.add_row("honours", ", ".join(facts["honours"]) or "nothing more")
+    head.add_row("capabilities", ", ".join(facts["capabilities"]) or "nothing more")
     head.add_row("source", Text(facts["source"]))
     screen.print(head)
     screen.print()
@@ -262,3 +264,81 @@ def _print_solver(facts: dict[str, Any]) -> None:
         shown.add_row(row["name"], default, span, row["unit"] or "-", Text(row["help"]))
     screen.print(shown)
     console.say(f"use them with: robot-ik solve --solver {facts['name']} --set NAME=VALUE …", "dim")
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik robots --gallery``: pictures of the robots.
+
+
+#: Version of the JSON object; raised when a field changes its meaning.
+
+
+def gallery_folder(words: Sequence[str]) -> str:
+    """Where the pictures go; empty: to a new folder.
+
+    Args:
+        words: What stood after ``--gallery``: nothing, or a folder.
+
+    Raises:
+        ConfigError: More than one word, or a robot's name, which belongs before the option.
+    """
+    from robot_ik.robot_file import catalogue
+
+    if len(words) > 1:
+        raise ConfigError(
+            f"{len(words)} words after --gallery: {' '.join(words)}", file="robot-ik robots", key="--gallery",
+            allowed="one folder, or nothing", hint="one robot alone: robot-ik robots NAME --gallery [FOLDER]",
+        )  # fmt: skip
+    if words and words[0] in catalogue() and not Path(words[0]).exists():
+        raise ConfigError(
+            f"{words[0]!r} is a robot, not a folder", file="robot-ik robots", key="--gallery",
+            allowed="a folder, or nothing",
+            hint=f"this robot alone: robot-ik robots {words[0]} --gallery; a folder so named: ./{words[0]}",
+        )  # fmt: skip
+    return words[0] if words else ""
+
+
+def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
+    """Draws one robot, or all; 0 done, 1 some robot does not reach what it is drawn reaching for."""
+    folder = gallery_folder(words)
+    from robot_ik.cli.console import results_folder
+    from robot_ik.jobs.gallery import draw_gallery
+    from robot_ik.robot import load_robot
+    from robot_ik.robot_file import catalogue
+
+    robots = [load_robot(name) for name in ([robot] if robot else catalogue())]
+    own = [f"{one.name}.png" for one in robots] + ["gallery.png"]
+    with results_folder(folder, "gallery", own, overwrite=overwrite) as place, console.progress() as bar:
+        task = bar.add_task("drawing", total=len(robots), note="")
+        portraits, files = draw_gallery(
+            robots, place, seed, tell=lambda name, k: bar.update(task, completed=k, note=name)
+        )
+    if json:
+        rows = [_facts(portrait, file) for portrait, file in zip(portraits, files, strict=False)]
+        console.print_json({"schema": SCHEMA, "robots": rows, "sheet": str(files[-1])})
+    else:
+        _print(portraits, files)
+    return console.DONE if all(p.solution.converged for p in portraits) else console.NOT_ACHIEVED
+
+
+def _facts(portrait: Portrait, file: Path) -> dict[str, object]:
+    solution = portrait.solution
+    return {
+        "name": portrait.robot.name,
+        "poses": list(portrait.captions),
+        "status": solution.status.name,
+        "solver": solution.solver,
+        "miss_m": solution.miss.position,
+        "miss_rad": solution.miss.angle,
+        "file": str(file),
+    }
+
+
+def _print(portraits: Sequence[Portrait], files: Sequence[Path]) -> None:
+    shown = console.table("name", "at home", "at work", "goals", "solver", "file")
+    for portrait, file in zip(portraits, files, strict=False):
+        solution = portrait.solution
+        met = "met" if solution.converged else f"missed: {solution.status.name}"
+        shown.add_row(portrait.robot.name, *portrait.captions, met, solution.solver, str(file))
+    console.out().print(shown)
+    console.out().print(f"all on one sheet: {files[-1]}", markup=False, soft_wrap=True)

@@ -8,13 +8,201 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from robot_ik.cli.commands import COMMANDS, Command, find_command
-from robot_ik.cli.streams import prepare_streams
+from robot_ik.cli.console import prepare_streams
 from robot_ik.errors import OutputError, close_matches, unknown_name_text
+
+# ------------------------------------------------------------------------------------------
+# The table of commands and of their subcommands: names, where each lives, one line about it.
+
+
+@dataclass(frozen=True)
+class Command:
+    """One row of ``COMMANDS``.
+
+    Attributes:
+        module: Where it lives; imported when the command is used and not before.
+        options: Name of its frozen dataclass of options; empty: it has subcommands and nothing else.
+        about: One line for ``robot-ik --help``.
+        run: Name of its function ``run(options) -> exit code``.
+        mujoco: It loads models, so a broken MuJoCo is told before anything else.
+        subcommands: Rows of the same kind, by the word behind the command's name.
+    """
+
+    module: str
+    options: str
+    about: str
+    run: str = "run"
+    mujoco: bool = True
+    subcommands: Mapping[str, Command] = field(default_factory=dict)
+
+
+def _servo(module: str, name: str, about: str) -> Command:
+    """``run_reset_fault(options: ResetFaultOptions)`` for ``reset-fault``, and so on."""
+    options = "".join(word.title() for word in name.split("-")) + "Options"
+    return Command(module, options, about, "run_" + name.replace("-", "_"), mujoco=False)
+
+
+def _camera(module: str, name: str, about: str, run: str = "run") -> Command:
+    return Command(module, f"Camera{name.title()}Options", about, run, mujoco=False)
+
+
+_SERVO = {
+    "ports": _servo("robot_ik.cli.servo_bus", "ports", "serial ports, the adapter behind each, who uses it"),
+    "scan": _servo("robot_ik.cli.servo_bus", "scan", "which servos answer, at every rate; doubled ids"),
+    "setup": _servo("robot_ik.cli.servo_bus", "setup", "id and baud rate of the one servo connected"),
+    "calibrate": _servo("robot_ik.cli.servo_hand", "calibrate", "ranges, zeros and directions by hand"),
+    "monitor": _servo("robot_ik.cli.servo_bus", "monitor", "position, current, supply, heat, errors, live"),
+    "move": _servo("robot_ik.cli.servo_motion", "move", "joints to angles, slowly, within limits"),
+    "torque": _servo("robot_ik.cli.servo_motion", "torque", "on: hold where it stands; off: let go"),
+    "reset-fault": _servo("robot_ik.cli.servo_motion", "reset-fault", "restart servos that have shut down"),
+    "teach": _servo("robot_ik.cli.servo_hand", "teach", "record the arm while a hand guides it"),
+    "play": _servo("robot_ik.cli.servo_hand", "play", "repeat a recording within the limits"),
+    "backup": _servo("robot_ik.cli.servo_bus", "backup", "save the control tables as JSON"),
+    "restore": _servo("robot_ik.cli.servo_bus", "restore", "put the EEPROM back as a backup has it"),
+}
+_CAMERA = {
+    "list": _camera(
+        "robot_ik.cli.camera", "list", "cameras of this machine: index, name, who uses them", "run_list"
+    ),
+    "print": _camera(
+        "robot_ik.cli.camera",
+        "print",
+        "a sheet of markers, a board, a cube or a pattern to print",
+        "run_print",
+    ),
+    "calibrate": _camera(
+        "robot_ik.cli.camera_calibrate", "calibrate", "lens and focal length from views of a printed pattern"
+    ),
+    "detect": _camera(
+        "robot_ik.cli.camera", "detect", "markers in pictures: ids, corners, poses", "run_detect"
+    ),
+    "locate": _camera(
+        "robot_ik.cli.camera",
+        "locate",
+        "where the camera stands, from a board whose place is known",
+        "run_locate",
+    ),
+    "handeye": _camera(
+        "robot_ik.cli.arm_camera", "handeye", "where the camera is mounted, by moving the arm"
+    ),
+    "verify": _camera("robot_ik.cli.camera_verify", "verify", "how far the arm is from where its joints say"),
+}
+
+_POSES = {
+    word: Command("robot_ik.cli.key_poses", f"Poses{word.title()}Options", about, f"run_{word}")
+    for word, about in {
+        "list": "the poses and motions of a file",
+        "record": "a pose into a file: from joints, from a recorded frame, by reaching",
+        "play": "a motion in MuJoCo's window",
+        "export": "a motion as frames: CSV or BVH",
+        "import": "motion capture (BVH) onto a figure",
+    }.items()
+}
+
+COMMANDS: dict[str, Command] = {
+    "view": Command(
+        "robot_ik.cli.view", "ViewOptions", "the interactive testbed, in the browser or in MuJoCo's window"
+    ),
+    "reach": Command(
+        "robot_ik.cli.reach",
+        "ReachOptions",
+        "see a marker, reach it, and let a camera judge: the whole product",
+    ),
+    "solve": Command("robot_ik.cli.solve", "SolveOptions", "a goal in, joint angles out (JSON on stdout)"),
+    "robots": Command(
+        "robot_ik.cli.listing", "RobotsOptions", "the robots that come along, or one in detail", "run_robots"
+    ),
+    "solvers": Command(
+        "robot_ik.cli.listing", "SolversOptions", "the methods and their options", "run_solvers"
+    ),
+    "experiments": Command(
+        "robot_ik.cli.experiments",
+        "ExperimentsOptions",
+        "repeat the experiments of the theses: a00 or s12",
+    ),
+    "bench": Command(
+        "robot_ik.cli.bench",
+        "BenchOptions",
+        "methods on seeded problems: success, time, plots",
+        subcommands={
+            "camera": Command(
+                "robot_ik.cli.bench_camera",
+                "BenchCameraOptions",
+                "the camera instead of the methods: errors on pictures whose truth is known",
+                "run_camera",
+            ),
+            "figure": Command(
+                "robot_ik.cli.bench_figure",
+                "BenchFigureOptions",
+                "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo",
+            ),
+        },
+    ),
+    "run": Command(
+        "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
+    ),
+    "poses": Command("", "", "key poses and motions: record, list, play, export, import", subcommands=_POSES),
+    "sim-bus": Command(
+        "robot_ik.cli.sim_bus",
+        "SimBusOptions",
+        "serve simulated servos on a port that any client can open",
+        mujoco=False,
+    ),
+    "servo": Command(
+        "", "", "servos by hand: find, set up, calibrate, watch, move, record, save", subcommands=_SERVO
+    ),
+    "stop": Command(
+        "robot_ik.cli.stop",
+        "StopOptions",
+        "make an arm that another program drives stop and hold",
+        mujoco=False,
+    ),
+    "ar": Command(
+        "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, on a printed board"
+    ),
+    "figure": Command(
+        "robot_ik.cli.figure",
+        "FigureOptions",
+        "a humanoid sees a ball, decides, and reaches, bends, jumps or walks",
+    ),
+    "camera": Command(
+        "", "", "the camera by hand: find, print markers, calibrate, detect, locate", subcommands=_CAMERA
+    ),
+    "video": Command(
+        "robot_ik.cli.video", "VideoOptions", "a film of the testbed without a screen, from its command log"
+    ),
+    "doctor": Command(
+        "robot_ik.cli.doctor",
+        "DoctorOptions",
+        "what this machine can do, and what to do about the rest",
+        mujoco=False,
+    ),
+}
+
+
+def find_command(words: Sequence[str]) -> tuple[str, Command, list[str]]:
+    """The row that a command line means, as deep as its words lead.
+
+    Args:
+        words: Command line without ``robot-ik``; the first word is a name of ``COMMANDS``.
+
+    Returns:
+        Its name ("servo scan"), its row, and the words that are left for it.
+
+    Raises:
+        KeyError: There is no such command.
+    """
+    name, command, rest = words[0], COMMANDS[words[0]], list(words[1:])
+    while rest and rest[0] in command.subcommands:
+        name, command = f"{name} {rest[0]}", command.subcommands[rest[0]]
+        del rest[0]
+    return name, command, rest
+
 
 _VERSION_FLAGS = ("--version", "-V", "version")
 _HELP_FLAGS = ("--help", "-h")
@@ -179,7 +367,7 @@ def _print_help() -> None:
 
     screen = console.out()
     screen.print("usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help", markup=False)
-    screen.print("\nFrom a robot model and a goal to joint angles, on simulated or real servos.\n")
+    screen.print("From a robot model and a goal to joint angles, on simulated or real servos.\n")
     rows = console.table("command", "what it does")
     for name, command in COMMANDS.items():
         rows.add_row(name, command.about)
@@ -195,7 +383,7 @@ def _print_help() -> None:
 
 def _print_versions() -> None:
     from robot_ik.cli import console
-    from robot_ik.cli.checks import installed_versions
+    from robot_ik.environment import installed_versions
 
     rows = console.table("package", "version")
     for name, version in installed_versions().items():

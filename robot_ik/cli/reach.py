@@ -5,23 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.bus_argument import bus_argument, robot_meant
-from robot_ik.cli.solve_command import make_goal
+from robot_ik.cli.connection import bus_argument, robot_meant
+from robot_ik.cli.solve import make_goal
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import InvalidGoalError
+from robot_ik.errors import InvalidGoalError, apart
+from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
-    from robot_ik.jobs.reach_report import ReachReport
-    from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
+    from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal
+    from robot_ik.jobs.robot_setup import JointLimits
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,12 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
-    from robot_ik.cli.results import results_folder
+    from robot_ik.cli.console import results_folder
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import FILES
 
     if options.film:
-        from robot_ik.jobs.reach_window import require_films
+        from robot_ik.jobs.reach import require_films
 
         require_films()
     # Before anything moves: a run whose results cannot be kept is not started.
@@ -148,7 +148,7 @@ def _save_and_tell(report: ReachReport, folder: Path, options: ReachOptions) -> 
 
     files = save_reach(report, folder)
     if options.film:
-        from robot_ik.jobs.reach_window import save_film
+        from robot_ik.jobs.reach import save_film
 
         with console.busy("drawing the film"):
             film = save_film(report, folder / "reach.mp4")
@@ -156,8 +156,6 @@ def _save_and_tell(report: ReachReport, folder: Path, options: ReachOptions) -> 
     if options.json:
         console.print_json({**reach_summary(report), "folder": str(folder)})
     else:
-        from robot_ik.cli.reach_table import print_report
-
         print_report(report)
         names = "  ".join(file.name for file in files)
         console.out().print(Text(f"files in {folder}: {names}"), soft_wrap=True)
@@ -173,7 +171,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
     Raises:
         InvalidGoalError, ConfigError: A malformed option.
     """
-    from robot_ik.jobs.reach_request import ReachRequest
+    from robot_ik.jobs.reach import ReachRequest
 
     if not 0.0 < options.speed <= 1.0:
         raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
@@ -218,10 +216,10 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
         if numbers or not options.intrinsics:
             what = "a place file and a pose" if numbers else "a place file without its calibration"
             raise wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
-        from robot_ik.camera.handeye.places import CameraPlace
+        from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
         from robot_ik.camera.intrinsics import CameraIntrinsics
 
-        place = CameraPlace.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
+        place = CameraExtrinsics.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")
         return place.pose_parent_camera
     if not numbers:
@@ -235,7 +233,7 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
 
 
 def _rehearsal(options: RehearseOptions) -> Rehearsal:
-    from robot_ik.jobs.reach_request import Rehearsal
+    from robot_ik.jobs.reach import Rehearsal
 
     offsets = {}
     for item in options.zero_offset:
@@ -258,3 +256,151 @@ def _rehearsal(options: RehearseOptions) -> Rehearsal:
         blank_marker=options.blank_marker,
         marker_at=marker_at,
     )
+
+
+# ------------------------------------------------------------------------------------------
+# The compact table of a reach on the terminal.
+
+
+def print_report(report: ReachReport) -> None:
+    """The compact table of a reach."""
+    screen = console.out()
+    _print_limits(report, screen)
+    rows = console.table("reach", report.robot.file.title or report.robot.name)
+    for name, text in _rows(report):
+        rows.add_row(name, Text(text))
+    verdict = report.decision
+    word = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
+    rows.add_row("result", Text.assemble(word, f"  {verdict.text}" if verdict.text else ""))
+    screen.print(rows)
+
+
+def _rows(report: ReachReport) -> list[tuple[str, str]]:
+    return [*_goal_rows(report), *_solve_rows(report), *_motion_rows(report), *_judgement_rows(report)]
+
+
+def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
+    rows = []
+    seen = report.seen
+    if seen is not None:
+        rows.append((f"marker {seen.observation.id}", f"seen at {_mm(seen.pose_world_marker.position)} mm"))
+        if seen.true_pose is not None:
+            metres, radians = seen.pose_world_marker.distance(seen.true_pose)
+            text = (
+                f"true at {_mm(seen.true_pose.position)} mm; "
+                f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            )
+            rows.append(("", text))
+        elif report.vision is not None:
+            pose = seen.observation.pose
+            quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
+            rows.append(("", f"in the camera's frame {_mm(pose.position)} mm, wxyz {quaternion}"))
+    if report.target is not None:
+        free = getattr(report.goal, "free_axis", None)
+        axis = f", {free} axis as seen, free to turn about it" if free else ""
+        rows.append(("goal", f"{report.frame} at {_mm(report.target.position)} mm{axis}"))
+    return rows
+
+
+def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
+    solution = report.solution
+    if solution is None:
+        return []
+    steps = f"{solution.iterations} iteration{'s' if solution.iterations != 1 else ''}"
+    restarts = f", {solution.restarts} restarts" if solution.restarts else ""
+    took = f", {report.microseconds:.0f} µs" if report.microseconds is not None else ""
+    miss = solution.miss
+    return [
+        ("solver", f"{solution.solver}: {solution.status.name.lower()}, {steps}{restarts}{took}"),
+        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (by MuJoCo)"),
+    ]
+
+
+def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
+    rows = []
+    run, following = report.execution, report.following
+    if run is not None:
+        text = f"{run.duration:.2f} s"
+        if run.tracking_error is not None:
+            worst = int(run.tracking_error.argmax())
+            error = math.degrees(float(run.tracking_error[worst]))
+            text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
+        rows.append(("motion", text))
+    if following is not None:
+        text = f"{following.duration:.1f} s; {following.held} of {following.ticks} ticks without a goal"
+        rows.append(("following", text))
+    if report.behind is not None:
+        median, largest = (1e3 * metres for metres in report.behind)
+        rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
+    delays = None if report.vision is None else report.vision.delays
+    if delays is not None and delays[1].count:
+        made, used = delays
+        ready = f"goal after {made}; " if made.count else ""
+        rows.append(("delay", f"{ready}age of the picture at a tick {used}"))
+    if report.counters:
+        rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
+        counts = ", ".join(
+            f"{report.counters[name]} {name}"
+            for name in ("cycles", "timeouts", "corrupt", "retries", "alerts")
+        )
+        rows.append((f"bus {_shortened(report.request.bus)}", "; ".join([*rates, counts])))
+    return rows
+
+
+def _shortened(bus: str) -> str:
+    """The last part of a port's path: the column of names stays narrow."""
+    return bus.rsplit("/", 1)[-1]
+
+
+def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
+    rows = []
+    if report.read_back is not None:
+        judged = report.read_back
+        why = "servo ticks" if report.setup.arm is not None else "tolerance of the solver"
+        if judged.sigma.position > 0.0:
+            why = f"3 σ of the goal + {why}"
+        rows.append(("read back", f"{_judged(judged)} ({why})"))
+    if report.by_camera is not None:
+        judged = report.by_camera
+        ticks = "ticks" if report.setup.arm is not None else "tolerance"
+        sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
+        rows.append(("camera", f"{_judged(judged)} (3 σ + {ticks}, {sigma})"))
+    return rows
+
+
+def _print_limits(report: ReachReport, screen: Any) -> None:
+    rows = console.table("joint", "limits used", "narrowed by")
+    for limit in report.setup.limits:
+        rows.add_row(limit.joint, _range(limit.used, limit.unit), _narrowed(limit))
+    screen.print(rows)
+    screen.print()
+
+
+def _narrowed(limit: JointLimits) -> str:
+    """Which side gave way to the servo, and what the model alone would allow."""
+    sides = [
+        f"{name} end by the servo (model: {_limit(model, limit.unit)})"
+        for name, model, used in zip(("lower", "upper"), limit.model, limit.used, strict=True)
+        if abs(model - used) > 1e-9
+    ]
+    return ", ".join(sides) or ("-" if limit.servo is not None else "")
+
+
+def _range(pair: tuple[float, float], unit: str) -> str:
+    return " … ".join(_limit(value, unit) for value in pair)
+
+
+def _limit(value: float, unit: str) -> str:
+    if math.isinf(value):
+        return "free"
+    return f"{value:.3f} m" if unit == "m" else f"{math.degrees(value):.1f}°"
+
+
+def _mm(position: Any) -> str:
+    return " ".join(f"{1e3 * float(v):.1f}" for v in position)
+
+
+def _judged(judged: Any) -> str:
+    mm, most_mm = apart(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
+    deg, most_deg = apart(math.degrees(judged.angle), math.degrees(judged.allowed.angle), digits=2)
+    return f"{mm} mm, {deg}°; allowed {most_mm} mm, {most_deg}°"

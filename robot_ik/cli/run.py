@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.bus_argument import bus_argument
+from robot_ik.cli.connection import bus_argument
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
 

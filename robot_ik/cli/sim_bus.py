@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from robot_ik.catalogue import SERVO_ROBOT, catalogue
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.servo_link import load_arm
+from robot_ik.cli.connection import load_arm
 from robot_ik.errors import RobotIkError
+from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -80,7 +80,7 @@ def run(options: SimBusOptions) -> int:
 
         raise no_pty(reason) from reason
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.fault_file import FaultScript, load_faults
+    from robot_ik.hardware.virtual.faults import FaultScript, load_faults
     from robot_ik.ports import RealClock
 
     _check_numbers(options)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from robot_ik.catalogue import SHOWN_ROBOT
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
+from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.testbed.commands import CommandLog
@@ -31,7 +31,9 @@ class VideoOptions:
     last picture), or a folder. Exit code 0: done. 2: wrong input or environment.
     """
 
-    files: Positional[Annotated[tuple[Path, ...], arg(metavar="[LOG.jsonl] OUT", help_behavior_hint="")]]
+    files: Positional[
+        Annotated[tuple[Path, ...], arg(metavar="[LOG.jsonl] OUT", help_behavior_hint="(required)")]
+    ]
     """What happens, and where the film goes."""
     robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: {SHOWN_ROBOT})")] = ""
     """Without a log: a name of `robot-ik robots`, or any MJCF or URDF file."""

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import arg
 
-from robot_ik.catalogue import SERVO_ROBOT, SHOWN_ROBOT
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.bus_argument import NONE, bus_argument
+from robot_ik.cli.connection import NONE, bus_argument
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import claimed
+from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.testbed.arm import ArmLink

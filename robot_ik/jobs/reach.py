@@ -3,40 +3,223 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import Any
+import importlib.util
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.catalogue import find_robot
+from robot_ik.camera.image import marker_bits
+from robot_ik.camera.marker_goals import LostPolicy
+from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import (
+    CameraError,
     ConfigError,
     MarkerNotFoundError,
+    MissingExtraError,
     MotorFaultError,
     NotConvergedError,
+    RobotIkError,
     TrajectoryError,
 )
-from robot_ik.execution import execute
+from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
-from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.jobs.ahead import CompiledAhead
-from robot_ik.jobs.cameras import open_eyes
-from robot_ik.jobs.eyes import Eyes
-from robot_ik.jobs.limbs import Limbs, prepare_limbs
-from robot_ik.jobs.reach_report import SOLVE_TOLERANCE, ReachReport
-from robot_ik.jobs.reach_request import ReachRequest, Rehearsal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.jobs.ar.output import Film
+from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.jobs.verdict import (
+    EXACT,
     SIGMAS,
     Bound,
+    Judgement,
+    Verdict,
+    decide,
     judge_by_camera,
     judge_read_back,
     quantisation,
 )
+from robot_ik.jobs.vision import Seen, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
+from robot_ik.robot_file import find_robot
 from robot_ik.solvers import make_solver
+from robot_ik.testbed.frontends.window import Solid
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+    from robot_ik.solution import Solution
+
+
+# ------------------------------------------------------------------------------------------
+# What a reach shall do, and what shall go wrong on purpose.
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
+
+    Attributes:
+        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
+        stuck: Joints whose shaft does not move.
+        cover_gripper: Hide the gripper's markers in the second picture.
+        blank_marker: Leave the target's paper white.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the stage's own.
+    """
+
+    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
+    stuck: tuple[str, ...] = ()
+    cover_gripper: bool = False
+    blank_marker: bool = False
+    marker_at: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class ReachRequest:
+    """What ``run_reach`` shall do; every default is the embedded demonstration.
+
+    Attributes:
+        robot: Catalogue name, or path of an MJCF or URDF file.
+        solver: Name of a method; empty: the robot's own, else ``auto``.
+        goal: Instead of a marker.
+        frame: What shall get there; None: the robot's tool.
+        camera: ``synthetic``, or what ``open_source`` opens.
+        intrinsics: Calibration file of a real camera.
+        pose_world_camera: Where a real camera stands; None: where the stage's stands.
+        marker_id, marker_size, dictionary: The target; None: the stage's.
+        bus: ``pty``, ``sim``, ``none`` or a serial port.
+        arm_file: None: the one beside the model, else a generic one.
+        speed: Share of the joints' speed limits.
+        line: Move the tool on a straight line.
+        follow: Seconds to go on following the marker; 0: not at all.
+        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many seconds without
+            the marker while following.
+        lead: Seconds to predict the marker beyond each tick.
+        view: Mirror the motion in a window.
+        seed: Of restarts and of the synthetic camera's noise.
+        rehearsal: What shall go wrong.
+    """
+
+    robot: str = "puma560"
+    solver: str = ""
+    goal: Goal | None = None
+    frame: str | None = None
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    pose_world_camera: Pose | None = None
+    marker_id: int | None = None
+    marker_size: float | None = None
+    dictionary: str | None = None
+    bus: str = "pty"
+    arm_file: Path | None = None
+    speed: float = 1.0
+    line: bool = False
+    follow: float = 0.0
+    when_lost: LostPolicy = "hold"
+    lost_after: float = 2.0
+    lead: float = 0.0
+    view: bool = False
+    seed: int = 0
+    rehearsal: Rehearsal = Rehearsal()
+
+
+# ------------------------------------------------------------------------------------------
+# What happened in a reach, as far as it got.
+
+
+# The solve is asked for far more than the servos can do, so that its miss does not count.
+SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
+
+
+@dataclass(eq=False)
+class ReachReport:
+    """What happened, as far as it got; fields stay None where it did not get.
+
+    Attributes:
+        robot: With the limits that were used.
+        frame: What was to reach the goal.
+        seen: The target marker in the first picture.
+        goal, target: What was wanted; its pose in the world.
+        tolerance: What the solution's miss may be; part of ``bound``.
+        behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
+        problem: Why it ended early: an error that means "not achieved".
+        goal_sigma: How well ``target`` is known beside what the arm was sent to; zeros where both are one.
+        read_back, by_camera: The two judgements.
+        blind: Why no camera looked at the arm; empty: one looked.
+    """
+
+    request: ReachRequest
+    robot: Robot
+    frame: str
+    setup: RobotSetup
+    vision: Vision | None
+    seen: Seen | None = None
+    goal: Goal | None = None
+    target: Pose | None = None
+    solution: Solution | None = None
+    microseconds: float | None = None
+    trajectory: Trajectory | None = None
+    execution: Execution | None = None
+    following: FollowReport | None = None
+    q_start: Array | None = None
+    q_end: Array | None = None
+    tolerance: Tolerance = SOLVE_TOLERANCE
+    behind: tuple[float, float] | None = None
+    bound: Bound | None = None
+    read_back: Judgement | None = None
+    by_camera: Judgement | None = None
+    goal_sigma: Bound = EXACT
+    blind: str = ""
+    before: Any = None
+    after: Any = None
+    problem: RobotIkError | None = None
+    counters: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def decision(self) -> Verdict:
+        """Did it arrive, and why so; text and exit code are its."""
+        if self.problem is not None or self.read_back is None:
+            return Verdict(False, "")
+        return decide(
+            self.read_back,
+            self.by_camera,
+            servos=self.setup.arm is not None,
+            blind=self.blind,
+            seen_goal=self.request.goal is None,
+            stopped_short=self._stopped_short(),
+            followed=self.following is not None,
+        )
+
+    @property
+    def reached(self) -> bool:
+        """Whether it arrived."""
+        return self.decision.reached
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on that; empty where ``problem`` says it."""
+        return self.decision.text
+
+    def _stopped_short(self) -> str:
+        """Which servo did not get to where it was sent, by its own account; empty: all did."""
+        off = None if self.execution is None else self.execution.final_error
+        if off is None or self.following is not None:
+            return ""
+        worst = int(abs(off).argmax())
+        if abs(off[worst]) <= self.setup.resolution[worst]:
+            return ""
+        joint = self.execution.joints[worst]  # type: ignore[union-attr]
+        return (
+            f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
+            "is it held, overloaded or too slow?"
+        )
+
 
 Array = NDArray[np.float64]
 
@@ -45,8 +228,6 @@ _NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorF
 # How long the servos may take to arrive after the last command.
 _SETTLE_SECONDS = 0.4
 
-
-__all__ = ["ReachReport", "ReachRequest", "Rehearsal", "run_reach"]
 
 Progress = Callable[[str, float], None]
 
@@ -80,68 +261,69 @@ def run_reach(
     method = request.solver or find_robot(request.robot)[1].solver or "auto"
     with contextlib.ExitStack() as stack:
         ahead = stack.enter_context(CompiledAhead.solver(request.robot, method))
-        limbs = prepare_limbs(request)
-        frame = limbs.frame
-        eyes = open_eyes(request, limbs, frame, stack)
-        window = _window(request, limbs, eyes, stack)
-        report = ReachReport(request, limbs.robot, frame, limbs, eyes)
-        with limbs.connected():
+        setup = prepare_robot(request)
+        frame = setup.frame
+        vision = open_vision(request, setup, frame, stack)
+        window = _window(request, setup, vision, stack)
+        report = ReachReport(request, setup.robot, frame, setup, vision)
+        with setup.connected():
             try:
                 _look(report, progress)
                 ahead.wait()
                 if window is not None and report.target is not None:
                     window.show_goal(report.target)
                 _solve(report, method, progress)
-                limbs.energise()
+                setup.energise()
                 _reach(report, window, progress)
             except _NOT_ACHIEVED as problem:
                 report.problem = problem
-            report.counters = limbs.counters()
+            report.counters = setup.counters()
         done(report)
         if window is not None:
             window.wait()
     return report
 
 
-def _window(request: ReachRequest, limbs: Limbs, eyes: Eyes | None, stack: contextlib.ExitStack) -> Any:
+def _window(
+    request: ReachRequest, setup: RobotSetup, vision: Vision | None, stack: contextlib.ExitStack
+) -> Any:
     if not request.view:
         return None
-    from robot_ik.jobs.reach_window import stage_solids, window_stage
     from robot_ik.testbed.frontends.window import WindowSink
 
-    stage = window_stage(limbs.robot, limbs.frame, None if eyes is None else eyes.stage)
+    stage = window_stage(setup.robot, setup.frame, None if vision is None else vision.stage)
     view: dict[str, Any] = {"solids": stage_solids(stage)}
     if stage is not None:
         marker = stage.pose_world_marker
         view["see"] = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
         view["eye"] = stage.pose_world_camera.position
-    return stack.enter_context(WindowSink(limbs.robot, start=limbs.q, **view))
+    return stack.enter_context(WindowSink(setup.robot, start=setup.q, **view))
 
 
 def _look(report: ReachReport, progress: Progress) -> None:
     """Finds the goal, by eye or as given."""
-    request, eyes = report.request, report.eyes
+    request, vision = report.request, report.vision
     if request.goal is not None:
         report.goal = request.goal
-        if eyes is not None:
-            report.before = eyes.picture()
+        if vision is not None:
+            report.before = vision.picture()
     else:
-        assert eyes is not None  # open_eyes made some, because there is no other goal
+        assert vision is not None  # open_vision made some, because there is no other goal
         progress("looking", 0.0)
         try:
-            report.seen = eyes.find_target()
+            report.seen = vision.find_target()
         finally:
-            report.before = eyes.last_image
+            report.before = vision.last_image
         report.goal = report.seen.goal
         if request.follow > 0.0:
-            eyes.get_ready_to_follow()
+            vision.get_ready_to_follow()
     report.target = report.goal.target
 
 
 def _solve(report: ReachReport, method: str, progress: Progress) -> None:
     """Finds joint angles for the goal.  Nothing moves."""
     assert report.goal is not None
-    report.q_start = report.limbs.q.copy()
+    report.q_start = report.setup.q.copy()
     progress("solving", 0.0)
     solver = make_solver(method)
     problem = Problem(report.robot, report.goal, tolerance=SOLVE_TOLERANCE, seed=report.request.seed)
@@ -174,36 +356,36 @@ def _accept(report: ReachReport) -> None:
 
 def _known(report: ReachReport) -> Bound:
     """Standard deviation of the goal as the last look at the marker tells it."""
-    assert report.seen is not None and report.eyes is not None  # eyes have seen it
-    return report.seen.uncertainty(report.eyes.stage.pose_marker_tool.position)
+    assert report.seen is not None and report.vision is not None  # eyes have seen it
+    return report.seen.uncertainty(report.vision.stage.pose_marker_tool.position)
 
 
 def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
     """Moves there, follows if asked to, and judges."""
-    request, robot, limbs = report.request, report.robot, report.limbs
+    request, robot, setup = report.request, report.robot, report.setup
     assert report.solution is not None and report.goal is not None and report.target is not None
-    report.q_start = limbs.q.copy()
+    report.q_start = setup.q.copy()
     report.trajectory = _plan(report)
     count = len(report.trajectory)
 
     def show(tick: Any) -> None:
-        limbs.scene.send(tick.commanded if tick.measured is None else tick.measured, tick.time)
+        setup.scene.send(tick.commanded if tick.measured is None else tick.measured, tick.time)
         if window is not None:
-            window.send(limbs.scene.q, tick.time)
+            window.send(setup.scene.q, tick.time)
         progress("moving", min(1.0, tick.index / max(1, count)))
 
     report.execution = execute(
         report.trajectory,
-        limbs.sinks,
-        source=limbs.source,
-        clock=limbs.clock,
+        setup.sinks,
+        source=setup.source,
+        clock=setup.clock,
         on_tick=show,
-        settle=_SETTLE_SECONDS if limbs.source is not None else 0.0,
+        settle=_SETTLE_SECONDS if setup.source is not None else 0.0,
     )
     if request.follow > 0.0:
         _follow(report, window, progress)
-    report.q_end = limbs.q.copy()
-    report.bound = quantisation(robot, report.q_end, limbs.resolution, report.frame, report.tolerance)
+    report.q_end = setup.q.copy()
+    report.bound = quantisation(robot, report.q_end, setup.resolution, report.frame, report.tolerance)
     report.read_back = judge_read_back(
         robot, report.q_end, report.goal, report.target, report.frame, report.bound, report.goal_sigma
     )
@@ -212,12 +394,12 @@ def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
 
 
 def _plan(report: ReachReport) -> Trajectory:
-    request, limbs = report.request, report.limbs
+    request, setup = report.request, report.setup
     assert report.solution is not None and report.target is not None and report.q_start is not None
     caps: dict[str, Any] = {
-        "velocity": limbs.velocity,
-        "acceleration": limbs.acceleration,
-        "rate": limbs.rate,
+        "velocity": setup.velocity,
+        "acceleration": setup.acceleration,
+        "rate": setup.rate,
         "speed": request.speed,
     }
     if not request.line:
@@ -234,41 +416,41 @@ def _plan(report: ReachReport) -> Trajectory:
 def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
     from robot_ik.execution import follow
 
-    request, limbs, eyes = report.request, report.limbs, report.eyes
-    assert eyes is not None  # without a goal there are eyes
+    request, setup, vision = report.request, report.setup, report.vision
+    assert vision is not None  # without a goal there are eyes
 
     behind: list[float] = []
 
     def show(tick: Any) -> None:
         q = tick.q if tick.measured is None else tick.measured
-        limbs.scene.send(q, tick.time)
+        setup.scene.send(q, tick.time)
         if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
             place = report.robot.forward(q, report.frame).position
             behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
         if window is not None:
-            window.send(limbs.scene.q, tick.time)
+            window.send(setup.scene.q, tick.time)
         progress("following", min(1.0, tick.time / request.follow))
 
-    with eyes.following(limbs.clock, request.follow) as goals:
+    with vision.following(setup.clock, request.follow) as goals:
         report.following = follow(
             goals,
             report.robot,
             request.solver or report.robot.file.solver or "auto",
-            limbs.sinks,
-            rate=limbs.rate,
-            clock=limbs.clock,
+            setup.sinks,
+            rate=setup.rate,
+            clock=setup.clock,
             duration=request.follow,
-            start=limbs.commanded,
+            start=setup.commanded,
             tolerance=SOLVE_TOLERANCE,
             speed=request.speed,
-            source=limbs.source,
+            source=setup.source,
             on_tick=show,
         )
     if behind:
         report.behind = float(np.median(behind)), float(np.max(behind))
-    limbs.settle(_SETTLE_SECONDS)
+    setup.settle(_SETTLE_SECONDS)
     # What counts in the end is where the marker is now.
-    report.seen = eyes.find_target_again()
+    report.seen = vision.find_target_again()
     report.goal, report.target = report.seen.goal, report.seen.goal.target
     # Two measurements of the marker: the one that was followed last, no better than this, and this one.
     report.goal_sigma = _known(report).combined(_known(report))
@@ -276,16 +458,94 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
 
 def _judge(report: ReachReport) -> None:
     """The camera's look at the gripper."""
-    eyes, limbs = report.eyes, report.limbs
-    if eyes is None or not eyes.sees_arm:
-        report.blind = "no camera watched the arm" if eyes is None else eyes.why_blind
+    vision, setup = report.vision, report.setup
+    if vision is None or not vision.sees_arm:
+        report.blind = "no camera watched the arm" if vision is None else vision.why_blind
         return
-    body = eyes.find_gripper()
-    report.after = eyes.last_image
+    body = vision.find_gripper()
+    report.after = vision.last_image
     if body is None:
         return
     assert report.goal is not None and report.target is not None and report.bound is not None
     report.by_camera = judge_by_camera(
-        body, eyes.pose_world_camera, eyes.pose_body_tool(limbs.scene.q), report.goal, report.target,
+        body, vision.pose_world_camera, vision.pose_body_tool(setup.scene.q), report.goal, report.target,
         report.bound, report.goal_sigma,
     )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------
+# What is seen of a reach while it runs: the window with its stage, and the film.
+
+
+FILM_RATE_HZ = 25.0
+_FLOOR, _TABLE = (0.82, 0.83, 0.85, 1.0), (0.62, 0.52, 0.42, 1.0)
+_WHITE, _BLACK = (0.97, 0.97, 0.97, 1.0), (0.03, 0.03, 0.03, 1.0)
+_FLOOR_HALF = 8.0  # metres
+_TOP = 0.03  # of the table, metres
+_PAPER = 2e-4  # metres, so that what lies on it is not lost in it
+
+
+def stage_solids(stage: Stage | None) -> list[Solid]:
+    """Floor, table and printed marker for the window."""
+    table = None if stage is None else stage.table
+    floor = 0.0 if table is None else table.floor_height
+    found = [Solid(Pose((0.0, 0.0, floor - 0.01)), (_FLOOR_HALF, _FLOOR_HALF, 0.01), _FLOOR)]
+    if table is not None:
+        middle = (0.5 * sum(table.x), 0.5 * sum(table.y), table.height - 0.5 * _TOP)
+        half = (0.5 * (table.x[1] - table.x[0]), 0.5 * (table.y[1] - table.y[0]), 0.5 * _TOP)
+        found.append(Solid(Pose(middle), half, _TABLE))
+    return found if stage is None else [*found, *_marker(stage)]
+
+
+def _marker(stage: Stage) -> list[Solid]:
+    """White paper, the black square on it, and its white cells on that."""
+    bits = marker_bits(stage.dictionary, stage.marker_id)
+    cell, h = stage.marker_size / len(bits), 0.5 * stage.marker_size
+    at = stage.pose_world_marker
+
+    def sheet(x: float, y: float, half: float, layer: int, colour: tuple[float, ...]) -> Solid:
+        return Solid(at.compose(Pose((x, y, layer * _PAPER))), (half, half, 0.5 * _PAPER), colour)
+
+    cells = [
+        sheet(-h + (column + 0.5) * cell, h - (row + 0.5) * cell, 0.5 * cell, 3, _WHITE)
+        for row, column in np.argwhere(bits > 0).tolist()
+    ]
+    return [sheet(0.0, 0.0, h + cell, 1, _WHITE), sheet(0.0, 0.0, h, 2, _BLACK), *cells]
+
+
+def window_stage(robot: Robot, frame: str, stage: Stage | None) -> Stage | None:
+    """The stage to show: the camera's, else the robot's own; None where there is none."""
+    if stage is not None:
+        return stage
+    try:
+        return stage_for(robot, frame)
+    except CameraError:
+        return None
+
+
+def require_films() -> None:
+    """Raises ``MissingExtraError`` where no film can be written."""
+    if importlib.util.find_spec("av") is None:
+        raise MissingExtraError("av", "video", "a film of the reach")
+
+
+def save_film(report: ReachReport, path: Path) -> Path | None:
+    """The motion as the stage's camera sees it; None where nothing moved.
+
+    Raises:
+        MissingExtraError: The extra ``video`` is not installed.
+        OutputError: It cannot be written.
+    """
+    run = report.execution
+    stage = window_stage(report.robot, report.frame, None if report.vision is None else report.vision.stage)
+    if run is None or stage is None:
+        return None
+    q = run.commanded if run.measured is None else run.measured
+    shown = [q[0]]
+    times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
+    source = SyntheticSource(stage.scene(report.robot), lambda: shown[0], seed=0, quality="fast")
+    with Film(path, FILM_RATE_HZ) as film:
+        for time in times.tolist():
+            shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]
+            film.write(source.read().image, time)
+    return path

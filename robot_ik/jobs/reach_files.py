@@ -14,8 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.goals.latency import Delays
-from robot_ik.camera.overlay import (
+from robot_ik.camera.drawing.overlay import (
     GREEN,
     ORANGE,
     RED,
@@ -24,10 +23,11 @@ from robot_ik.camera.overlay import (
     draw_marker_outline,
     draw_robot,
 )
+from robot_ik.camera.marker_goals import Delays
 from robot_ik.errors import apart
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.jobs.reach_report import ReachReport
+from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.
@@ -73,8 +73,8 @@ def save_reach(report: ReachReport, folder: Path) -> list[Path]:
 
 def reach_picture(report: ReachReport) -> Any:
     """The camera's views before and after with the robot drawn registered over them (BGR), or None."""
-    eyes = report.eyes
-    if eyes is None or report.before is None:
+    vision = report.vision
+    if vision is None or report.before is None:
         return None
     start = report.robot.home if report.q_start is None else report.q_start
     before = _drawn(report, report.before, start)
@@ -102,18 +102,18 @@ def reach_picture(report: ReachReport) -> Any:
 
 
 def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
-    eyes, robot = report.eyes, report.robot
-    assert eyes is not None
+    vision, robot = report.vision, report.robot
+    assert vision is not None
     drawn = draw_robot(
-        image, robot.model, robot.qpos(q), eyes.intrinsics, eyes.pose_world_camera,
+        image, robot.model, robot.qpos(q), vision.intrinsics, vision.pose_world_camera,
         alpha=0.22, tint=(240, 150, 30), style="registered", line_colour=(255, 190, 70),
     )  # fmt: skip
     if report.target is None:
         return drawn
-    pose = eyes.pose_world_camera.inverse().compose(report.target)
+    pose = vision.pose_world_camera.inverse().compose(report.target)
     if pose.position[2] <= 0.01:
         return drawn  # the goal is behind the camera
-    return draw_axes(drawn, pose, _AXES_PER_HOVER * eyes.stage.hover, eyes.intrinsics, label="goal")
+    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.stage.hover, vision.intrinsics, label="goal")
 
 
 def _sight(report: ReachReport) -> str:
@@ -156,7 +156,7 @@ def _table(report: ReachReport) -> str:
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:
     """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says more."""
-    request, limbs, run = report.request, report.limbs, report.execution
+    request, setup, run = report.request, report.setup, report.execution
     return {
         "schema": SCHEMA,
         "job": "reach",
@@ -165,7 +165,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "problem": None if report.problem is None else str(report.problem),
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
         "bus": request.bus,
-        "camera": request.camera if report.eyes is not None else None,
+        "camera": request.camera if report.vision is not None else None,
         "marker": _marker_facts(report),
         "goal": None if report.target is None or report.goal is None else {
             **_pose(report.target),
@@ -173,7 +173,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "angle_asked": report.goal.has_angle,
             "free_axis": getattr(report.goal, "free_axis", None),
         },
-        "limits": [asdict(limit) for limit in limbs.limits],
+        "limits": [asdict(limit) for limit in setup.limits],
         "solution": _solution_facts(report),
         "motion": None if run is None else {
             "duration_s": run.duration,
@@ -203,7 +203,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
 
 def _delays(report: ReachReport) -> dict[str, Any]:
     """Seconds from grab to goal, and age of the picture at each tick; None where nothing was measured."""
-    pair = None if report.eyes is None else report.eyes.delays
+    pair = None if report.vision is None else report.vision.delays
     facts: dict[str, Any] = {}
     for name, delays in zip(("grab_to_goal", "picture_age"), pair or (Delays(), Delays()), strict=True):
         for part in ("p50", "p95"):

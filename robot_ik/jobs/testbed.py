@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.ar.gl_draw import GlArtist, make_artist
-from robot_ik.camera.made_up.synthetic import SyntheticSource
+from robot_ik.camera.drawing.gl import GlArtist, make_artist
+from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import CameraError, ConfigError, ModelError
-from robot_ik.jobs.ar_files import open_sink
-from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.scene import stage_for
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import CommandLog

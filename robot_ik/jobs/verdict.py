@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.pose import BodyObservation
+from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 
 if TYPE_CHECKING:
-    from robot_ik.problem import Tolerance
+    from robot_ik.goals import Tolerance
     from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]

@@ -19,13 +19,13 @@ its work and it holds nobody back.  Joints inside their range are never pinned.
 import math
 
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.loop import step_bounds
 from robot_ik.kernels.residuals import goal_jacobian
-from robot_ik.kernels.room import room
-from robot_ik.kernels.work import COST, DAMPING, POLISHING, PRESSED, SHARE
+from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 
 # A joint with less room than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
-# Damping per length of the residual that a first failure brings in the last descent (``mistrust``).
+# Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
 _MISTRUST = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
 # motion out of its plane, a joint that is pinned.
@@ -75,7 +75,7 @@ def prepare(tree, goal, work, clamp, alternative):
     else:
         goal_jacobian(tree, goal, work, work.frames)
     clamp_residual(goal, work.residual, work.wanted, clamp, last)
-    room(tree, goal, work)
+    step_bounds(tree, goal, work)
 
 
 @outlined
@@ -176,7 +176,7 @@ def shorten(work):
 
 
 @pure
-def mistrust(work):
+def extra_damping(work):
     """λ² that a method can take in place of ``shorten``: it shortens the step and turns it downhill as well.
 
     Near a stretched-out arm the undamped step all but leads along a level line of the cost: any share of it

@@ -15,21 +15,13 @@ best so far, trace.  What changes during a solve lives in the arrays of ``work``
 
 import math
 
-from robot_ik.kernels.couplings import follow
-from robot_ik.kernels.draws import draw
-from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward
-from robot_ik.kernels.out_of_reach import (
-    ask_for_all,
-    drop_beyond,
-    mark_beyond,
-    may_restart,
-    some_within_reach,
-)
-from robot_ik.kernels.residuals import evaluate
-from robot_ik.kernels.room import apply_step, finite
-from robot_ik.kernels.trace import record
-from robot_ik.kernels.work import (
+from numba import types
+
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import clip, follow, forward, turn_quat
+from robot_ik.kernels.residuals import ONE_SIDE, PARTIAL, PLACE, evaluate, open_goals
+from robot_ik.kernels.tree import BALL, FREE, open_tree
+from robot_ik.kernels.workspace import (
     ACCEPTED,
     ALL_GOALS,
     ASKED,
@@ -40,6 +32,7 @@ from robot_ik.kernels.work import (
     BLOCKED,
     CONVERGED,
     COST,
+    DAMPING,
     DRAW,
     DRAWN,
     DRAWS,
@@ -63,6 +56,7 @@ from robot_ik.kernels.work import (
     RUNNING,
     SEARCH,
     SEARCHING,
+    SEED,
     SHARE,
     SLICE_END,
     STALLED,
@@ -70,11 +64,219 @@ from robot_ik.kernels.work import (
     STATUS,
     STEP,
     STEP_NORM,
+    TRACE_ROWS,
     TRY,
     TRY_COST,
     TRY_LIMIT,
     TRY_STEPS,
+    open_run,
+    open_work,
 )
+
+# ------------------------------------------------------------------------------------------
+# Random starts, the same for the same seed.
+
+
+@pure
+def uniform(state):
+    """Next number in [0, 1): xorshift64* (Vigna 2016), so that a seed gives the same bits everywhere."""
+    x = types.uint64(state[SEED])
+    x ^= x >> types.uint64(12)
+    x ^= x << types.uint64(25)
+    x ^= x >> types.uint64(27)
+    state[SEED] = types.int64(x)
+    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (
+        1.0 / 9007199254740992.0
+    )
+
+
+@outlined
+def draw(tree, nodes, start, state, q):
+    """A random start for the joints that matter, inside their limits, into q; floats roam round ``start``."""
+    kind, qadr, vadr, low, high = tree.kind, tree.qadr, tree.vadr, tree.low, tree.high
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        a, v = qadr[k], vadr[k]
+        joint = kind[k]
+        if joint < BALL:
+            q[a] = low[v] + (high[v] - low[v]) * uniform(state)
+            continue
+        if joint == FREE:
+            for i in range(3):
+                spread = low[v + i] + (high[v + i] - low[v + i]) * uniform(state)
+                q[a + i] = start[a + i] + spread
+            a, v = a + 3, v + 3
+        q[a], q[a + 1], q[a + 2], q[a + 3] = 1.0, 0.0, 0.0, 0.0
+        # A direction on the sphere and an angle in the cone.
+        z = 2.0 * uniform(state) - 1.0
+        around = 2.0 * math.pi * uniform(state)
+        angle = min(high[v], math.pi) * uniform(state)
+        r = angle * math.sqrt(max(0.0, 1.0 - z * z))
+        turn_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
+
+
+# ------------------------------------------------------------------------------------------
+# Taking a step inside the joint limits, and how far it may go.
+
+
+@outlined
+def apply_step(tree, goal, nodes, step, dq, q):
+    """q = q ⊕ ease · step for the goals' degrees of freedom, inside the limits; ``dq`` is work space."""
+    dofs, joint_scale = goal.dofs, goal.joint_scale
+    kind, qadr, vadr, dof_node, lower, upper = (
+        tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
+    )  # fmt: skip
+    floating = False
+    for u in range(dofs.shape[0]):
+        v = dofs[u]
+        k = dof_node[v]
+        if kind[k] < BALL:
+            a = qadr[k]
+            q[a] = min(max(q[a] + joint_scale[u] * step[u], lower[v]), upper[v])
+        else:
+            floating = True
+            dq[v] = joint_scale[u] * step[u]
+    if tree.tied.shape[0] > 0:
+        follow(tree, q)
+    if not floating:
+        return
+    for index in range(nodes.shape[0]):
+        k = nodes[index]
+        if kind[k] < BALL:
+            continue
+        a, v = qadr[k], vadr[k]
+        if kind[k] == FREE:
+            for i in range(3):
+                q[a + i] += dq[v + i]
+            a, v = a + 3, v + 3
+        turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+    clip(tree, nodes, q)
+
+
+@pure
+def step_bounds(tree, goal, work):
+    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high.
+
+    In units of the step, which ``apply_step`` shortens for stiff joints.
+    """
+    kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
+    dofs, joint_scale, q, low, high = goal.dofs, goal.joint_scale, work.q, work.low, work.high
+    for u in range(dofs.shape[0]):
+        v = dofs[u]
+        k = dof_node[v]
+        if kind[k] < BALL:
+            a = qadr[k]
+            low[u] = min(lower[v] - q[a], 0.0) / joint_scale[u]
+            high[u] = max(upper[v] - q[a], 0.0) / joint_scale[u]
+        else:
+            # A ball's cone is kept by projection after the step; here a step stays below half a turn.
+            low[u] = -3.0
+            high[u] = 3.0
+
+
+@pure
+def finite(q):
+    """Whether all numbers are."""
+    size = 0.0
+    for i in range(q.shape[0]):
+        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
+    return size < math.inf
+
+
+# ------------------------------------------------------------------------------------------
+# The rows of a trace: one for each step.  The caller empties the table before it is full.
+
+
+@outlined
+def record(tolerance, work):
+    """One trace row; of goals that are only wanted, and of parts not asked for, the miss does not count."""
+    state, value, miss, trace = work.state, work.value, work.miss, work.trace
+    row = state[TRACE_ROWS]
+    if row >= trace.shape[0]:
+        return
+    position, angle = 0.0, 0.0
+    for g in range(miss.shape[0]):
+        position = max(position, miss[g, 0] if tolerance[g, 0] < math.inf else 0.0)
+        angle = max(angle, miss[g, 1] if tolerance[g, 1] < math.inf else 0.0)
+    trace[row, 0] = state[ITERATIONS]
+    trace[row, 1] = state[RESTARTS]
+    trace[row, 2] = value[COST]
+    trace[row, 3] = position
+    trace[row, 4] = angle
+    trace[row, 5] = value[DAMPING]
+    trace[row, 6] = value[STEP_NORM]
+    state[TRACE_ROWS] = row + 1
+
+
+# ------------------------------------------------------------------------------------------
+# Goals that are proven out of reach beside others that are not.
+#
+# A goal for a place farther away than all links laid end to end cannot be met from any start.  The goals
+# beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
+# vanishing weight costs the others nothing.
+
+
+@pure
+def squared_way(goal, reach, g):
+    """Squared metres from the centre of the ball that goal ``g`` cannot leave to the place it asks for."""
+    target, square = goal.target, 0.0
+    x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
+    if goal.kind[g] != PARTIAL:
+        return x * x + y * y + z * z
+    for i in range(3):
+        off = goal.mask[g, i] * (target[g, 3 + i] * x + target[g, 6 + i] * y + target[g, 9 + i] * z)
+        if goal.how[g, PLACE] == ONE_SIDE:
+            off = max(off, 0.0)
+        square += off * off
+    return square
+
+
+@outlined
+def mark_beyond(goal, work):
+    """Marks in work.beyond the goals that are proven out of reach; returns whether there are any."""
+    any_beyond = False
+    ask_for_all(goal)
+    for g in range(goal.kind.shape[0]):
+        far = work.reach[g, 3] < math.inf
+        far = far and squared_way(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
+        work.beyond[g] = 1 if far else 0
+        any_beyond = any_beyond or far
+    return any_beyond
+
+
+@pure
+def ask_for_all(goal):
+    """All goals count as they were asked for."""
+    for g in range(goal.kind.shape[0]):
+        for i in range(2):
+            goal.weight[g, i] = goal.asked[g, i]
+            goal.tolerance[g, i] = goal.asked[g, 2 + i]
+
+
+@outlined
+def drop_beyond(goal, work):
+    """Goals that are proven out of reach count nothing until ``ask_for_all``."""
+    for g in range(goal.kind.shape[0]):
+        for i in range(2):
+            if work.beyond[g] == 1:
+                goal.weight[g, i], goal.tolerance[g, i] = 0.0, math.inf
+
+
+@outlined
+def some_within_reach(goal, work):
+    """Whether the first level needs something that is not proven out of reach."""
+    found = False
+    for g in range(goal.kind.shape[0]):
+        needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
+        found = found or (needed and goal.level[g] == 0 and work.beyond[g] == 0)
+    return found
+
+
+@pure
+def may_restart(state):
+    """Whether another random start may help: not towards what is proven out of reach."""
+    return state[RESTARTS] < state[MAX_RESTARTS] and (state[BEYOND] == 0 or state[SEARCH] == SEARCHING)
+
 
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its answer from tick to tick instead of hopping between equal ones.
@@ -360,3 +562,39 @@ def advance(tree, goal, work):
     work.value[STEP_NORM] = math.sqrt(norm)
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
     work.state[AWAITED] = STEP
+
+
+# ------------------------------------------------------------------------------------------
+# Whether a solve starts near its goal, asked before a method is chosen.
+
+
+# A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
+_NEAR = 0.01
+
+
+@kernel
+def starts_near(run):
+    """Whether work.start is near the goal; changes work space only."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    forward(tree, work.nodes, work.start, work.world, work.scratch)
+    cost, _ = evaluate(tree, goal, work)
+    return cost < _NEAR
+
+
+@kernel
+def starts_near_many(run, targets, starts, near):
+    """The same for each row of targets (n, 12) of the one goal, and starts (n, nq): 1 or 0 into near (n,)."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    for row in range(targets.shape[0]):
+        same = row > 0  # as the start before it, mostly: its pose is known
+        for i in range(starts.shape[1]):
+            same = same and starts[row, i] == work.start[i]
+            work.start[i] = starts[row, i]
+        if not same:
+            forward(tree, work.nodes, work.start, work.world, work.scratch)
+        for i in range(12):
+            goal.target[0, i] = targets[row, i]
+        cost, _ = evaluate(tree, goal, work)
+        near[row] = 1 if cost < _NEAR else 0

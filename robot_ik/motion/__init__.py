@@ -1,24 +1,22 @@
-"""How to get there in time: trajectories, moves, goal sources, the recorder."""
+"""How to get there in time: trajectories, moves, key poses, goal sources, the recorder."""
 
+from robot_ik.motion.key_poses import KeyPoses
+from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.line import line_move
-from robot_ik.motion.profiles import PROFILES
-from robot_ik.motion.record import RecorderSink
-from robot_ik.motion.reports import Execution, FollowReport, FollowTick, Tick
 from robot_ik.motion.sources import CurveSource, FixedGoal, ManualSource, RandomSource, ScriptSource
-from robot_ik.motion.trajectory import Trajectory, joint_move
+from robot_ik.motion.timing import PROFILES
+from robot_ik.motion.trajectory import RecorderSink, Trajectory, joint_move
 
 __all__ = [
     "PROFILES",
     "CurveSource",
-    "Execution",
     "FixedGoal",
-    "FollowReport",
-    "FollowTick",
+    "KeyPoses",
+    "Keyframes",
     "ManualSource",
     "RandomSource",
     "RecorderSink",
     "ScriptSource",
-    "Tick",
     "Trajectory",
     "joint_move",
     "line_move",

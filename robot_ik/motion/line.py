@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import TrajectoryError, apart
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal
-from robot_ik.motion.limits import joint_vector, motion_limits, require_positive
-from robot_ik.motion.profiles import Timing, fastest_timing
-from robot_ik.motion.trajectory import Trajectory
+from robot_ik.motion.timing import Timing, fastest_timing
+from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array
 
 if TYPE_CHECKING:
@@ -143,7 +142,8 @@ def line_move(
 def _nearest(robot: Robot, frame: str, solver: str | Solver) -> Callable[[Pose, Array], Array | None]:
     """The function that solves one pose of ``frame`` from a start, None where it did not converge."""
     # Here, because these load the compiler, which other parts of this package do without.
-    from robot_ik.problem import Problem, Tolerance
+    from robot_ik.goals import Tolerance
+    from robot_ik.problem import Problem
     from robot_ik.solvers import make_solver
 
     method = make_solver(solver)

@@ -17,10 +17,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
-from robot_ik.goals import GOALS, Goal
-from robot_ik.kernels import jit, work
+from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError, UnsupportedJointError
+from robot_ik.goals import GOALS, Goal, PositionGoal
+from robot_ik.kernels import jit, workspace
 from robot_ik.kernels.bundle import address_of
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.problem import Budget, CompiledProblem, Problem
 from robot_ik.solution import STATUS_OF, Solution
 
@@ -50,7 +51,7 @@ def option(
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class BatchResult:
     """Where a batch puts its answers, row by row.
 
     Attributes:
@@ -67,14 +68,14 @@ class Answers:
     restarts: NDArray[np.int64]
 
     @classmethod
-    def empty(cls, count: int, nq: int) -> Answers:
+    def empty(cls, count: int, nq: int) -> BatchResult:
         """Room for ``count`` answers."""
         status, iterations, restarts = np.zeros((3, count), dtype=np.int64)
         return cls(np.zeros((count, nq)), status, np.zeros((count, 2)), iterations, restarts)
 
-    def part(self, rows: slice) -> Answers:
+    def part(self, rows: slice) -> BatchResult:
         """A view of some rows: what is written there is written here."""
-        return Answers(*(getattr(self, item.name)[rows] for item in fields(self)))
+        return BatchResult(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        honours: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+        capabilities: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
             ``soft`` goals.
     """
 
@@ -95,7 +96,7 @@ class Solver(ABC):
     source: ClassVar[str] = ""
     goals: ClassVar[tuple[type[Goal], ...]] = GOALS
     parts: ClassVar[bool] = False
-    honours: ClassVar[frozenset[str]] = frozenset()
+    capabilities: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -133,7 +134,7 @@ class Solver(ABC):
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
                 return f"a {goal.name}" + (" that asks for single axes only" if part else "")
-        for feature in sorted(problem.features - self.honours):
+        for feature in sorted(problem.features - self.capabilities):
             return _FEATURES[feature]
         return ""
 
@@ -162,7 +163,7 @@ class Solver(ABC):
         finally:
             turn.append(None)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: Answers) -> None:
+    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: BatchResult) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
         The problem's budget is that of each row.
@@ -170,15 +171,22 @@ class Solver(ABC):
         Raises:
             As ``solve``.
         """
-        with problem.in_use():
+        turn = problem.turn
+        try:
+            turn.pop()
+        except IndexError:
+            raise ProblemInUseError from None
+        try:
             self.attempt_many(problem, targets, starts, answers, problem.budget)
+        finally:
+            turn.append(None)
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         """``solve`` within what others left of the budget; the caller has the problem's turn."""
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
         for row in range(len(targets)):
@@ -251,7 +259,9 @@ class IterativeSolver(Solver):
             run = self._run_for(problem)
         if run.budget is not budget or run.seed != problem.seed:
             run.renew(budget, problem.seed)
-        if type(start) is np.ndarray and start.shape == run.shape:
+        if start is run.start:
+            pass  # ``auto`` has put it there
+        elif type(start) is np.ndarray and start.shape == run.shape:
             run.start[...] = start  # the kernel asks whether it is finite
         else:
             run.start[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
@@ -263,10 +273,10 @@ class IterativeSolver(Solver):
         else:
             trace = _in_slices(run, problem.arrays["trace"], began)
         status, iterations, restarts, _, beyond = run.outcome.tolist()
-        if status == work.NUMERICAL:
+        if status == workspace.NUMERICAL:
             problem.robot.check_q(run.start, "start")
-        elif beyond and status != work.CONVERGED:
-            status = work.UNREACHABLE
+        elif beyond and status != workspace.CONVERGED:
+            status = workspace.UNREACHABLE
         return Solution(
             run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
             self.name, problem.robot, problem.given, run.target.copy(), trace,
@@ -278,18 +288,18 @@ class IterativeSolver(Solver):
     def fresh_state(self, budget: Budget, seed: int) -> tuple[NDArray[np.int64], Array]:
         """``work.state`` and ``work.value`` as a solve begins with them."""
         restarts = self.restarts if budget.restarts is None else budget.restarts
-        state, value = np.zeros(work.STATE_SIZE, dtype=np.int64), np.zeros(work.VALUE_SIZE)
-        state[work.MAX_ITERATIONS] = budget.iterations
-        state[work.MAX_RESTARTS] = restarts
-        state[work.FIRST_STEPS] = self.first_steps if restarts else work.NO_LIMIT
-        state[work.TRY_LIMIT] = self.try_steps
-        state[work.PATIENCE] = self.patience
-        state[work.DRAWS] = self.draws
-        state[work.SLICE_END] = work.NO_LIMIT
-        value[work.PROGRESS] = self.progress
-        value[work.SHARE] = 1.0 if self.unseen else 0.0
+        state, value = np.zeros(workspace.STATE_SIZE, dtype=np.int64), np.zeros(workspace.VALUE_SIZE)
+        state[workspace.MAX_ITERATIONS] = budget.iterations
+        state[workspace.MAX_RESTARTS] = restarts
+        state[workspace.FIRST_STEPS] = self.first_steps if restarts else workspace.NO_LIMIT
+        state[workspace.TRY_LIMIT] = self.try_steps
+        state[workspace.PATIENCE] = self.patience
+        state[workspace.DRAWS] = self.draws
+        state[workspace.SLICE_END] = workspace.NO_LIMIT
+        value[workspace.PROGRESS] = self.progress
+        value[workspace.SHARE] = 1.0 if self.unseen else 0.0
         # Any seed, zero included, becomes a nonzero state of the generator.
-        state[work.SEED] = (seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
+        state[workspace.SEED] = (seed * 0x9E3779B97F4A7C15 + 0x2545F4914F6CDD1D) % (1 << 63) or 1
         return state, value
 
 
@@ -318,7 +328,7 @@ class Run:
         self.arguments = tuple(address_of(table) for table in self.tables)
         self.entry = jit.entry(kernel, *self.arguments)
         self.state, self.value, self.start = arrays["state"], arrays["value"], arrays["start"]
-        self.outcome = self.state[work.OUTCOME]
+        self.outcome = self.state[workspace.OUTCOME]
         self.best, self.target, self.shape = arrays["best"], problem.target, self.start.shape
         self.budget, self.seed = problem.budget, problem.seed
         self.fresh = solver.fresh_state(self.budget, self.seed)
@@ -339,21 +349,21 @@ def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
     A solve in pieces is the same to the last bit.
     """
     rows: list[Array] = []
-    state, longest = run.state, len(trace) or work.NO_LIMIT
+    state, longest = run.state, len(trace) or workspace.NO_LIMIT
     seconds = run.budget.seconds
     deadline = math.inf if seconds is None else began + seconds
     steps = longest if seconds is None else _FIRST_SLICE if time.perf_counter() < deadline else 0
     while True:
-        state[work.SLICE_END] = state[work.ITERATIONS] + steps
+        state[workspace.SLICE_END] = state[workspace.ITERATIONS] + steps
         before = time.perf_counter()
         run.entry(*run.arguments)
         now = time.perf_counter()
         if len(trace):
-            rows.append(trace[: state[work.TRACE_ROWS]].copy())
-            state[work.TRACE_ROWS] = 0
-        if state[work.STATUS] == work.RUNNING and now >= deadline:
-            state[work.STATUS] = work.TIME_LIMIT
-        if state[work.STATUS] != work.RUNNING:
+            rows.append(trace[: state[workspace.TRACE_ROWS]].copy())
+            state[workspace.TRACE_ROWS] = 0
+        if state[workspace.STATUS] == workspace.RUNNING and now >= deadline:
+            state[workspace.STATUS] = workspace.TIME_LIMIT
+        if state[workspace.STATUS] != workspace.RUNNING:
             return np.concatenate(rows) if rows else None
         if seconds is not None:
             pace = steps / max(now - before, 1e-6)
@@ -368,7 +378,8 @@ def take_start(problem: Problem, start: ArrayLike | None) -> None:
     """
     begin = problem.arrays["start"]
     if type(start) is np.ndarray and start.shape == begin.shape:
-        begin[...] = start
+        if start is not begin:
+            begin[...] = start
         if math.isfinite(sum(begin.tolist())):  # quicker than NumPy's for so few
             return
     begin[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
@@ -380,7 +391,7 @@ class JacobianSolver(IterativeSolver):
 
     parts: ClassVar[bool] = True
     unseen: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
     try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)
@@ -397,3 +408,62 @@ class JacobianSolver(IterativeSolver):
     def common(self) -> tuple[float, ...]:
         """The shared options in the order of ``kernels/jacobian_step.py``."""
         return (self.clamp, float(self.alternative), self.gain, self.max_step)
+
+
+# ------------------------------------------------------------------------------------------
+# What the geometric methods share on the Python side: which joints and goals they take.
+
+
+_WORDS = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
+
+
+@dataclass(frozen=True)
+class BoneSolver(IterativeSolver):
+    """A method that moves joint positions and lets the joints follow (``kernels/bones.py``).
+
+    Class attributes:
+        kinds: Joints that it can turn into bones.
+        several: Whether it takes more than one goal at once.
+    """
+
+    goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal,)
+    kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
+    several: ClassVar[bool] = False
+
+    def applies(self, problem: Problem) -> bool:
+        return super().applies(problem) and not self._stiff(problem)
+
+    def require_support(self, problem: Problem) -> None:
+        """As every method, and also refuses what cannot be made into bones.
+
+        Raises:
+            UnsupportedGoalError: A kind of goal, a goal without a position, or several at once.
+            UnsupportedJointError: A joint that this method cannot move.
+        """
+        super().require_support(problem)
+        if stiff := self._stiff(problem):
+            raise UnsupportedJointError(
+                f"solver {self.name!r} cannot use the {stiff}; "
+                f"it takes {' and '.join(_WORDS[kind] for kind in self.kinds)} joints",
+                path=problem.robot.path,
+                hint="freeze it with load_robot(…, joints=[…]), or use another solver",
+            )
+
+    def beyond(self, problem: Problem) -> str:
+        if kind := super().beyond(problem):
+            return kind
+        if len(problem.goals) > 1 and not self.several:
+            return "several goals at once"
+        for goal in problem.goals:
+            if goal.weights[0] <= 0.0 < goal.weights[1]:
+                return f"a {goal.name} whose position weighs nothing"
+        return ""
+
+    def _stiff(self, problem: Problem) -> str:
+        """The first joint that this method cannot move; empty when there is none."""
+        robot = problem.robot
+        for k in problem.nodes:
+            kind = int(robot.tree.kind[k])
+            if kind not in self.kinds:
+                return f"{_WORDS[kind]} joint {robot.joints[int(k)]!r}"
+        return ""

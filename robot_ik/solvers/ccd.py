@@ -26,11 +26,10 @@ from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels.bones import carry, keep_pose
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import clip, dof_axis, forward, turn_quat
-from robot_ik.kernels.loop import advance, begin, proceed
+from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
-from robot_ik.kernels.room import room
 from robot_ik.kernels.tree import BALL, FREE, open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import IterativeSolver, option
 
 ORDERS = ("tip_to_root", "root_to_tip")
@@ -199,7 +198,7 @@ def sweep(tree, goal, work, from_root, freely, one, old):
     """
     dofs, step, low, high, world, frames = goal.dofs, work.step, work.low, work.high, work.world, work.frames
     n = dofs.shape[0]
-    room(tree, goal, work)
+    step_bounds(tree, goal, work)
     for u in range(n):
         step[u] = 0.0
     for turn_number in range(n):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import ClassVar
 
@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
-from robot_ik.kernels.near import starts_near, starts_near_many
-from robot_ik.kernels.work import BEST_COST, RUN
+from robot_ik.kernels.loop import starts_near, starts_near_many
+from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
-from robot_ik.solvers.base import Answers, Solver, option, take_start
+from robot_ik.solvers.base import BatchResult, Solver, option, take_start
 from robot_ik.solvers.first_choice import FIRST_CHOICE
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Combined(Solver):
 
     parts: ClassVar[bool] = True
     # Those of its methods that can.
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
     @cached_property
     def _members(self) -> tuple[Solver, ...]:
@@ -62,15 +62,26 @@ class Combined(Solver):
         return member.applies(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        kept: _Turns | None = problem.made.get(id(self))
-        turns = self._turns(problem) if kept is None else kept
+        turns: _Turns = problem.made.get(id(self)) or self._turns(problem)
         return self._in_turn(turns.members, problem, start, budget)
 
     def _in_turn(
         self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
     ) -> Solution:
         solution = members[0].attempt(problem, start, budget)
-        if solution.status is Status.CONVERGED or len(members) == 1:
+        if solution.status is _CONVERGED:
+            return solution
+        return self._after_first(solution, members, problem, start, budget)
+
+    def _after_first(
+        self,
+        solution: Solution,
+        members: tuple[Solver, ...],
+        problem: Problem,
+        start: ArrayLike | None,
+        budget: Budget,
+    ) -> Solution:
+        if len(members) == 1:
             return solution
         if solution.status is Status.UNREACHABLE and members[0].name == members[-1].name:
             return solution  # proven, and the nearest is found: the last would do the same
@@ -137,7 +148,7 @@ class Combined(Solver):
         return best
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         """Each method takes all poses that the ones before it missed, with what they left of the budget."""
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
@@ -151,11 +162,13 @@ class Combined(Solver):
         problem: Problem,
         targets: Array,
         starts: Array,
-        answers: Answers,
+        answers: BatchResult,
         budget: Budget,
     ) -> None:
         members[0].attempt_many(problem, targets, starts, answers, budget)
-        left = np.flatnonzero(answers.status != Status.CONVERGED)
+        if np.count_nonzero(answers.status == CONVERGED) == len(targets):
+            return
+        left = np.flatnonzero(answers.status != CONVERGED)
         if members[0].name == members[-1].name:
             left = left[answers.status[left] != Status.UNREACHABLE]
         if not len(left) or len(members) == 1:
@@ -164,7 +177,7 @@ class Combined(Solver):
         last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
         for member in members[1:]:
             for rows, rest in _shares(budget, left, answers, proven):
-                part = Answers.empty(len(rows), answers.q.shape[1])
+                part = BatchResult.empty(len(rows), answers.q.shape[1])
                 member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
                 cost[part.status == Status.CONVERGED] = -1.0
@@ -182,6 +195,8 @@ class Combined(Solver):
         answers.status[left[proven[left]]] = Status.UNREACHABLE
 
 
+# Asked in each solve: an enumeration takes a tenth of a microsecond to give it.
+_CONVERGED = Status.CONVERGED
 # A method that ends so has not had its say: neither have all of them together.
 _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
@@ -192,13 +207,15 @@ class _Turns:
 
     Attributes:
         nearby: Those that try it where its start is near its goal; empty: the same.
-        near: Whether that is so, asked of the work space; ``address`` and ``table`` are what it reads.
+        near: Whether that is so, asked of the work space.
+        start, address, table: What it reads, and holds that.
     """
 
     solver: Combined
     members: tuple[Solver, ...]
     nearby: tuple[Solver, ...] = ()
-    near: Callable[[int, float], bool] | None = None
+    near: Callable[[int], bool] | None = None
+    start: Array = field(default_factory=lambda: np.empty(0))
     address: int = 0
     table: NDArray[np.int64] | None = None
 
@@ -214,7 +231,7 @@ def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven
 
 
 def _shares(
-    budget: Budget, left: Rows, answers: Answers, proven: NDArray[np.bool_]
+    budget: Budget, left: Rows, answers: BatchResult, proven: NDArray[np.bool_]
 ) -> Iterator[tuple[Rows, Budget]]:
     """Those of the rows ``left`` (n,) that have the same rest of the budget, and that rest."""
     if not len(left):
@@ -242,8 +259,6 @@ def _cost(problem: Problem, miss: Array) -> Array:
     return np.asarray((miss[:, 0] * weight[0]) ** 2 + (miss[:, 1] * weight[1]) ** 2)
 
 
-# A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
-_NEAR = 0.01
 _WHICH_NEAR: Callable[..., None] = starts_near_many
 # Restarts of ``lm`` where it comes before the closed form, which knows what cannot be reached.
 _FEW_RESTARTS = 8
@@ -285,37 +300,44 @@ class Auto(Combined):
             {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": np.zeros(0)}
         )
         address = address_of(table)
-        near = jit.entry(starts_near, address, _NEAR)
-        return _Turns(self, members, (self._local, *members), near, address, table)
+        near = jit.entry(starts_near, address)
+        begin = problem.arrays["start"]
+        return _Turns(self, members, (self._local, *members), near, begin, address, table)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        kept: _Turns | None = problem.made.get(id(self))
-        turns = self._turns(problem) if kept is None else kept
-        members = turns.members
-        if turns.near is not None and budget.iterations > 0:
-            begin = problem.arrays["start"]
+        # The hot loop, as in ``IterativeSolver.attempt``: each line counts.
+        turns: _Turns = problem.made.get(id(self)) or self._turns(problem)
+        members, near = turns.members, turns.near
+        if near is not None and budget.iterations:
+            begin = turns.start
             if type(start) is np.ndarray and start.shape == begin.shape:
                 begin[...] = start  # whether it is finite, the method asks: nothing is near that is not
             else:
                 take_start(problem, start)
-            if turns.near(turns.address, _NEAR):
+            if near(turns.address):
                 members = turns.nearby
-        return self._in_turn(members, problem, start, budget)
+            start = begin
+        solution = members[0].attempt(problem, start, budget)
+        if solution.status is _CONVERGED:
+            return solution
+        return self._after_first(solution, members, problem, start, budget)
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         turns = self._turns(problem)
         if turns.near is None or budget.seconds is not None or not budget.iterations:
             super().attempt_many(problem, targets, starts, answers, budget)
             return
         near = np.zeros(len(targets), dtype=np.int64)
-        _WHICH_NEAR(turns.address, _NEAR, targets, starts, near)
+        _WHICH_NEAR(turns.address, targets, starts, near)
+        count = np.count_nonzero(near)
+        if count in (0, len(near)):
+            members = turns.nearby if count else turns.members
+            self._many_in_turn(members, problem, targets, starts, answers, budget)
+            return
         for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
-            if here.all():
-                self._many_in_turn(members, problem, targets, starts, answers, budget)
-            elif here.any():
-                part = Answers.empty(int(here.sum()), answers.q.shape[1])
-                self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
-                for item in fields(Answers):
-                    getattr(answers, item.name)[here] = getattr(part, item.name)
+            part = BatchResult.empty(int(here.sum()), answers.q.shape[1])
+            self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
+            for item in fields(BatchResult):
+                getattr(answers, item.name)[here] = getattr(part, item.name)

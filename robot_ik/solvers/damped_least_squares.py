@@ -18,21 +18,20 @@ from typing import ClassVar
 from robot_ik.kernels.jacobian_step import (
     NEGLIGIBLE,
     cap,
+    extra_damping,
     filtered_step,
     keep_inside,
-    mistrust,
     pin_downhill,
     pin_outward,
     prepare,
     volume,
 )
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.linalg import box_step, normal_equations, svd
+from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step, svd
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.row_space import row_products, row_step
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import DAMPING, PRESSED, open_work
+from robot_ik.kernels.workspace import DAMPING, PRESSED, open_work
 from robot_ik.solvers.base import JacobianSolver, option
 
 MODES = ("constant", "adaptive", "svd")
@@ -65,7 +64,7 @@ class DampedLeastSquares(JacobianSolver):
 @outlined
 def box_damped(goal, work, damping):
     """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly; among few rows."""
-    normal, step, strength = work.normal, work.step, damping * damping + mistrust(work)
+    normal, step, strength = work.normal, work.step, damping * damping + extra_damping(work)
     m, n = work.jacobian.shape
     if m < n:
         row_products(work.jacobian, work.wanted, goal.hits, goal.hit_count, normal, work.gradient)
@@ -96,7 +95,7 @@ def svd_damped(work, damping, adaptive, threshold):
         strength = damping
         if adaptive:
             strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
-        filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + mistrust(work)))
+        filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + extra_damping(work)))
         if not pin_outward(work):
             break
     keep_inside(work)

@@ -26,31 +26,34 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.kernels.aiming import HANGS, mark_hanging, settle
 from robot_ik.kernels.bones import (
+    BALL_PULL,
     FIRST,
+    HANGS,
     LENGTH,
     NEXT,
     NOW,
     POINT_COLUMNS,
+    PULL,
     SHARE,
     SHIFT,
+    SUM_SIZE,
     UP,
     WISH,
     across,
     apart,
     link_points,
     locate_all,
+    mark_hanging,
+    settle,
     turned_goal,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
-from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
-from robot_ik.kernels.work import ALL_GOALS, SEARCH, TRY_STEPS, open_work
-from robot_ik.solvers.base import option
-from robot_ik.solvers.bones import BoneSolver
+from robot_ik.kernels.workspace import ALL_GOALS, SEARCH, TRY_STEPS, open_work
+from robot_ik.solvers.base import BoneSolver, option
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6

@@ -17,7 +17,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import JacobianSolver, option
 
 

@@ -6,8 +6,8 @@ pseudoinverse, ICRA 1988) have it; a step that made things worse is taken back a
 (Marquardt 1963).  Short tries from random starts, each the best of a few draws, replace long ones
 that creep; in these a joint with a whole turn of room goes round rather than stop at its limit.
 """
-
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 from __future__ import annotations
 
 import math
@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 from robot_ik.kernels import jit
 from robot_ik.kernels.jacobian_step import clamp_residual
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.level_loop import lm_levels
-from robot_ik.kernels.linalg import box_step, normal_equations
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
-from robot_ik.kernels.residuals import goal_jacobian, open_goals
-from robot_ik.kernels.room import room
-from robot_ik.kernels.row_space import row_products, row_step
-from robot_ik.kernels.second_order import has_second_order, second_order
-from robot_ik.kernels.tree import HINGE, open_tree
-from robot_ik.kernels.work import (
+from robot_ik.kernels.kinematics import dof_axis
+from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
+from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, step_bounds
+from robot_ik.kernels.priorities import lm_levels
+from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, goal_jacobian, open_goals
+from robot_ik.kernels.rotations import curvature
+from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
+from robot_ik.kernels.workspace import (
     ACCEPTED,
     BEYOND,
     CONVERGED,
@@ -50,7 +49,90 @@ from robot_ik.kernels.work import (
     open_work,
 )
 from robot_ik.problem import Budget, CompiledProblem, Problem
-from robot_ik.solvers.base import Answers, IterativeSolver, option
+from robot_ik.solvers.base import BatchResult, IterativeSolver, option
+
+# ------------------------------------------------------------------------------------------
+# What Gauss-Newton leaves out: how the Jacobian itself turns, weighed with the residual.
+#
+# Near a goal that can be met the residual vanishes and this with it.  Near the nearest point to a goal that
+# cannot, it decides how quickly a descent ends: without it each step takes off a fixed share of the way.
+
+
+# Beyond so many joints the matrix costs more than the steps that it saves: its factors grow with the cube.
+_MOST_JOINTS = 64
+
+
+@pure
+def has_second_order(tree, goal):
+    """Whether ``second_order`` serves a problem: some hinges and slides, whole goals, nothing tied."""
+    if goal.tied.shape[0] > 0 or goal.dofs.shape[0] > _MOST_JOINTS:
+        return False
+    for g in range(goal.kind.shape[0]):
+        if goal.kind[g] == PARTIAL:
+            return False
+    for u in range(goal.dofs.shape[0]):
+        joint = tree.kind[tree.dof_node[goal.dofs[u]]]
+        if joint != HINGE and joint != SLIDE:
+            return False
+    return True
+
+
+@outlined
+def second_order(tree, goal, work, out):
+    """Hessian of ½ |r|² less JᵀJ into the lower triangle of ``out`` (nu, nu); r and J are in the work space.
+
+    Of two joints that move a goal the one with the smaller index is nearer to the root, a its axis.  A hinge
+    there turns the other's column of the position, v: ∂²p = a × v.  Of a rotation, with unit axes a before b
+    and φ = log(R_target Rᵀ), the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), as
+    follows from φ' = −J_r⁻¹(φ) ω and b' = a × b (k of ``curvature``).
+    """
+    kinds, vadr, dof_node, joint_scale = tree.kind, tree.vadr, tree.dof_node, goal.joint_scale
+    world, residual, jacobian = work.world, work.residual, work.jacobian
+    n = goal.dofs.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            out[i, j] = 0.0
+    for g in range(goal.kind.shape[0]):
+        what, row, weight = goal.kind[g], goal.row[g], goal.weight[g, 1]
+        turned = row if what == ORIENTATION else row + 3
+        ex, ey, ez, fx, fy, fz, k, square = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        if what != ORIENTATION:
+            ex, ey, ez = residual[row], residual[row + 1], residual[row + 2]
+        if what != POSITION and weight > 0.0:
+            s = 1.0 / weight
+            fx, fy, fz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
+            k, square = curvature(fx, fy, fz), fx * fx + fy * fy + fz * fz
+        for j in range(n):
+            node = dof_node[goal.dofs[j]]
+            if goal.moves[g, j] == 0:
+                continue
+            ax, ay, az, turn = dof_axis(kinds, world, node, goal.dofs[j] - vadr[node])
+            if not turn:
+                continue
+            s = joint_scale[j]
+            # e · (a × v) = v · (e × a), and φ · (a × b) = b · (φ × a).
+            px, py, pz = s * (ey * az - ez * ay), s * (ez * ax - ex * az), s * (ex * ay - ey * ax)
+            qx, qy, qz = fy * az - fz * ay, fz * ax - fx * az, fx * ay - fy * ax
+            along = fx * ax + fy * ay + fz * az
+            for i in range(j, n):
+                if goal.moves[g, i] == 0:
+                    continue
+                if what != ORIENTATION:
+                    out[i, j] -= px * jacobian[row, i] + py * jacobian[row + 1, i] + pz * jacobian[row + 2, i]
+                if what == POSITION:
+                    continue
+                other = dof_node[goal.dofs[i]]
+                bx, by, bz, turns = dof_axis(kinds, world, other, goal.dofs[i] - vadr[other])
+                if not turns:
+                    continue
+                cosine = ax * bx + ay * by + az * bz
+                hessian = cosine + k * (along * (fx * bx + fy * by + fz * bz) - square * cosine)
+                hessian -= 0.5 * (qx * bx + qy * by + qz * bz)
+                product = 0.0
+                for r in range(turned, turned + 3):
+                    product += jacobian[r, i] * jacobian[r, j]
+                out[i, j] += weight * weight * s * joint_scale[i] * hessian - product
+
 
 Array = NDArray[np.float64]
 
@@ -97,7 +179,7 @@ class LevenbergMarquardt(IterativeSolver):
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
     @property
@@ -125,7 +207,7 @@ class LevenbergMarquardt(IterativeSolver):
         return (RUN.pack(tables | {"options": self._options}),)
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         run = self._run_for(problem)
         if budget.seconds is not None or self.guided:
@@ -143,12 +225,12 @@ class LevenbergMarquardt(IterativeSolver):
 
 @pure
 def spare_room(tree, goal, work, stride):
-    """``room``, but no more than ``stride`` at once; in later tries joints may go round."""
-    room(tree, goal, work)
-    low, high, ease = work.low, work.high, goal.ease
+    """``step_bounds``, but no more than ``stride`` at once; in later tries joints may go round."""
+    step_bounds(tree, goal, work)
+    low, high, joint_scale = work.low, work.high, goal.joint_scale
     around = roams(tree, work)
     for u in range(low.shape[0]):
-        most = stride / ease[u]
+        most = stride / joint_scale[u]
         if around and goes_round(tree, goal.dofs[u]):
             low[u], high[u] = -most, most
         else:
@@ -174,12 +256,12 @@ def go_round(tree, goal, work):
     for u in range(work.step.shape[0]):
         v = goal.dofs[u]
         if goes_round(tree, v):
-            ease = goal.ease[u]
-            there = work.q[tree.qadr[tree.dof_node[v]]] + ease * work.step[u]
+            joint_scale = goal.joint_scale[u]
+            there = work.q[tree.qadr[tree.dof_node[v]]] + joint_scale * work.step[u]
             if there > tree.upper[v]:
-                work.step[u] -= 2.0 * math.pi / ease
+                work.step[u] -= 2.0 * math.pi / joint_scale
             elif there < tree.lower[v]:
-                work.step[u] += 2.0 * math.pi / ease
+                work.step[u] += 2.0 * math.pi / joint_scale
 
 
 @outlined

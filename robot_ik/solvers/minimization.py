@@ -6,23 +6,342 @@ active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line
 rises within a try.  Their linear equalities between joints are kept by construction (coupled joints have
 no columns of their own), their rigidity of joints is the robot's stiffness.
 """
-
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.cones import carry, slope_left
-from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
-from robot_ik.kernels.metric import constrain, direction, displacement, learn, reset, slopes
-from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.room import apply_step
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import COST, NO_LIMIT, STALLS, TRY_STEPS, UPDATES, open_work
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.rotations import rotation_back
+from robot_ik.kernels.tree import BALL, FREE, open_tree
+from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, TRY_STEPS, UPDATES, open_work
 from robot_ik.solvers.base import IterativeSolver, option
+
+# ------------------------------------------------------------------------------------------
+# Cones of balls as constraints of a variable metric (``metric.py``).
+#
+# A ball whose turn is as large as its cone allows would leave it along the axis n of that turn, body axes:
+# ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
+# edge point to the next by the shortest rotation between their axes, and slopes are compared without their
+# parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
+# zero at the minimum, would spoil what the metric learns.)
+
+
+# A ball this near to the edge of its cone, rad, is on it; one with a smaller cone does not move at all.
+AT_CONE = 1e-9
+
+
+@pure
+def is_cone(tree, goal, u):
+    """Whether ``u`` is the first coordinate of a ball that has a cone."""
+    v = goal.dofs[u]
+    k = tree.dof_node[v]
+    return tree.kind[k] == BALL and tree.vadr[k] == v and tree.upper[v] < math.pi
+
+
+@pure
+def edge_axis(tree, goal, q, u):
+    """Axis of the ball's turn where that is as large as its cone allows, else zero."""
+    v = goal.dofs[u]
+    a = tree.qadr[tree.dof_node[v]]
+    sine = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
+    if not sine > 0.0 or 2.0 * math.atan2(sine, abs(q[a])) < tree.upper[v] - AT_CONE:
+        return 0.0, 0.0, 0.0
+    inverse = math.copysign(1.0, q[a]) / sine
+    return inverse * q[a + 1], inverse * q[a + 2], inverse * q[a + 3]
+
+
+@pure
+def along(vector, u, x, y, z):
+    """Part of the ball's three coordinates along an axis."""
+    return x * vector[u] + y * vector[u + 1] + z * vector[u + 2]
+
+
+@pure
+def leaves_cone(work, vector, u):
+    """Whether ``vector`` would take the ball out of the cone at whose edge it stands."""
+    normal = work.outward
+    return along(vector, u, normal[u], normal[u + 1], normal[u + 2]) > 0.0
+
+
+@outlined
+def hold_cone(work, u):
+    """Makes the cone of the ball whose first coordinate is ``u`` active."""
+    metric, normal, image = work.metric, work.outward, work.rhs
+    n, square = metric.shape[0], 0.0
+    x, y, z = normal[u], normal[u + 1], normal[u + 2]
+    for i in range(n):
+        image[i] = x * metric[i, u] + y * metric[i, u + 1] + z * metric[i, u + 2]
+    square = along(image, u, x, y, z)
+    inverse = 1.0 / square if square > 0.0 else 0.0
+    for i in range(n):
+        for j in range(n):
+            metric[i, j] -= inverse * image[i] * image[j]
+    work.side[u] = 1
+
+
+@outlined
+def release_cone(work, u):
+    """Gives the direction of a cone back to the metric."""
+    normal = work.outward
+    for i in range(u, u + 3):
+        for j in range(u, u + 3):
+            work.metric[i, j] += work.value[SCALE] * normal[i] * normal[j]
+    work.side[u] = 0
+
+
+@outlined
+def slope_left(tree, goal, work):
+    """The slope at work.q along work.way, less what the edges of the held cones take up."""
+    gradient, way = work.gradient, work.way
+    left = 0.0
+    for u in range(way.shape[0]):
+        left += gradient[u] * way[u]
+        if work.side[u] != 0 and is_cone(tree, goal, u):
+            x, y, z = edge_axis(tree, goal, work.q, u)
+            left -= along(gradient, u, x, y, z) * along(way, u, x, y, z)
+    return left
+
+
+@pure
+def turned(x, y, z, vx, vy, vz, k):
+    """w + v × w + k v × (v × w): Rodrigues' rotation with v = sine · axis, k = 1 / (1 + cosine)."""
+    cx, cy, cz = vy * z - vz * y, vz * x - vx * z, vx * y - vy * x
+    return (
+        x + cx + k * (vy * cz - vz * cy),
+        y + cy + k * (vz * cx - vx * cz),
+        z + cz + k * (vx * cy - vy * cx),
+    )
+
+
+@outlined
+def carry(tree, goal, work):
+    """Takes metric, work.moved and work.before of the held cones from work.accepted along to work.q."""
+    metric, normal, moved, before = work.metric, work.outward, work.moved, work.before
+    n = metric.shape[0]
+    for u in range(n):
+        if work.side[u] == 0 or not is_cone(tree, goal, u):
+            continue
+        x, y, z = normal[u], normal[u + 1], normal[u + 2]
+        px, py, pz = edge_axis(tree, goal, work.q, u)
+        cosine = x * px + y * py + z * pz
+        if cosine < 0.5:  # off the edge, or too far along it to be the same constraint
+            release_cone(work, u)
+            continue
+        for vector in (moved, before):
+            out = along(vector, u, x, y, z)
+            vector[u] -= out * x
+            vector[u + 1] -= out * y
+            vector[u + 2] -= out * z
+        vx, vy, vz, k = y * pz - z * py, z * px - x * pz, x * py - y * px, 1.0 / (1.0 + cosine)
+        for vector in (moved, before):
+            vector[u], vector[u + 1], vector[u + 2] = turned(
+                vector[u], vector[u + 1], vector[u + 2], vx, vy, vz, k
+            )
+        for i in range(n):
+            metric[u, i], metric[u + 1, i], metric[u + 2, i] = turned(
+                metric[u, i], metric[u + 1, i], metric[u + 2, i], vx, vy, vz, k
+            )
+        for i in range(n):
+            metric[i, u], metric[i, u + 1], metric[i, u + 2] = turned(
+                metric[i, u], metric[i, u + 1], metric[i, u + 2], vx, vy, vz, k
+            )
+        normal[u], normal[u + 1], normal[u + 2] = px, py, pz
+        # So that before − gradient is without its part along the axis here, too.
+        out = along(work.gradient, u, px, py, pz)
+        before[u] += out * px
+        before[u + 1] += out * py
+        before[u + 2] += out * pz
+
+
+# ------------------------------------------------------------------------------------------
+# The metric of a variable-metric method, projected on the limits that are active.
+#
+# ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as a multiple of
+# the identity and learns the inverse of the Hessian from the steps that are taken (``learn``).
+#
+# A limit that is *active* has its direction n taken out of H, so that H n = 0 and every step keeps along
+# it (Rosen's projection in the metric: Goldfarb, Extension of Davidon's variable metric method to
+# maximization under linear inequality and equality constraints, SIAM J. Applied Mathematics 17(4), 1969):
+#
+#     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
+#
+# n is a coordinate for hinges and slides; ``cones.py`` has the cones of balls.
+
+
+# A joint with less room than this, rad or m, stands at its bound.
+_AT_BOUND = 1e-12
+# Least cosine between a step and the change of slope along it for the metric to learn from them.
+_LEAST_CURVATURE = 1e-8
+
+
+@outlined
+def slopes(tree, goal, work):
+    """At work.q, which has been measured: work.gradient = Jᵀr, and how far down it the linearised goals want.
+
+    That is value[SCALE] = gᵀg / |J g|² (Cauchy 1847).
+    """
+    goal_jacobian(tree, goal, work, work.frames)
+    jacobian, residual, gradient = work.jacobian, work.residual, work.gradient
+    square, bend = 0.0, 0.0
+    for u in range(gradient.shape[0]):
+        along = 0.0
+        for r in range(residual.shape[0]):
+            along += jacobian[r, u] * residual[r]
+        gradient[u] = along
+        square += along * along
+    for r in range(residual.shape[0]):
+        row = 0.0
+        for u in range(gradient.shape[0]):
+            row += jacobian[r, u] * gradient[u]
+        bend += row * row
+    work.value[SCALE] = square / bend if bend > 0.0 else 1.0
+
+
+@outlined
+def reset(work):
+    """H = the scale of the slope times the identity, no limit held."""
+    metric = work.metric
+    for u in range(metric.shape[0]):
+        for i in range(metric.shape[0]):
+            metric[u, i] = 0.0
+        metric[u, u] = work.value[SCALE]
+        work.side[u] = 0
+    work.state[UPDATES] = 0
+
+
+@outlined
+def hold_coordinate(work, u):
+    """Makes the limit of a hinge or slide active."""
+    metric = work.metric
+    n, inverse = metric.shape[0], 1.0 / metric[u, u] if metric[u, u] > 0.0 else 0.0
+    for i in range(n):
+        if i != u:
+            part = inverse * metric[i, u]
+            for j in range(n):
+                metric[i, j] -= part * metric[u, j]
+    for i in range(n):
+        metric[i, u] = metric[u, i] = 0.0
+    work.side[u] = 1
+
+
+@pure
+def leaves(work, vector, u):
+    """Whether ``vector`` would take the coordinate beyond the bound at which it stands."""
+    return (work.low[u] > -_AT_BOUND and vector[u] < 0.0) or (work.high[u] < _AT_BOUND and vector[u] > 0.0)
+
+
+@outlined
+def constrain(tree, goal, work):
+    """Holds the limits that the slope pushes against and releases those from which it leads away."""
+    side, gradient, outward = work.side, work.gradient, work.outward
+    step_bounds(tree, goal, work)
+    for u in range(gradient.shape[0]):
+        if is_cone(tree, goal, u):
+            if side[u] == 0:
+                outward[u], outward[u + 1], outward[u + 2] = edge_axis(tree, goal, work.q, u)
+            leaving = leaves_cone(work, gradient, u)
+            if leaving and side[u] == 0:
+                hold_cone(work, u)
+            elif side[u] != 0 and not leaving:
+                release_cone(work, u)
+            if tree.upper[goal.dofs[u]] < AT_CONE:
+                for i in range(u, u + 3):
+                    work.low[i] = work.high[i] = 0.0
+            continue
+        leaving = leaves(work, gradient, u)
+        if leaving and side[u] == 0:
+            hold_coordinate(work, u)
+        elif side[u] != 0 and not leaving:
+            work.metric[u, u] = work.value[SCALE]
+            side[u] = 0
+
+
+@outlined
+def direction(tree, goal, work):
+    """work.way = H g; limits that it would cross at once are held, too.  Returns the slope along it."""
+    metric, gradient, way, side = work.metric, work.gradient, work.way, work.side
+    n = gradient.shape[0]
+    for _ in range(n + 1):
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += metric[i, j] * gradient[j]
+            way[i] = s
+        crossed = False
+        for u in range(n):
+            if is_cone(tree, goal, u) and leaves_cone(work, way, u) and side[u] == 0:
+                hold_cone(work, u)
+                crossed = True
+            elif leaves(work, way, u) and side[u] == 0:
+                hold_coordinate(work, u)
+                crossed = True
+        if not crossed:
+            break
+    pressed, slope = 0, 0.0
+    for u in range(n):
+        pressed += side[u]
+        slope += gradient[u] * way[u]
+    work.state[PRESSED] = pressed
+    return slope
+
+
+@outlined
+def displacement(tree, goal, work):
+    """work.moved (nu,): the way from work.accepted to work.q in units of the step."""
+    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
+    before, q, dofs, joint_scale, moved = work.accepted, work.q, goal.dofs, goal.joint_scale, work.moved
+    for u in range(dofs.shape[0]):
+        k = tree.dof_node[dofs[u]]
+        a, i = qadr[k], dofs[u] - vadr[k]
+        if kind[k] < BALL or (kind[k] == FREE and i < 3):
+            moved[u] = (q[a + i] - before[a + i]) / joint_scale[u]
+        elif i % 3 == 0:
+            a = a + 3 if kind[k] == FREE else a
+            x, y, z = rotation_back(before, a, q[a], q[a + 1], q[a + 2], q[a + 3])
+            moved[u], moved[u + 1], moved[u + 2] = (
+                x / joint_scale[u],
+                y / joint_scale[u + 1],
+                z / joint_scale[u + 2],
+            )
+
+
+@outlined
+def learn(work):
+    """The update of Broyden, Fletcher, Goldfarb and Shanno (1970) from s = moved and y = before − gradient.
+
+    H ← (1 − s yᵀ/σ) H (1 − y sᵀ/σ) + s sᵀ/σ, σ = sᵀy; left out where σ is not clearly positive, which
+    would cost H its definiteness.
+    """
+    metric, s, y, image = work.metric, work.moved, work.before, work.rhs
+    n = s.shape[0]
+    curvature, steps, changes = 0.0, 0.0, 0.0
+    for u in range(n):
+        y[u] -= work.gradient[u]
+        curvature += s[u] * y[u]
+        steps += s[u] * s[u]
+        changes += y[u] * y[u]
+    if not curvature > _LEAST_CURVATURE * math.sqrt(steps * changes):
+        return
+    square = 0.0
+    for i in range(n):
+        image[i] = 0.0
+        for j in range(n):
+            image[i] += metric[i, j] * y[j]
+        square += image[i] * y[i]
+    inverse = 1.0 / curvature
+    factor = inverse * (1.0 + inverse * square)
+    for i in range(n):
+        for j in range(n):
+            metric[i, j] += factor * s[i] * s[j] - inverse * (image[i] * s[j] + s[i] * image[j])
+    work.state[UPDATES] += 1
+
 
 # Points tried along one direction before it is given up.
 _TRIALS = 30
@@ -52,7 +371,7 @@ class Minimization(IterativeSolver):
     title: ClassVar[str] = "minimisation by a variable metric (BFGS), projected on the limits"
     source: ClassVar[str] = "Zhao & Badler, ACM Transactions on Graphics 13(4), 1994"
     parts: ClassVar[bool] = True
-    honours: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
+    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     def kernel(self) -> Callable[..., None]:
         return bfgs

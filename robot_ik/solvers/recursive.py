@@ -23,12 +23,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_ik.kernels.aiming import HANGS, mark_hanging, settle
 from robot_ik.kernels.bones import (
+    BALL_PULL,
+    HANGS,
     LENGTH,
     NOW,
     PATH,
     POINT_COLUMNS,
+    PULL,
+    SUM_SIZE,
     WISH,
     across,
     apart,
@@ -36,16 +39,16 @@ from robot_ik.kernels.bones import (
     inner_radius,
     link_points,
     locate_all,
+    mark_hanging,
+    settle,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
-from robot_ik.kernels.work import BEST_COST, open_work
-from robot_ik.solvers.base import option
-from robot_ik.solvers.bones import BoneSolver
+from robot_ik.kernels.workspace import BEST_COST, open_work
+from robot_ik.solvers.base import BoneSolver, option
 
 # Lengths that agree to this share of the chain are equal.
 _EQUAL = 1e-10

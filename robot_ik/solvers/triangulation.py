@@ -23,29 +23,32 @@ from typing import ClassVar
 
 import numpy as np
 
-from robot_ik.kernels.aiming import HANGS, fit_joint, mark_hanging
 from robot_ik.kernels.bones import (
+    BALL_PULL,
+    HANGS,
     LENGTH,
     NOW,
     PATH,
     POINT_COLUMNS,
+    PULL,
+    SUM_SIZE,
     WISH,
     across,
     chain_path,
+    fit_joint,
     inner_radius,
     link_points,
     locate,
     locate_all,
+    mark_hanging,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
-from robot_ik.kernels.turns import BALL_PULL, PULL, SUM_SIZE
-from robot_ik.kernels.work import open_work
-from robot_ik.solvers.base import option
-from robot_ik.solvers.bones import BoneSolver
+from robot_ik.kernels.workspace import open_work
+from robot_ik.solvers.base import BoneSolver, option
 
 # A bone shorter than this, metres, is none: its ends are one point.
 _NO_BONE = 1e-9

@@ -18,7 +18,7 @@ import numpy as np
 
 from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
 from robot_ik.hardware.arm import Arm, ArmState
-from robot_ik.hardware.telemetry import ServoState, read_states
+from robot_ik.hardware.health import ServoState, read_states
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from robot_ik.errors import ConfigError, close_matches
-from robot_ik.files import config_error, parse_json, read_text, write_atomically
+from robot_ik.files import config_error, parse_json, read_text, shown, write_atomically
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Point = tuple[Number, Number, Number]
@@ -208,7 +208,7 @@ def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
     if name not in COMMANDS:
         close = close_matches(name, COMMANDS)
         raise ConfigError(
-            f"there is no command {name!r}" + (f" (did you mean {close[0]!r}?)" if close else ""),
+            f"there is no command {shown(name)}" + (f" (did you mean {close[0]!r}?)" if close else ""),
             file=file, key="command", allowed=", ".join(COMMANDS),
         )  # fmt: skip
     checked = _CHECKED.setdefault(name, TypeAdapter(COMMANDS[name]))

@@ -13,9 +13,9 @@ import numpy as np
 
 from robot_ik.errors import RobotIkError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, PositionGoal
+from robot_ik.goals import Goal, PositionGoal, Tolerance
 from robot_ik.ports import Array
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver

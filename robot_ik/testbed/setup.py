@@ -26,12 +26,12 @@ from robot_ik.goals import (
     PositionGoal,
     PostureGoal,
 )
+from robot_ik.inverse_kinematics import Branch, solve_all
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
-from robot_ik.solve import Branch, solve_all
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import (
@@ -204,7 +204,7 @@ class Goals:
 
         A method that cannot order goals gets them at one priority, and no posture to fall back on.
         """
-        ranked = "priorities" in solver.honours
+        ranked = "priorities" in solver.capabilities
         goals = [self.main(ball, None if ranked else 0)]
         for extra, goal in self._extras:
             if isinstance(goal, PostureGoal):
@@ -221,7 +221,7 @@ class Goals:
     def flattened(self, solver: Solver) -> bool:
         """Whether the method takes goals at one priority that have several."""
         ranks = {self.priority, *(extra.priority for extra, _ in self._extras)}
-        return len(ranks) > 1 and "priorities" not in solver.honours
+        return len(ranks) > 1 and "priorities" not in solver.capabilities
 
 
 def gaze_axis(tool: str) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench.results import Results, read_results
+from robot_ik.bench.methods.results import Results, read_results
 from robot_ik.cli.main import main
 
 

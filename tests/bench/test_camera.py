@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from robot_ik.bench import camera_accuracy, camera_optics
-from robot_ik.bench.camera_rows import Effort, Figure
-from robot_ik.camera.ar.draw import PainterArtist
-from robot_ik.camera.ar.registration import STRAIGHT
+from robot_ik.bench.camera import Effort, Figure, accuracy
+from robot_ik.bench.camera.accuracy import STRAIGHT
+from robot_ik.camera.drawing.renderers import PainterArtist
 from robot_ik.cli.bench_camera import ALL_ROWS
 
 
@@ -37,28 +36,28 @@ def test_a_figure_passes_on_the_right_side(value: float, wanted: float, at_least
 def test_clutter_gives_no_goal_and_a_source_that_believes_all_is_caught(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert all(one.value == 0 for one in figures(camera_accuracy.clutter).values())
-    (view,) = camera_accuracy.standard_set(0.3, 1, seed=2, marker_id=7, dictionary="DICT_5X5_50")
-    tracker = camera_accuracy.MarkerTracker
+    assert all(one.value == 0 for one in figures(accuracy.clutter).values())
+    (view,) = accuracy.standard_set(0.3, 1, seed=2, marker_id=7, dictionary="DICT_5X5_50")
+    tracker = accuracy.MarkerTracker
     real = tracker.observe
 
     def believing(self: object, frame: object) -> object:
-        return real(self, camera_accuracy.frame_of(view.image))  # type: ignore[arg-type]
+        return real(self, accuracy.frame_of(view.image))  # type: ignore[arg-type]
 
     monkeypatch.setattr(tracker, "observe", believing)
-    found = list(figures(camera_accuracy.clutter).values())
+    found = list(figures(accuracy.clutter).values())
     assert [one.passed for one in found] == [False, False]
 
 
 def test_boards_are_seen_as_well_as_wanted_and_half_hidden_ones_too() -> None:
-    found = figures(camera_accuracy.occlusion)
+    found = figures(accuracy.occlusion)
     assert len(found) == 4 and all(one.passed in (True, None) for one in found.values()), found
 
 
 def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = figures(camera_optics.projection)
+    found = figures(accuracy.projection)
     assert len(found) == 8 and all(one.passed for one in found.values()), found
 
     class Shifted(PainterArtist):
@@ -67,9 +66,9 @@ def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen(
         def draw(self, figure, qpos, intrinsics, pose):  # type: ignore[no-untyped-def]
             return super().draw(figure, qpos, replace(intrinsics, cx=intrinsics.cx + 0.5), pose)
 
-    assert camera_optics.projection_identity(Shifted(), STRAIGHT).rms > 0.4
+    assert accuracy.projection_identity(Shifted(), STRAIGHT).rms > 0.4
 
 
 def test_handeye_comes_near_and_says_how_near() -> None:
-    found = figures(camera_optics.handeye)
+    found = figures(accuracy.handeye)
     assert all(one.passed for one in found.values()), found

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.camera.ar.registration import remedy_errors
+from robot_ik.bench.camera.accuracy import remedy_errors
 
 DOCS = Path(__file__).parents[2] / "docs"
 

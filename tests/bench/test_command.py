@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench import floors
-from robot_ik.bench.results import read_results
+from robot_ik.bench.methods import growth
+from robot_ik.bench.methods.results import read_results
 from robot_ik.cli.main import main
 
 
@@ -51,8 +51,8 @@ def test_the_table_has_a_row_for_each_method(tmp_path: Path, capsys: pytest.Capt
 def test_kernels_and_batches(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(floors, "JOINTS", (4, 8))
-    monkeypatch.setattr(floors, "FIGURE_FRAMES", floors.FIGURE_FRAMES[:2])
+    monkeypatch.setattr(growth, "JOINTS", (4, 8))
+    monkeypatch.setattr(growth, "FIGURE_FRAMES", growth.FIGURE_FRAMES[:2])
     words = (
         "bench --solvers lm analytic --robots panda puma560 --sets kernels batch --count 2 --no-plots --out"
     )

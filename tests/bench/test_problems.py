@@ -8,12 +8,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.bench.judge import Judge
-from robot_ik.bench.plain_model import plain_mjcf
-from robot_ik.bench.problems import NEAR_LIMIT, SETS, WARM_METRES, WARM_RADIANS, ProblemSet, make_set
-from robot_ik.chain import make_chain, robot_from_model
+from robot_ik.bench.methods.problems import (
+    NEAR_LIMIT,
+    SETS,
+    WARM_METRES,
+    WARM_RADIANS,
+    Judge,
+    ProblemSet,
+    make_set,
+    plain_mjcf,
+)
 from robot_ik.errors import UnsupportedJointError
-from robot_ik.robot import Robot, load_robot
+from robot_ik.robot import Robot, load_robot, make_chain, robot_from_model
 
 ARMS = ("puma560", "ur5e", "panda")
 BALLS = """<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 1">

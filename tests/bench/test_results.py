@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.plots import draw
-from robot_ik.bench.results import Cell, Results, read_results, results_text
+from robot_ik.bench.methods.results import Cell, Results, draw, read_results, results_text
 from robot_ik.errors import ConfigError, MissingExtraError
 
 
@@ -78,7 +77,7 @@ def test_plots_show_something(folder: Path) -> None:
 
 
 def test_growth_is_drawn(results: Results) -> None:
-    from robot_ik.bench.results import Growth
+    from robot_ik.bench.methods.results import Growth
 
     points = [
         Growth(solver="lm", across=across, size=n, step_us=float(n), call_us=1.0, converged=1.0)
@@ -107,10 +106,10 @@ def test_without_matplotlib_it_says_what_to_install(
 
 
 def test_the_kernels_grow() -> None:
-    from robot_ik.bench import floors
+    from robot_ik.bench.methods import growth
     from robot_ik.robot import load_robot
 
-    floor = floors.floor(load_robot("puma560"))
+    floor = growth.floor(load_robot("puma560"))
     assert floor.joints == 6 and 0.0 < floor.forward_us < 50.0 and floor.jacobian_us > 0.0
-    chain = floors.hinge_chain(9)
+    chain = growth.hinge_chain(9)
     assert chain.nv == 9 and chain.forward(chain.home).position == pytest.approx((0, 0, 2.0))

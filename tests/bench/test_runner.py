@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from robot_ik.bench.problems import make_set
-from robot_ik.bench.results import Settings
-from robot_ik.bench.runner import Bench, prepare
+from robot_ik.bench.methods.problems import make_set
+from robot_ik.bench.methods.results import Settings
+from robot_ik.bench.methods.runner import Bench, prepare
 from robot_ik.goals import PoseGoal
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot

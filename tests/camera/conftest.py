@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
-from robot_ik.camera.pose import MarkerObservation
+from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import quat_multiply, rotation_log
 
 Array = NDArray[np.float64]

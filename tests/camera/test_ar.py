@@ -9,17 +9,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.ar import registration
-from robot_ik.camera.ar.draw import Artist, Figure, PainterArtist, RayArtist
-from robot_ik.camera.ar.phantoms import load_phantoms, phantom_boxes
-from robot_ik.camera.ar.registrar import BoardWatcher, Registrar, optical_motion
-from robot_ik.camera.ar.registration import BENT
+from robot_ik.bench.camera import accuracy
+from robot_ik.bench.camera.accuracy import BENT
 from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.drawing.layer import Layer
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.made_up.synthetic import look_at
-from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.drawing.painter import Layer
+from robot_ik.camera.drawing.renderers import (
+    Artist,
+    DrawnRobot,
+    PainterArtist,
+    RayArtist,
+    load_phantoms,
+    phantom_boxes,
+)
+from robot_ik.camera.registration import BoardWatcher, Registrar, optical_motion
 from robot_ik.camera.sources import Frame
+from robot_ik.camera.synthetic.camera import look_at
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot
@@ -28,9 +34,9 @@ BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, "DICT_4X4_50")
 EYE = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
 
 
-def standing(scale: float = 0.3, **more: object) -> tuple[Figure, np.ndarray]:
+def standing(scale: float = 0.3, **more: object) -> tuple[DrawnRobot, np.ndarray]:
     robot = load_robot("puma560")
-    return Figure(robot.model, Pose(), scale, **more), robot.qpos(robot.home)  # type: ignore[arg-type]
+    return DrawnRobot(robot.model, Pose(), scale, **more), robot.qpos(robot.home)  # type: ignore[arg-type]
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
@@ -99,7 +105,7 @@ def test_depth_by_rays_is_that_of_the_scaled_robot() -> None:
 
 @pytest.mark.parametrize("artist", [PainterArtist(), RayArtist()], ids=["painter", "ray"])
 def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
-    misses = registration.projection_identity(artist, BENT)
+    misses = accuracy.projection_identity(artist, BENT)
     assert misses.count > 100
     assert misses.rms <= 0.08
     assert misses.worst <= 0.20
@@ -107,14 +113,14 @@ def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
 
 
 def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
-    misses = registration.overlay_error(0.8, 6)
+    misses = accuracy.overlay_error(0.8, 6)
     assert misses.count > 400
     assert misses.rms <= 0.3
     assert misses.worst <= 1.0
 
 
 def test_each_remedy_makes_a_delay_smaller() -> None:
-    found = registration.remedy_errors(0.066, 1.1)
+    found = accuracy.remedy_errors(0.066, 1.1)
     assert found["delayed video"].rms < 0.3
     assert found["nothing"].rms > 5.0
     assert found["less delay (half)"].rms < 0.6 * found["nothing"].rms
@@ -162,7 +168,7 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
     markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.layout.items()}
     image = render_markers(STANDARD_CAMERA, markers, np.random.default_rng(0), margin=0.12)
     colour = np.repeat(image[:, :, None], 3, axis=2)
-    figure = Figure(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
+    figure = DrawnRobot(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
     registrar = Registrar(BoardWatcher(BOARD, STANDARD_CAMERA), PainterArtist(), figure, STANDARD_CAMERA)
     empty = np.zeros_like(colour)
     drawn = {}

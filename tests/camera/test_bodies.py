@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.made_up.standard_set import random_pose, render_markers
-from robot_ik.camera.pose import BodyObservation, estimate_body, marker_points
-from robot_ik.camera.pose.bodies import MarkerBody, cube_body, grid_body, load_bodies
-from robot_ik.camera.refine import unrefined
+from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body, load_bodies
+from robot_ik.camera.corner_refinement import unrefined
+from robot_ik.camera.observations import BodyObservation, estimate_body, marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.datasets import random_pose, render_markers
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
@@ -108,7 +108,7 @@ def test_markers_that_disagree_a_little_count_less() -> None:
     seen[0] = unrefined(seen[0].corners + np.array([0.25, 0.1]), CAMERA, 0.05)
     body = estimate_body(seen, board.markers, CAMERA)
     assert body is not None and body.rejected == ()
-    from robot_ik.camera.pose.corner_fit import CornerData, fit_pose
+    from robot_ik.camera.pose_fit import CornerData, fit_pose
 
     points = np.concatenate([p.apply(marker_points(s)) for s, p in board.markers.values()])
     plain, _ = fit_pose(CornerData.of_markers(points, [seen[i] for i in board.markers], CAMERA), pose)

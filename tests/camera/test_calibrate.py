@@ -13,13 +13,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.found_pattern import FoundPattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern
-from robot_ik.camera.calibrate import CalibrationResult, View, calibrate
-from robot_ik.camera.calibrate.coverage import LEANS, coverage_picture
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
+from robot_ik.camera.calibration.coverage import LEANS, coverage_picture
+from robot_ik.camera.calibration.intrinsic import CalibrationResult, View, calibrate
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.pattern_set import pattern_pose, pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, pattern_pose, pattern_set
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -133,8 +131,8 @@ def test_noise_is_no_calibration() -> None:
 def test_a_view_that_does_not_fit_is_named_and_left_out() -> None:
     good = views(STANDARD_CAMERA, 12, seed=6)
     # A board that was bent between two pictures, and one that moved during its picture.
-    bent = good[4].pixels + 0.004 * (good[4].pixels - good[4].pixels.mean(axis=0)) ** 2 / 20.0
-    wrong = dataclasses.replace(good[4], pixels=bent)
+    distorted = good[4].pixels + 0.004 * (good[4].pixels - good[4].pixels.mean(axis=0)) ** 2 / 20.0
+    wrong = dataclasses.replace(good[4], pixels=distorted)
     moved = dataclasses.replace(good[7], blur=3.1)
     named = [View(f"photo{k}.png", {4: wrong, 7: moved}.get(k, v)) for k, v in enumerate(good)]
     result = calibrate(named, SIZE)
@@ -173,7 +171,7 @@ def test_a_lean_points_to_the_side_that_is_farther(side: str) -> None:
     depth = Pose((-0.1, -0.06, 0.5), turn).apply(found[0].points_board)[:, 2]
     along = (found[0].pixels - found[0].pixels.mean(axis=0)) @ way
     assert np.corrcoef(depth, along)[0, 1] > 0.9
-    from robot_ik.camera.calibrate.coverage import cover
+    from robot_ik.camera.calibration.coverage import cover
 
     lean = cover(found, [Pose(wxyz=turn).rotation], SIZE).leans[0]
     assert lean == pytest.approx(25.0 * way, abs=1e-6)
@@ -233,9 +231,9 @@ def test_the_digest_is_of_all_that_maps_points_to_pixels(name: str, change: floa
     value = getattr(camera, name) + step
     other = dataclasses.replace(camera, **{name: value})
     assert (other.digest == camera.digest) == (value == getattr(camera, name))
-    bent = list(camera.distortion)
-    bent[lens] += change
-    assert dataclasses.replace(camera, distortion=tuple(bent)).digest != camera.digest
+    distorted = list(camera.distortion)
+    distorted[lens] += change
+    assert dataclasses.replace(camera, distortion=tuple(distorted)).digest != camera.digest
     # What is known of the calibration, or what the camera is called, is not the camera.
     same = dataclasses.replace(camera, rms=1.0, std=(1.0,) * 9, views=3, name="other", date="2026-01-01")
     assert same.digest == camera.digest

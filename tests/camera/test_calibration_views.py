@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.found_pattern import FoundPattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.calibrate.views import ViewGatherer, missing_words
-from robot_ik.camera.drawing.raster import paint_boxes
-from robot_ik.camera.made_up.pattern_set import render_pattern
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
+from robot_ik.camera.calibration.views import ViewGatherer, missing_words
+from robot_ik.camera.drawing.rasteriser import paint_boxes
 from robot_ik.camera.sources import Frame
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_pattern
 from robot_ik.errors import CalibrationError, FrameSizeError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -152,7 +150,9 @@ def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() ->
     """A 7x5 board holds markers of the 8x6 one; its corners must not be taken for that one's."""
     rng = np.random.default_rng(0)
     pose = Pose((-0.1, -0.07, 0.45), rotation_exp([0.3, 0.2, 0.0]))
-    image = render_pattern(CharucoPattern(7, 5, 0.03, 0.022), STANDARD_CAMERA, pose, rng, Look(noise=2.0))
+    image = render_pattern(
+        CharucoPattern(7, 5, 0.03, 0.022), STANDARD_CAMERA, pose, rng, SensorModel(noise=2.0)
+    )
     assert CharucoPattern(8, 6, 0.03, 0.022).find(image) is None
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_ik.camera.made_up.carried import CarriedSource
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
-from robot_ik.camera.made_up.synthetic import SyntheticMarker, SyntheticScene
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot

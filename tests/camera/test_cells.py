@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera_accuracy import frame_of
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, random_pose, render_marker, render_markers
-from robot_ik.camera.pose import estimate_body
-from robot_ik.camera.pose.bodies import grid_body
-from robot_ik.camera.pose.cells import fit_print
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.observations import estimate_body
+from robot_ik.camera.photometric_pose import fit_photometric_pose
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 
 DICTIONARY = "DICT_4X4_50"
@@ -67,7 +67,7 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
     near = 1e-6 * np.eye(6)
 
     def fit(gray: NDArray[np.uint8], ids: list[int], start: Pose = pose) -> object:
-        return fit_print(gray, BOARD, ids, DICTIONARY, STANDARD_CAMERA, start, near)
+        return fit_photometric_pose(gray, BOARD, ids, DICTIONARY, STANDARD_CAMERA, start, near)
 
     assert fit(image, [0, 1, 2, 3]) is not None
     noise = np.random.default_rng(2).integers(0, 255, image.shape).astype(np.uint8)
@@ -77,7 +77,10 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
     assert fit(image, [0], behind) is None and fit(image, []) is None
     # what was said to be known to a micrometre is not left for something farther off
     beside = Pose(pose.position + np.array([2e-4, 0.0, 0.0]), pose.wxyz)
-    assert fit_print(image, BOARD, [0], DICTIONARY, STANDARD_CAMERA, beside, 1e-12 * np.eye(6)) is None
+    assert (
+        fit_photometric_pose(image, BOARD, [0], DICTIONARY, STANDARD_CAMERA, beside, 1e-12 * np.eye(6))
+        is None
+    )
 
 
 @pytest.mark.parametrize(("seed", "distance"), [(75, 1.8), (106, 1.4), (162, 1.4)])

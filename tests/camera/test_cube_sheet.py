@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.pose.marker import marker_points
-from robot_ik.camera.sheets.blocks import SheetWish
-from robot_ik.camera.sheets.bodies import body_of
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import marker_bits
+from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sheets.cube import cube_paper, unfold
 from robot_ik.camera.sheets.page import pdf_bytes, rasterize
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetRequest, body_of, make_sheet_page
 from robot_ik.geometry import Pose, rotation_exp
 
 DPI, EDGE = 150.0, 50.0
@@ -24,9 +22,9 @@ DPI, EDGE = 150.0, 50.0
 PLACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
 
 
-def found(wish: SheetWish) -> dict[int, np.ndarray]:
+def found(sheet: SheetRequest) -> dict[int, np.ndarray]:
     """Id -> corners (4, 2) in mm of paper, by a detector."""
-    image = rasterize(make_sheet_page(wish), DPI)
+    image = rasterize(make_sheet_page(sheet), DPI)
     return {m.id: (m.corners + 0.5) * 25.4 / DPI for m in MarkerDetector("DICT_5X5_50").detect(image)}
 
 
@@ -66,11 +64,11 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("ids", [(20, 21, 22, 23, 24, 25), (7, 3, 11)])
 def test_the_folded_sheet_is_the_body_that_is_tracked(ids: tuple[int, ...]) -> None:
     """Folded here along the net's lines alone, with the markers where a detector sees them."""
-    wish = SheetWish("cube", ids=ids)
-    corners = found(wish)
+    sheet = SheetRequest("cube", ids=ids)
+    corners = found(sheet)
     middle = corners[ids[0]].mean(axis=0)
     assert set(corners) == set(ids)
-    for marker, (size, pose) in body_of(wish).markers.items():
+    for marker, (size, pose) in body_of(sheet).markers.items():
         flat = corners[marker] - middle
         x, y = np.rint(flat.mean(axis=0) / EDGE).astype(int)
         cube = folded(np.column_stack([flat, np.zeros(4)]), (x, y), EDGE)
@@ -113,24 +111,24 @@ def test_tabs_hold_the_cube_and_are_in_nobodys_way(edge: float) -> None:
 
 
 def test_the_lines_are_in_the_pdf_at_true_scale() -> None:
-    wish = SheetWish("cube")
-    text = pdf_bytes(make_sheet_page(wish)).decode("latin-1")
+    sheet = SheetRequest("cube")
+    text = pdf_bytes(make_sheet_page(sheet)).decode("latin-1")
     strokes = re.findall(r"^([\d.]+) ([\d.]+) m ([\d.]+) ([\d.]+) l S$", text, re.MULTILINE)
     drawn = np.array(strokes, dtype=float)
-    cuts = cube_paper(EDGE).cuts + np.tile(found(wish)[0].mean(axis=0), 2)
+    cuts = cube_paper(EDGE).cuts + np.tile(found(sheet)[0].mean(axis=0), 2)
     assert all(np.abs(drawn - cut).max(axis=1).min() < 0.05 for cut in cuts)
     lengths = np.linalg.norm(drawn[:, 2:] - drawn[:, :2], axis=1)
     assert (lengths < 2.5).sum() == len(drawn) - len(cuts)  # the rest are dashes
 
 
 def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
-    wish = SheetWish("cube", ids=(20, 21, 22, 23, 24, 25))
-    net = {f.marker: f for f in unfold({i: p for i, (_, p) in body_of(wish).markers.items()}, 50.0)}
+    sheet = SheetRequest("cube", ids=(20, 21, 22, 23, 24, 25))
+    net = {f.marker: f for f in unfold({i: p for i, (_, p) in body_of(sheet).markers.items()}, 50.0)}
     # Front in the middle, its neighbours round it, the back beyond the right side; all prints upright.
     places = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
     assert {k: tuple(f.centre / 50.0) for k, f in net.items()} == places
     assert {f.turns for f in net.values()} == {0}
-    corners = found(wish)
+    corners = found(sheet)
     middle = corners[20].mean(axis=0)
     for marker, corner in corners.items():
         assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(places[marker], abs=0.01)

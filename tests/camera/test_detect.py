@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.detect.dictionary_guess import guess_dictionary
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look, render_marker
-from robot_ik.camera.opencv import dictionary_names, dictionary_size, marker_bits
-from robot_ik.camera.pose import marker_points
+from robot_ik.camera.detection import MarkerDetector, guess_dictionary
+from robot_ik.camera.image import dictionary_names, dictionary_size, marker_bits
+from robot_ik.camera.observations import marker_points
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_marker
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
@@ -168,7 +167,7 @@ def test_a_marker_under_steep_view_and_weak_contrast_is_found() -> None:
         np.random.default_rng(0),
         marker_id=1,
         dictionary="DICT_5X5_50",
-        look=Look(black=80, white=150),
+        look=SensorModel(black=80, white=150),
     )
     assert [d.id for d in MarkerDetector().detect(image)] == [1]
 

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.sources import device as device_module
-from robot_ik.camera.sources import device_list
-from robot_ik.camera.sources.device import DeviceSource
-from robot_ik.camera.sources.device_list import find_cameras
+from robot_ik.camera import device as device_list
+from robot_ik.camera import device as device_module
+from robot_ik.camera.device import DeviceSource, find_cameras
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameTimeoutError
 
 linux_only = pytest.mark.skipif(not device_list.CAN_LIST, reason="cameras are only listed on Linux")

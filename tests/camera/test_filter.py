@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.bench.camera_motion import compare_filters
-from robot_ik.camera.filter import FilterOptions, MotionFilter, Update, difference, moved
-from robot_ik.camera.goals.one_euro import OneEuro
+from robot_ik.bench.camera.arm import compare_filters
+from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro, Update, difference, moved
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 

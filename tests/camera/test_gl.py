@@ -7,12 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.camera.ar import gl_draw
-from robot_ik.camera.ar.draw import Figure, PainterArtist
-from robot_ik.camera.ar.phantoms import phantom_boxes
-from robot_ik.camera.ar.registration import BENT, STRAIGHT, projection_identity
+from robot_ik.bench.camera.accuracy import BENT, STRAIGHT, projection_identity
+from robot_ik.camera.drawing import gl
 from robot_ik.camera.drawing.raycast import ray_field
-from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist, phantom_boxes
+from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.environment import Probe
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
@@ -34,14 +33,14 @@ def test_without_opengl_the_painter_draws_and_says_so(cache: Path, monkeypatch: 
         asked.append(backend)
         return Probe(False, "no library")
 
-    monkeypatch.setattr(gl_draw, "probe_gl", probe)
-    artist, notice = gl_draw.make_artist("gl")
+    monkeypatch.setattr(gl, "probe_gl", probe)
+    artist, notice = gl.make_artist("gl")
     assert artist.name == "painter"
     assert "painter" in notice and "no library" in notice and "\n" not in notice
-    assert asked == list(gl_draw.TRIED)
+    assert asked == list(gl.TRIED)
     assert "MUJOCO_GL" not in os.environ
-    gl_draw.make_artist("gl")
-    assert len(asked) == 2 * len(gl_draw.TRIED), "a failure is not kept: the library may come"
+    gl.make_artist("gl")
+    assert len(asked) == 2 * len(gl.TRIED), "a failure is not kept: the library may come"
 
 
 def test_the_probe_is_asked_once_on_a_machine(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,29 +50,29 @@ def test_the_probe_is_asked_once_on_a_machine(cache: Path, monkeypatch: pytest.M
         asked.append(backend)
         return Probe(backend == "osmesa", "llvmpipe")
 
-    monkeypatch.setattr(gl_draw, "probe_gl", probe)
-    assert [gl_draw.choose_gl().backend for _ in range(3)] == ["osmesa"] * 3
+    monkeypatch.setattr(gl, "probe_gl", probe)
+    assert [gl.choose_gl().backend for _ in range(3)] == ["osmesa"] * 3
     assert asked == ["egl", "osmesa"]
     monkeypatch.setenv("MUJOCO_GL", "disable")
-    assert gl_draw.choose_gl().backend == ""
+    assert gl.choose_gl().backend == ""
 
 
 def test_an_unknown_back_end_is_refused() -> None:
     with pytest.raises(CameraError, match="'vulkan'"):
-        gl_draw.make_artist("vulkan")
+        gl.make_artist("vulkan")
 
 
 def test_the_pinhole_picture_holds_all_that_the_lens_sees() -> None:
-    pinhole = gl_draw.pinhole_for(BENT, 1.5)
-    ideal = ray_field(BENT).box(0, 0, *BENT.size).reshape(-1, 2)
-    pixels = pinhole.distort(ideal)
+    pinhole = gl.pinhole_for(BENT, 1.5)
+    normalized = ray_field(BENT).box(0, 0, *BENT.size).reshape(-1, 2)
+    pixels = pinhole.distort(normalized)
     assert pixels.min() > 0
     assert (pixels < np.array(pinhole.size) - 1).all()
 
 
 def test_opengl_draws_where_opencv_projects_and_the_painter_paints(require: Require) -> None:
     backend = require("gl")
-    artist = gl_draw.GlArtist(backend)
+    artist = gl.GlArtist(backend)
     try:
         for lens, rms, worst in ((STRAIGHT, 0.05, 0.15), (BENT, 0.08, 0.20)):
             misses = projection_identity(artist, lens)
@@ -83,7 +82,7 @@ def test_opengl_draws_where_opencv_projects_and_the_painter_paints(require: Requ
         robot = load_robot("puma560")
         things = phantom_boxes([{"position": [0.02, -0.12, 0.06], "size": [0.10, 0.04, 0.12]}])
         eye = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
-        figure = Figure(robot.model, Pose(), 0.3, things, shadow=False)
+        figure = DrawnRobot(robot.model, Pose(), 0.3, things, shadow=False)
         qpos = robot.qpos(robot.home)
         masks = [
             a.draw(figure, qpos, BENT, eye).robot.mask(640, 480) > 127 for a in (artist, PainterArtist())

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.goals.sight import AMBIGUITY_LIMIT
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.made_up.standard_set import render_marker
-from robot_ik.camera.pose import estimate_marker, marker_points
-from robot_ik.camera.refine import unrefined
+from robot_ik.camera.corner_refinement import unrefined
+from robot_ik.camera.marker_goals import AMBIGUITY_LIMIT, MarkerGoalSource
+from robot_ik.camera.observations import estimate_marker, marker_points
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.datasets import render_marker
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, FrameTimeoutError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal

@@ -9,12 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.filter import moved
-from robot_ik.camera.goals import MarkerGoalSource
-from robot_ik.camera.goals.lost import WhenLost
-from robot_ik.camera.goals.one_euro import OneEuro
-from robot_ik.camera.goals.sight import LEAST_WEIGHT, goal_weight
-from robot_ik.camera.pose import BodyObservation, MarkerObservation
+from robot_ik.camera.marker_goals import LEAST_WEIGHT, MarkerGoalSource, WhenLost, goal_weight
+from robot_ik.camera.motion_filter import OneEuro, moved
+from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.errors import CameraError, MarkerNotFoundError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp

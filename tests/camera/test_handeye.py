@@ -12,14 +12,20 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye import solve_handeye
-from robot_ik.camera.handeye.model import MOUNTINGS, HandEyeSample, Mounting, view_derivatives
-from robot_ik.camera.handeye.rotation_average import mean_rotation, robust_mean_pose, rotation_spread
-from robot_ik.camera.handeye.start import start_handeye
-from robot_ik.camera.made_up.handeye_set import handeye_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE
-from robot_ik.camera.pose import marker_points
+from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.handeye import (
+    MOUNTINGS,
+    HandEyeSample,
+    Mounting,
+    mean_rotation,
+    robust_mean_pose,
+    rotation_spread,
+    solve_handeye,
+    start_handeye,
+    view_derivatives,
+)
+from robot_ik.camera.observations import marker_points
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, handeye_set
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 

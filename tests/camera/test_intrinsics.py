@@ -73,8 +73,8 @@ def test_unproject_undoes_project_to_1e_9(camera: CameraIntrinsics) -> None:
     # Wherever there is an inverse it is exact; in the middle of the picture there always is one.
     assert camera.project(rays[seen]) == pytest.approx(pixels[seen], abs=1e-6)
     assert np.isfinite(camera.unproject((camera.cx + 60.0, camera.cy - 60.0))).all()
-    ideal = rays[seen, :2] * 0.5
-    assert camera.undistort(camera.distort(ideal)) == pytest.approx(ideal, abs=1e-9)
+    normalized = rays[seen, :2] * 0.5
+    assert camera.undistort(camera.distort(normalized)) == pytest.approx(normalized, abs=1e-9)
 
 
 def test_a_pixel_beyond_the_fold_has_no_ray() -> None:
@@ -93,25 +93,31 @@ def test_points_behind_the_camera_have_no_pixel() -> None:
 
 @given(cameras())
 def test_pixel_jacobian_is_the_derivative(camera: CameraIntrinsics) -> None:
-    ideal = np.array([[0.0, 0.0], [0.2, -0.1], [-0.15, 0.25]])
+    normalized = np.array([[0.0, 0.0], [0.2, -0.1], [-0.15, 0.25]])
     step = 1e-6
     slope = np.stack(
-        [(camera.distort(ideal + d) - camera.distort(ideal - d)) / (2 * step) for d in step * np.eye(2)],
+        [
+            (camera.distort(normalized + d) - camera.distort(normalized - d)) / (2 * step)
+            for d in step * np.eye(2)
+        ],
         axis=2,
     )
-    assert camera.pixel_jacobian(ideal) == pytest.approx(slope, rel=1e-6, abs=1e-4)
+    assert camera.pixel_jacobian(normalized) == pytest.approx(slope, rel=1e-6, abs=1e-4)
 
 
 def test_equidistant_jacobian_and_inverse() -> None:
     camera = CameraIntrinsics(640, 480, 300.0, 305.0, 320.0, 240.0, (0.02, -0.01, 0.003, 0.0), "equidistant")
-    ideal = np.array([[0.0, 0.0], [1e-5, 0.0], [0.4, -0.3], [-0.8, 0.7]])
+    normalized = np.array([[0.0, 0.0], [1e-5, 0.0], [0.4, -0.3], [-0.8, 0.7]])
     step = 1e-6
     slope = np.stack(
-        [(camera.distort(ideal + d) - camera.distort(ideal - d)) / (2 * step) for d in step * np.eye(2)],
+        [
+            (camera.distort(normalized + d) - camera.distort(normalized - d)) / (2 * step)
+            for d in step * np.eye(2)
+        ],
         axis=2,
     )
-    assert camera.pixel_jacobian(ideal) == pytest.approx(slope, rel=1e-5, abs=1e-3)
-    assert camera.undistort(camera.distort(ideal)) == pytest.approx(ideal, abs=1e-9)
+    assert camera.pixel_jacobian(normalized) == pytest.approx(slope, rel=1e-5, abs=1e-3)
+    assert camera.undistort(camera.distort(normalized)) == pytest.approx(normalized, abs=1e-9)
 
 
 def test_one_point_and_many_have_the_same_shape_as_asked() -> None:

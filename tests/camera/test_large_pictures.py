@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.made_up.pattern_set import pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, Look, standard_set
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.reduction import from_reduced, reduced, to_reduced
-from robot_ik.camera.refine import refine_markers
+from robot_ik.camera.corner_refinement import refine_markers
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import from_reduced, marker_bits, reduced, to_reduced
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.datasets import (
+    STANDARD_CAMERA,
+    STANDARD_SIZE,
+    SensorModel,
+    pattern_set,
+    standard_set,
+)
+from robot_ik.camera.tracker import MarkerTracker
 
 TIMES = 8  # 640 px become 5120, and a blur of 0.7 px 5.6
 
@@ -83,7 +87,7 @@ def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
 def test_a_picture_that_was_sharpened_is_measured_too() -> None:
     # As cameras and programs do: edges of one pixel with a light and a dark seam.
     refined = 0
-    for view in standard_set(0.5, 20, seed=4, look=Look(blur=0.4, noise=1.0)):
+    for view in standard_set(0.5, 20, seed=4, look=SensorModel(blur=0.4, noise=1.0)):
         image = view.image.astype(float)
         sharp = np.clip(image + 3.0 * (image - cv2.GaussianBlur(image, (0, 0), 1.0)), 0, 255).astype(np.uint8)
         (rough,) = MarkerDetector("DICT_4X4_50").detect(sharp)

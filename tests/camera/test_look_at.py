@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import CameraError
 
 

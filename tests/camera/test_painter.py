@@ -11,12 +11,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera import overlay
-from robot_ik.camera.drawing.mesh import ROUND_PX, build_mesh
+from robot_ik.camera.drawing import overlay
+from robot_ik.camera.drawing.meshes import ROUND_PX, build_mesh, triangulate
 from robot_ik.camera.drawing.painter import Faces, Samples, bounding_box, faces_in_picture, paint_mask
-from robot_ik.camera.drawing.primitives import triangulate
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.robot import load_robot
 
@@ -44,12 +43,12 @@ def _rays_through(lens: CameraIntrinsics) -> np.ndarray:
     )
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
     coefficients = np.array(lens.distortion) if lens.distortion else None
-    ideal = (
+    normalized = (
         cv2.undistortPointsIter(pixels, lens.matrix, coefficients, None, None, stop)
         if hasattr(cv2, "undistortPointsIter")
         else cv2.undistortPoints(pixels, lens.matrix, coefficients, criteria=stop)
     )
-    return np.concatenate([ideal.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
+    return np.concatenate([normalized.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
 
 
 def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.chess_corner import refine_corners
-from robot_ik.camera.boards.pattern_guess import fitting_pattern
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.drawing.raster import paint_boxes
-from robot_ik.camera.made_up.pattern_set import pattern_set
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look
-from robot_ik.camera.opencv import marker_dictionary
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern, fitting_pattern
+from robot_ik.camera.drawing.rasteriser import paint_boxes
+from robot_ik.camera.image import marker_dictionary
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
 from robot_ik.errors import CalibrationError
 
 CHARUCO = CharucoPattern(8, 6, 0.03, 0.022)
@@ -65,7 +63,7 @@ def test_corners_of_a_chessboard_are_found_to_hundredths_of_a_pixel() -> None:
 
 def test_a_start_that_is_half_a_pixel_off_ends_at_the_same_corner() -> None:
     """Some releases of OpenCV give ChArUco corners half a pixel off."""
-    (view,) = pattern_set(CHESSBOARD, STANDARD_CAMERA, 1, seed=5, look=Look(noise=2.0))
+    (view,) = pattern_set(CHESSBOARD, STANDARD_CAMERA, 1, seed=5, look=SensorModel(noise=2.0))
     found = CHESSBOARD.find(view.image)
     assert found is not None
     grid = np.stack([found.ids % 9, found.ids // 9], axis=1).astype(float)

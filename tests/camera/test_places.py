@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.board import MarkerBoard, PatternBoard, parse_board
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye.places import CameraPlace, locate_camera, today
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.pose import marker_points
-from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.boards.board import BoardView, MarkerBoard, PatternBoard, parse_board
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera, today
+from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -32,8 +31,8 @@ def looked(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
     return BoardView(POINTS, pixels, SEEN.compose(Pose.exp(rng.normal(0, 2e-3, 6))), 0.1)
 
 
-def place_of(pose: Pose, covariance: np.ndarray) -> CameraPlace:
-    return CameraPlace(pose, "world", covariance, 0.12, 0.2, today(), STANDARD_CAMERA.digest)
+def place_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
+    return CameraExtrinsics(pose, "world", covariance, 0.12, 0.2, today(), STANDARD_CAMERA.digest)
 
 
 @settings(max_examples=10)
@@ -47,7 +46,7 @@ def test_the_file_gives_back_what_was_written(
     path = tmp_path_factory.mktemp("place") / "place.toml"
     place = dataclasses.replace(place_of(Pose.exp(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent)
     place.save(path)
-    read = CameraPlace.load(path, STANDARD_CAMERA)
+    read = CameraExtrinsics.load(path, STANDARD_CAMERA)
     np.testing.assert_array_equal(read.pose_parent_camera.position, place.pose_parent_camera.position)
     assert max(read.pose_parent_camera.distance(place.pose_parent_camera)) < 1e-15
     np.testing.assert_array_equal(read.covariance, place.covariance)
@@ -60,10 +59,10 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
     place_of(Pose(), np.eye(6)).save(path)
     other = dataclasses.replace(STANDARD_CAMERA, fx=801.0)
     with pytest.raises(CalibrationError, match="another calibration") as refused:
-        CameraPlace.load(path, other)
+        CameraExtrinsics.load(path, other)
     assert STANDARD_CAMERA.digest in str(refused.value) and other.digest in str(refused.value)
     with pytest.raises(CalibrationError, match="'world'"):
-        CameraPlace.load(path).require_parent("gripper")
+        CameraExtrinsics.load(path).require_parent("gripper")
 
 
 @pytest.mark.parametrize(
@@ -92,7 +91,7 @@ def test_a_wrong_file_is_told_in_one_sentence(tmp_path: Path, text: str | None, 
     else:
         path.write_text(text)
     with pytest.raises(CalibrationError, match=words):
-        CameraPlace.load(path)
+        CameraExtrinsics.load(path)
 
 
 def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
@@ -155,7 +154,7 @@ def test_patterns_are_seen_with_their_frame_in_the_corner(text: str) -> None:
 
 def pattern_frame(board: PatternBoard, pose: Pose) -> Frame:
     """A picture of the pattern at ``pose_camera_board``."""
-    from robot_ik.camera.made_up.pattern_set import render_pattern
+    from robot_ik.camera.synthetic.datasets import render_pattern
 
     image = render_pattern(board.pattern, STANDARD_CAMERA, pose, np.random.default_rng(0))
     return Frame(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.made_up.standard_set import random_pose
-from robot_ik.camera.pose import estimate_body, estimate_marker, marker_points
-from robot_ik.camera.pose.corner_fit import CornerData
-from robot_ik.camera.refine import unrefined
+from robot_ik.camera.corner_refinement import unrefined
+from robot_ik.camera.observations import estimate_body, estimate_marker, marker_points
+from robot_ik.camera.pose_fit import CornerData
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.datasets import random_pose
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.camera.drawing.mesh import VISIBLE_GROUPS
+from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
 from robot_ik.camera.drawing.raycast import Caster
 from robot_ik.robot import load_robot
 

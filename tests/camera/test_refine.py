@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, refine_corners, refine_markers
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, Look, standard_set
-from robot_ik.camera.opencv import marker_bits
-from robot_ik.camera.refine import DETECTOR_SIGMA, refine_corners, refine_markers
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, standard_set
 
 STRAIGHT = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
 
@@ -52,10 +52,14 @@ def test_it_beats_opencvs_corner_operator(standard: dict) -> None:
 
 @pytest.mark.parametrize(
     ("look", "limit"),
-    [(Look(blur=1.5), 0.10), (Look(noise=12, gradient=0.8), 0.25), (Look(black=60, white=140), 0.15)],
+    [
+        (SensorModel(blur=1.5), 0.10),
+        (SensorModel(noise=12, gradient=0.8), 0.25),
+        (SensorModel(black=60, white=140), 0.15),
+    ],
     ids=["soft", "noisy", "pale"],
 )
-def test_bad_pictures_cost_little(look: Look, limit: float) -> None:
+def test_bad_pictures_cost_little(look: SensorModel, limit: float) -> None:
     errors = []
     for view in standard_set(0.5, 8, seed=2, look=look):
         (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)

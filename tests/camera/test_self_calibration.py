@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robot_ik.camera.arm_zeros.errors import measure_errors
-from robot_ik.camera.arm_zeros.fit import ArmView, KnownPose, fit_zero_offsets
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye.model import moved
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.handeye import moved
+from robot_ik.camera.calibration.kinematic import ArmView, KnownPose, fit_zero_offsets, measure_errors
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.board import PatternBoard, parse_board
-from robot_ik.camera.boards.pattern_kinds import PatternKind, PatternWish
-from robot_ik.camera.detect import MarkerDetector
-from robot_ik.camera.pose.bodies import load_bodies
-from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
-from robot_ik.camera.sheets.bodies import body_file, body_of
+from robot_ik.camera.boards.patterns import PatternKind, PatternRequest
+from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.sheets.sheets import SheetKind, SheetRequest, body_file, body_of, make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 
 DPI = 150.0
@@ -53,8 +51,8 @@ def found(page_image: np.ndarray, dictionary: str = "DICT_5X5_50") -> dict[int, 
 @pytest.mark.parametrize("page", ["a4", "letter"])
 @pytest.mark.parametrize("kind", ["marker", "board", "charuco", "chessboard"])
 def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKind, page: str) -> None:
-    wish = SheetWish(kind, ids=(3, 4) if kind == "marker" else (), page=page)
-    sheet = make_sheet_page(wish)
+    asked = SheetRequest(kind, ids=(3, 4) if kind == "marker" else (), page=page)
+    sheet = make_sheet_page(asked)
     data = pdf_bytes(sheet)
     size, boxes = pdf_boxes(data)
     papers = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}
@@ -72,10 +70,10 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
         side = cells[np.abs(cells[:, 1] - first[1]) < 0.01]
         # A marker's upper row is all black: 7 cells without a gap.
         assert side[:, 0].max() + side[0, 2] - first[0] == pytest.approx(
-            50.0 if len(side) == 7 else 50.0 + wish.gap + 50.0, abs=0.01
+            50.0 if len(side) == 7 else 50.0 + asked.gap + 50.0, abs=0.01
         )
     else:
-        square = wish.size
+        square = asked.size
         squares = cells[np.isclose(cells[:, 2], square, atol=0.01)]
         assert len(squares) == (24 if kind == "charuco" else 35)
         steps = np.diff(np.unique(squares[:, 0].round(3)))
@@ -83,9 +81,9 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
 
 
 def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> None:
-    wish = SheetWish("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
+    asked = SheetRequest("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
     path = tmp_path / "board.png"
-    write_sheet(make_sheet_page(wish), path, dpi=int(DPI))
+    write_sheet(make_sheet_page(asked), path, dpi=int(DPI))
     data = path.read_bytes()
     place = data.index(b"pHYs")
     assert struct.unpack(">IIB", data[place + 4 : place + 13]) == (round(DPI / 0.0254),) * 2 + (1,)
@@ -97,7 +95,7 @@ def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> N
         # The detector's integer corners are half a pixel inside: 0.17 mm here.
         assert sides == pytest.approx(np.full(4, 42.0), abs=0.3)
     # Where the markers are is what the body says; pictures have y down.
-    body = body_of(wish)
+    body = body_of(asked)
     middle = np.mean(list(centres.values()), axis=0)
     for marker, (size, pose) in body.markers.items():
         assert size == pytest.approx(0.042)
@@ -107,8 +105,8 @@ def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> N
 
 def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
     """To 0.1 mm, from the grey of the pixels that an edge cuts."""
-    wish = SheetWish("marker", size_mm=50.0)
-    sheet = make_sheet_page(wish)
+    asked = SheetRequest("marker", size_mm=50.0)
+    sheet = make_sheet_page(asked)
     image = rasterize(sheet, DPI).astype(float)
     cells = sheet.boxes[np.isclose(sheet.boxes[:, 2], 50.0 / 7.0)]
     left, top = cells[:, :2].min(axis=0)
@@ -120,15 +118,15 @@ def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
 
 def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
     for kind in ("charuco", "chessboard"):
-        pattern = PatternWish(kind).pattern()
-        seen = pattern.find(rasterize(make_sheet_page(SheetWish(kind)), 75.0))
+        pattern = PatternRequest(kind).pattern()
+        seen = pattern.find(rasterize(make_sheet_page(SheetRequest(kind)), 75.0))
         assert seen is not None and len(seen.ids) == pattern.corners[0] * pattern.corners[1]
         scale = np.ptp(seen.pixels[:, 0]) * 25.4 / 75.0 / np.ptp(seen.points_board[:, 0])
         assert scale == pytest.approx(1000.0, rel=1e-3)
 
 
 def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
-    text = " ".join(w.text for w in make_sheet_page(SheetWish("charuco", size_mm=25.0, columns=9)).words)
+    text = " ".join(w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).words)
     for words in (
         "9x6 squares",
         "25 mm",
@@ -138,25 +136,29 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
     ):
         assert words in text
     assert "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18" in text
-    labels = [w.text for w in make_sheet_page(SheetWish("marker", ids=(4, 9), size_mm=33.5)).words]
+    labels = [w.text for w in make_sheet_page(SheetRequest("marker", ids=(4, 9), size_mm=33.5)).words]
     assert "4  33.5 mm" in labels and "9  33.5 mm" in labels
 
 
 @pytest.mark.parametrize(
-    "wish",
-    [SheetWish("board", 36.0, 3, 2), SheetWish("charuco", 22.0, 7, 6), SheetWish("chessboard", 18.0, 7, 5)],
+    "asked",
+    [
+        SheetRequest("board", 36.0, 3, 2),
+        SheetRequest("charuco", 22.0, 7, 6),
+        SheetRequest("chessboard", 18.0, 7, 5),
+    ],
 )
-def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetWish) -> None:
-    page = make_sheet_page(wish)
+def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
+    page = make_sheet_page(asked)
     (text,) = [w.text for w in page.words if "--board" in w.text]
-    board = parse_board(text.split("--board ")[1], wish.dictionary)
+    board = parse_board(text.split("--board ")[1], asked.dictionary)
     if isinstance(board, PatternBoard):
-        kind: PatternKind = "charuco" if wish.kind == "charuco" else "chessboard"
-        true = PatternWish(kind, wish.columns, wish.rows, wish.size).pattern()
+        kind: PatternKind = "charuco" if asked.kind == "charuco" else "chessboard"
+        true = PatternRequest(kind, asked.columns, asked.rows, asked.size).pattern()
         assert type(board.pattern) is type(true) and board.pattern.corners == true.corners
         assert board.pattern.black() == pytest.approx(true.black())
     else:
-        markers = body_of(wish).markers
+        markers = body_of(asked).markers
         assert list(board.layout) == list(markers)
         for marker, (size, pose) in markers.items():
             assert board.layout[marker][0] == pytest.approx(size)
@@ -167,12 +169,12 @@ def test_the_sheet_says_what_other_commands_call_the_board(wish: SheetWish) -> N
 # ------------------------------------------------------------------------------ its file
 
 
-@pytest.mark.parametrize("wish", [SheetWish("board", columns=3, ids=(5,)), SheetWish("cube")])
-def test_the_body_file_is_read_back(wish: SheetWish, tmp_path: Path) -> None:
+@pytest.mark.parametrize("asked", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")])
+def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(body_file(wish, "mine"))
-    body, true = load_bodies(path)["mine"], body_of(wish)
-    assert body.dictionary == wish.dictionary
+    path.write_text(body_file(asked, "mine"))
+    body, true = load_bodies(path)["mine"], body_of(asked)
+    assert body.dictionary == asked.dictionary
     assert list(body.markers) == list(true.markers)
     for marker, (size, pose) in true.markers.items():
         assert body.markers[marker][0] == pytest.approx(size)
@@ -183,38 +185,38 @@ def test_the_body_file_is_read_back(wish: SheetWish, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wish", "message", "hint"),
+    ("asked", "message", "hint"),
     [
-        (SheetWish("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
-        (SheetWish("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
-        (SheetWish("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
-        (SheetWish("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
-        (SheetWish("cube", size_mm=40.0, edge_mm=42.0), "1 mm of white", "--edge-mm 48"),
-        (SheetWish("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
-        (SheetWish("marker", size_mm=0.05), "0.05 mm cannot be meant", "50 mm"),
-        (SheetWish("marker", ids=(50,)), "marker id 50 is not in DICT_5X5_50", "0 to 49"),
-        (SheetWish("marker", dictionary="DICT_5X5_51"), "unknown marker dictionary", ""),
-        (SheetWish("marker", page="a7"), "unknown paper 'a7'", "a4"),
+        (SheetRequest("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
+        (SheetRequest("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
+        (SheetRequest("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
+        (SheetRequest("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
+        (SheetRequest("cube", size_mm=40.0, edge_mm=42.0), "1 mm of white", "--edge-mm 48"),
+        (SheetRequest("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
+        (SheetRequest("marker", size_mm=0.05), "0.05 mm cannot be meant", "50 mm"),
+        (SheetRequest("marker", ids=(50,)), "marker id 50 is not in DICT_5X5_50", "0 to 49"),
+        (SheetRequest("marker", dictionary="DICT_5X5_51"), "unknown marker dictionary", ""),
+        (SheetRequest("marker", page="a7"), "unknown paper 'a7'", "a4"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(wish: SheetWish, message: str, hint: str) -> None:
+def test_what_cannot_be_printed_is_refused(asked: SheetRequest, message: str, hint: str) -> None:
     with pytest.raises((CameraError, CalibrationError), match=message) as caught:
-        make_sheet_page(wish)
+        make_sheet_page(asked)
     assert hint in caught.value.hint
 
 
 def test_the_size_that_is_said_to_fit_fits() -> None:
-    wish = SheetWish("charuco", size_mm=55.0)
+    asked = SheetRequest("charuco", size_mm=55.0)
     with pytest.raises(CameraError) as caught:
-        make_sheet_page(wish)
+        make_sheet_page(asked)
     size = float(caught.value.hint.split()[1])
-    make_sheet_page(SheetWish("charuco", size_mm=size))
+    make_sheet_page(SheetRequest("charuco", size_mm=size))
     with pytest.raises(CameraError):
-        make_sheet_page(SheetWish("charuco", size_mm=size + 0.5))
+        make_sheet_page(SheetRequest("charuco", size_mm=size + 0.5))
 
 
 @pytest.mark.parametrize(("name", "dpi"), [("sheet.svg", 300), ("sheet", 300), ("sheet.png", 7)])
 def test_other_files_are_refused(name: str, dpi: int, tmp_path: Path) -> None:
     with pytest.raises(OutputError):
-        write_sheet(make_sheet_page(SheetWish("marker")), tmp_path / name, dpi=dpi)
+        write_sheet(make_sheet_page(SheetRequest("marker")), tmp_path / name, dpi=dpi)
     assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.sources.device import DeviceSource
+from robot_ik.camera.device import DeviceSource
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
 

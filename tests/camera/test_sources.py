@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.image import natural_sort, read_image
 from robot_ik.camera.sources import (
     ClosingSource,
     FolderSource,
@@ -24,10 +24,10 @@ from robot_ik.camera.sources import (
     VideoSource,
     open_source,
 )
-from robot_ik.camera.sources.frames import natural_sort, read_image
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
-from robot_ik.jobs.pictures import Blindfold
+from robot_ik.jobs.vision import WithoutTruth
 
 
 def picture(value: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
@@ -247,7 +247,7 @@ def test_what_wraps_a_source_passes_on_whether_it_is_live(live: bool) -> None:
             return Frame(picture(0), 0.0, 0)
 
     source = Some()
-    wrapped = Blindfold(Blindfold(source))
+    wrapped = WithoutTruth(WithoutTruth(source))
     assert wrapped.live is live
     source.now = not live
     assert wrapped.live is not live

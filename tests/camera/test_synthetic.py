@@ -7,13 +7,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.detect import MarkerDetector
+from robot_ik.camera.corner_refinement import refine_corners
+from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.printed import INK, PAPER, dictionary_by_name, make_sheet, paint_marker
-from robot_ik.camera.made_up.synthetic import SyntheticMarker, SyntheticScene, SyntheticSource, Table, look_at
-from robot_ik.camera.refine import refine_corners
 from robot_ik.camera.sources import FrameSource
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
+from robot_ik.camera.synthetic.prints import INK, PAPER, dictionary_by_name, make_sheet, paint_marker
+from robot_ik.camera.synthetic.scene import Table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock

@@ -13,23 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from robot_ik.camera.detect import Detection, MarkerDetector
-from robot_ik.camera.detect.search_window import SearchWindow
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.corner_refinement import refine_corners_of, refine_markers, unrefined
+from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens_kernels import lens_vector
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.made_up.standard_set import random_pose, render_markers
-from robot_ik.camera.pose.bodies import grid_body
-from robot_ik.camera.pose.branches import Branches, flat_normal, mirrored
-from robot_ik.camera.pose.corner_fit import CornerData, fit_pose
-from robot_ik.camera.pose.marker import marker_branches, marker_points
-from robot_ik.camera.refine import refine_markers, unrefined
-from robot_ik.camera.refine.kernel import refine_corners_of
+from robot_ik.camera.lens import lens_vector
+from robot_ik.camera.observations import marker_branches, marker_points
+from robot_ik.camera.pose_fit import Branches, CornerData, fit_pose, flat_normal, mirrored
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.track import MarkerTracker
-from robot_ik.camera.track.flips import BranchMemory
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.datasets import random_pose, render_markers
+from robot_ik.camera.tracker import BranchMemory, MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.jobs.ar_scene import synthetic_stage
+from robot_ik.jobs.ar.scene import synthetic_stage
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
 SIZE, RATE = 0.05, 30.0
@@ -160,7 +156,7 @@ def test_a_part_of_the_picture_gives_the_corners_of_the_whole() -> None:
     assert again.corners == pytest.approx(found.corners, abs=1.5)
     (refined,) = refine_markers(part, [found.corners], CAMERA, cells=6, origin=(x0, y0))
     assert refined.corners == pytest.approx(whole.corners, abs=1e-9)
-    assert refined.ideal == pytest.approx(whole.ideal, abs=1e-12)
+    assert refined.normalized == pytest.approx(whole.normalized, abs=1e-12)
 
 
 @settings(max_examples=30)
@@ -249,14 +245,14 @@ def test_the_compiled_lens_is_the_lens(model: str, coefficients: tuple[float, ..
     camera = CameraIntrinsics(640, 480, 420.0, 431.0, 322.3, 236.8, coefficients, model)
     corners = np.random.default_rng(6).uniform((0, 0), (640, 480), (40, 4, 2))
     pixels = corners.copy()
-    ideal, covariance, good = np.empty_like(corners), np.empty((40, 8, 8)), np.zeros(40, np.int64)
+    normalized, covariance, good = np.empty_like(corners), np.empty((40, 8, 8)), np.zeros(40, np.int64)
     refine_corners_of(
-        np.zeros((480, 640), np.uint8), lens_vector(camera), 6, corners, ideal, covariance, good
+        np.zeros((480, 640), np.uint8), lens_vector(camera), 6, corners, normalized, covariance, good
     )
     # A black picture has no edges: the rough corners come back.
     assert not good.any() and (corners == pixels).all()
-    expected = camera.undistort(pixels.reshape(-1, 2)).reshape(ideal.shape)
-    np.testing.assert_allclose(ideal, expected, atol=1e-9)
+    expected = camera.undistort(pixels.reshape(-1, 2)).reshape(normalized.shape)
+    np.testing.assert_allclose(normalized, expected, atol=1e-9)
 
 
 def test_the_compiled_fit_is_as_good_as_scipys() -> None:

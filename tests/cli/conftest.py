@@ -192,7 +192,7 @@ def calibrate(
     robot_ik: Callable[..., Run], desk: Desk, nominal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., Run]:
     """``calibrate(hand, options …)``: ``hand(step, sample)`` does what the step asks for."""
-    from robot_ik.cli import servo_calibrate
+    from robot_ik.cli import servo_hand
 
     def run(hand: Hand, *options: object) -> Run:
         class Scripted:
@@ -205,8 +205,8 @@ def calibrate(
                 hand(text, sample)
                 sample()
 
-        monkeypatch.setattr(servo_calibrate, "Prompts", Scripted)
-        monkeypatch.setattr(servo_calibrate, "STILL_SAMPLES", 2)
+        monkeypatch.setattr(servo_hand, "Prompts", Scripted)
+        monkeypatch.setattr(servo_hand, "STILL_SAMPLES", 2)
         where = ("--bus", desk.port, "--arm", nominal)
         return robot_ik("servo", "calibrate", tmp_path / "mine.toml", *where, *options)
 

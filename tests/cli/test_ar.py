@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.ar.registrar import Registrar
-from robot_ik.camera.ar.registration import Misses
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_marker
-from robot_ik.cli import ar_self_test
+from robot_ik.bench.camera.accuracy import Misses
+from robot_ik.camera.registration import Registrar
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.cli import ar
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
-from robot_ik.jobs import ar_files
+from robot_ik.jobs.ar import output
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,7 +37,7 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(ar_files.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(output.importlib.util, "find_spec", lambda name: None)
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
     assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
     assert sorted(f.name for f in (tmp_path / "ar").iterdir()) == ["000000.png", "000001.png"]
@@ -69,7 +69,7 @@ def test_ctrl_c_before_the_first_picture(
         (["--base", "nan", "0", "0"], "--base"),
         (["--size", "640"], "--size"),
         (["--size", "100000", "100000"], "16 to 16384"),
-        (["--out", "a.gif"], ".mp4"),
+        (["--out", "a.webm"], ".mp4"),
         (["--alpha", "2"], "--alpha"),
         (["--scale", "-1"], "--scale"),
         (["--predict"], "--sync latest"),
@@ -101,8 +101,8 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
 def test_the_self_test_judges(
     rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [ar_self_test.Row("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
-    monkeypatch.setattr(ar_self_test, "measure", lambda: (rows, "no OpenGL here"))
+    rows = [ar.Row("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
+    monkeypatch.setattr(ar, "measure", lambda: (rows, "no OpenGL here"))
     assert main(["ar", "--self-test"]) == code
     said = capsys.readouterr()
     assert f"{rms:.3f}" in said.out and "no OpenGL here" in said.err

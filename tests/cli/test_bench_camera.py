@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench.camera_rows import Effort, Figure, Row
+from robot_ik.bench.camera import Effort, Figure, Row
 from robot_ik.cli import bench_camera
 from robot_ik.cli.main import main
 from robot_ik.errors import CameraError

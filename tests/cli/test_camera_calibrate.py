@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera import calibrate as calibrating
 from robot_ik.camera import sources
+from robot_ik.camera.calibration import intrinsic as calibrating
+from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.moving_set import open_moving
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
-from robot_ik.camera.sources.device import DeviceSource
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.moving import open_moving
 from robot_ik.errors import FrameTimeoutError
 
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, STANDARD_SIZE, render_markers
-from robot_ik.camera.pose.bodies import grid_body
-from robot_ik.camera.pose.marker import marker_points
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.observations import marker_points
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, render_markers
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye.model import Mount
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
-from robot_ik.camera.pose import marker_points
+from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+from robot_ik.camera.calibration.handeye import Mount
+from robot_ik.camera.observations import marker_points
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import handeye
-from robot_ik.jobs.handeye_samples import SampleSet
+from robot_ik.jobs.arm_camera import handeye
+from robot_ik.jobs.arm_camera.measuring import SampleSet
 from robot_ik.robot import load_robot
 
 CAMERA = Pose((0.05, 0.01, -0.08), rotation_exp([0.0, -0.1, 0.4]))
@@ -56,7 +56,7 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
     for words in ("camera seen from gripper", "board seen from world", "stated uncertainty", "left out"):
         assert words in run.out
     assert "true error" not in run.out  # nobody knows it
-    place = CameraPlace.load("place.toml", STANDARD_CAMERA)
+    place = CameraExtrinsics.load("place.toml", STANDARD_CAMERA)
     assert place.parent == "gripper"
     position, angle = place.pose_parent_camera.distance(CAMERA)
     assert position < 2e-3 and angle < np.deg2rad(0.25)

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera.sources import device_list
-from robot_ik.camera.sources.device_list import CameraDevice
+from robot_ik.camera import device
+from robot_ik.camera.device import CameraDevice
 
 
 def shows(monkeypatch: pytest.MonkeyPatch, *cameras: CameraDevice) -> None:
-    monkeypatch.setattr(device_list, "find_cameras", lambda *_: cameras)
+    monkeypatch.setattr(device, "find_cameras", lambda *_: cameras)
 
 
 WEBCAM = CameraDevice(0, "/dev/video0", "HD Webcam [C920]", "/dev/v4l/by-id/usb-046d-index0", True, True)
@@ -40,7 +40,7 @@ def test_json_says_the_same(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> N
 
 
 def test_no_camera_is_said_with_what_else_will_do(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> None:
-    monkeypatch.setattr(device_list, "CAN_LIST", True)
+    monkeypatch.setattr(device, "CAN_LIST", True)
     shows(monkeypatch)
     run = robot_ik("camera", "list")
     run.assert_one_screen_error(1)
@@ -48,7 +48,7 @@ def test_no_camera_is_said_with_what_else_will_do(monkeypatch: pytest.MonkeyPatc
 
 
 def test_other_systems_are_not_said_to_have_none(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> None:
-    monkeypatch.setattr(device_list, "CAN_LIST", False)
+    monkeypatch.setattr(device, "CAN_LIST", False)
     run = robot_ik("camera", "list")
     run.assert_one_screen_error(1)
     assert "cannot be listed on" in run.err and "there is no camera" not in run.err

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.pose.bodies import grid_body
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.errors import CalibrationError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
@@ -55,7 +55,7 @@ def test_one_picture_that_contradicts_the_others_is_told(robot_ik: Any) -> None:
     cv2.imwrite("shots/8.png", np.roll(image, 25, axis=1))
     run = robot_ik("camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID)
     assert run.code == 0 and "doubtful: in 1 of 8 pictures" in run.err, run
-    assert CameraPlace.load("place.toml").views == 8
+    assert CameraExtrinsics.load("place.toml").views == 8
 
 
 def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> None:
@@ -66,7 +66,7 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
     assert run.code == 0 and "2 of 3 show the board" in run.out and "wrote place.toml" in run.err, run
     assert "left out: shots/1a.png is not a picture" in run.err and "doubtful" not in run.err
     true = BOARD.compose(SEEN.inverse())
-    found = CameraPlace.load("place.toml")
+    found = CameraExtrinsics.load("place.toml")
     position, angle = found.pose_parent_camera.distance(true)
     assert position < 1.5e-3 and angle < np.deg2rad(0.15)
     assert position < 4 * found.sigma_position

@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera.pose.bodies import load_bodies
-from robot_ik.camera.sheets.blocks import SheetKind, SheetWish
-from robot_ik.camera.sheets.sheet import make_sheet_page
+from robot_ik.camera.bodies import load_bodies
+from robot_ik.camera.sheets.sheets import SheetKind, SheetRequest, make_sheet_page
 from robot_ik.cli.arguments import parse
-from robot_ik.cli.camera_print import CameraPrintOptions
-from robot_ik.cli.commands import find_command
+from robot_ik.cli.camera import CameraPrintOptions
+from robot_ik.cli.main import find_command
 
 
 def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
@@ -33,7 +32,7 @@ def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["marker", "board", "cube", "charuco", "chessboard"])
 def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
-    page = make_sheet_page(SheetWish(kind, size_mm=20.0, ids=() if kind.startswith("ch") else (3,)))
+    page = make_sheet_page(SheetRequest(kind, size_mm=20.0, ids=() if kind.startswith("ch") else (3,)))
     commands = [w.text.split() for w in page.words if w.text.startswith("robot-ik ")]
     assert len(commands) == 2 and ["robot-ik", "camera", "print", kind] == commands[0][:4]
     for words in commands:

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 
 
@@ -81,7 +81,7 @@ def test_a_recording_is_refused_while_the_bus_stays_silent(
 ) -> None:
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
-    CameraPlace(
+    CameraExtrinsics(
         Pose((0.5, 0.0, 0.8)), "world", 1e-6 * np.eye(6), 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
     ).save(place)
     rest = ["--camera-place", place] if command == "verify" else []

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from robot_ik.camera import sources
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_marker
-from robot_ik.camera.sheets import sheet
+from robot_ik.camera.sheets import sheets
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli import bench_camera
 from robot_ik.errors import OutputError
 from robot_ik.files import claimed
 from robot_ik.geometry import Pose
-from robot_ik.jobs import ar, handeye, verify
+from robot_ik.jobs.ar import job
+from robot_ik.jobs.arm_camera import handeye, verify
 
 LOCATE = ("locate", "photo.png", "--intrinsics", "lens.yaml", "--board", "marker:7:50")
 SEEN = Pose((0.0, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
@@ -63,8 +64,8 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
         (sources, "open_source"),
         (handeye, "run_handeye"),
         (verify, "run_verify"),
-        (ar, "load_robot"),
-        (sheet, "make_sheet_page"),
+        (job, "load_robot"),
+        (sheets, "make_sheet_page"),
         (bench_camera, "measure"),
     ):
         monkeypatch.setattr(module, name, began)

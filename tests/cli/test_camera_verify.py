@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.arm_zeros.fit import KnownPose
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA
-from robot_ik.camera.pose import marker_points
+from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.kinematic import KnownPose
+from robot_ik.camera.observations import marker_points
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import verify
-from robot_ik.jobs.handeye_samples import SampleSet
-from robot_ik.jobs.verify import VerifyReport, VerifyRequest
-from robot_ik.jobs.verify_samples import VerifySamples, servo_values
+from robot_ik.jobs.arm_camera import verify
+from robot_ik.jobs.arm_camera.measuring import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
 from robot_ik.robot import load_robot
 
 CAMERA = Pose((0.75, -0.5, 0.45), (0.50099, -0.74367, -0.36714, 0.24733))

@@ -13,10 +13,11 @@ from typing import Any
 import pytest
 
 from robot_ik import environment
-from robot_ik.camera.sources import device_list
-from robot_ik.camera.sources.device_list import CameraDevice
-from robot_ik.cli import checks, device_checks, doctor
+from robot_ik.camera import device
+from robot_ik.camera.device import CameraDevice
+from robot_ik.cli import doctor
 from robot_ik.environment import Probe
+from robot_ik.hardware import health
 
 SOON = time.monotonic() + 1e6  # a moment that never comes in a test
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc and /sys")
@@ -31,21 +32,21 @@ def test_report_on_this_machine(robot_ik: Any) -> None:
     names = [row["what"] for row in report["rows"]]
     for name in ("python", "packages", "mujoco", "opencv", "MUJOCO_GL", "display", "kernels", "terminal"):
         assert name in names
-    assert {row["status"] for row in report["rows"]} <= {checks.OK, checks.NOTE}
+    assert {row["status"] for row in report["rows"]} <= {environment.OK, environment.NOTE}
     for row in report["rows"]:
         assert row["found"]
-        assert row["status"] == checks.OK or row["do"], row
+        assert row["status"] == environment.OK or row["do"], row
 
 
-def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: checks.Row) -> None:
+def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: environment.CheckRow) -> None:
     monkeypatch.setattr(doctor, "CHECKS", [lambda until: list(rows)])
 
 
 def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_checks(
         monkeypatch,
-        checks.Row("mujoco", checks.PROBLEM, "gone", "pip install [mujoco]"),
-        checks.Row("x", "ok", "y"),
+        environment.CheckRow("mujoco", environment.PROBLEM, "gone", "pip install [mujoco]"),
+        environment.CheckRow("x", "ok", "y"),
     )
     run = robot_ik("doctor")
     assert run.code == 2 and "pip install [mujoco]" in run.out and "1 problem" in run.out
@@ -54,30 +55,30 @@ def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pyt
 
 
 def test_notes_are_no_failure(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_checks(monkeypatch, checks.Row("display", checks.NOTE, "none", "only for --view"))
+    fake_checks(monkeypatch, environment.CheckRow("display", environment.NOTE, "none", "only for --view"))
     assert robot_ik("doctor").code == 0
 
 
 def test_a_check_that_crashes_becomes_a_row() -> None:
-    def check_ill(until: float) -> list[checks.Row]:
+    def check_ill(until: float) -> list[environment.CheckRow]:
         raise RuntimeError("oops")
 
-    rows = checks.run_checks([check_ill, checks.check_python])
-    assert rows[0].status == checks.NOTE and "oops" in rows[0].found and rows[0].what == "ill"
-    assert rows[1].status == checks.OK
+    rows = doctor.run_checks([check_ill, doctor.check_python])
+    assert rows[0].status == environment.NOTE and "oops" in rows[0].found and rows[0].what == "ill"
+    assert rows[1].status == environment.OK
 
 
 def test_it_never_takes_longer_than_it_may() -> None:
     """Ten children that would sleep for a minute each: the later ones get what time is left."""
 
-    def slow(until: float) -> list[checks.Row]:
-        probe = environment.run_probe("import time; time.sleep(60)", timeout=checks.time_left(until))
-        return [checks.late("slow", probe)]
+    def slow(until: float) -> list[environment.CheckRow]:
+        probe = environment.run_probe("import time; time.sleep(60)", timeout=doctor.time_left(until))
+        return [doctor.late("slow", probe)]
 
     started = time.monotonic()
-    rows = checks.run_checks([slow] * 10, limit=3.0)
+    rows = doctor.run_checks([slow] * 10, limit=3.0)
     assert len(rows) == 10 and time.monotonic() - started < 30  # one after the other: 600 s
-    assert {row.status for row in rows} == {checks.NOTE}
+    assert {row.status for row in rows} == {environment.NOTE}
 
 
 @pytest.mark.parametrize("name", ["mujoco", "opencv", "kernels", "user_gl", "display"])
@@ -85,8 +86,8 @@ def test_a_late_answer_is_no_problem(name: str, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setenv("DISPLAY", ":0")
     probes(monkeypatch, Probe(False, "something\nno answer within 7.0 s", late=True))
-    (row,) = getattr(checks, f"check_{name}")(SOON)
-    assert row.status == checks.NOTE and "not checked" in row.found and row.do
+    (row,) = getattr(doctor, f"check_{name}")(SOON)
+    assert row.status == environment.NOTE and "not checked" in row.found and row.do
 
 
 def probes(monkeypatch: pytest.MonkeyPatch, probe: Probe) -> None:
@@ -94,53 +95,53 @@ def probes(monkeypatch: pytest.MonkeyPatch, probe: Probe) -> None:
 
 
 def versions(monkeypatch: pytest.MonkeyPatch, **known: str) -> None:
-    monkeypatch.setattr(checks, "version_of", lambda name: known.get(name.replace("-", "_"), ""))
+    monkeypatch.setattr(doctor, "version_of", lambda name: known.get(name.replace("-", "_"), ""))
 
 
 def test_an_empty_mujoco_shell(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(False, "AttributeError: module 'mujoco' has no attribute 'MjModel'"))
-    (row,) = checks.check_mujoco(SOON)
-    assert row.status == checks.PROBLEM and "uninstall" in row.do
+    (row,) = doctor.check_mujoco(SOON)
+    assert row.status == environment.PROBLEM and "uninstall" in row.do
 
 
 def test_mixed_mujoco_versions(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(True, "4.0.0"))
     versions(monkeypatch, mujoco="4.0.0", mujoco_core="4.0.1")
-    (row,) = checks.check_mujoco(SOON)
-    assert row.status == checks.NOTE and "4.0.1" in row.found and "uninstall" in row.do
+    (row,) = doctor.check_mujoco(SOON)
+    assert row.status == environment.NOTE and "4.0.1" in row.found and "uninstall" in row.do
 
 
 def test_two_opencv_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(True, "5.0.0"))
     versions(monkeypatch, opencv_python="5.0", opencv_contrib_python_headless="5.0")
-    (row,) = checks.check_opencv(SOON)
-    assert row.status == checks.NOTE
+    (row,) = doctor.check_opencv(SOON)
+    assert row.status == environment.NOTE
     assert "pip uninstall -y opencv-contrib-python-headless opencv-python &&" in row.do
 
 
 def test_opencv_that_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(False, "ImportError: libGL.so.1"))
     versions(monkeypatch, opencv_python="5.0")
-    (row,) = checks.check_opencv(SOON)
-    assert row.status == checks.PROBLEM and "libGL.so.1" in row.found and "headless" in row.do
+    (row,) = doctor.check_opencv(SOON)
+    assert row.status == environment.PROBLEM and "libGL.so.1" in row.found and "headless" in row.do
 
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = checks.version_of
-    monkeypatch.setattr(checks, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name))
-    rows = checks.check_packages(SOON)
-    assert rows[-1].status == checks.PROBLEM and "dynamixel-sdk" in rows[-1].found
+    real = doctor.version_of
+    monkeypatch.setattr(doctor, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name))
+    rows = doctor.check_packages(SOON)
+    assert rows[-1].status == environment.PROBLEM and "dynamixel-sdk" in rows[-1].found
 
 
 def test_broken_mujoco_gl_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "bogus")
-    (row,) = checks.check_user_gl(SOON)
-    assert row.status == checks.PROBLEM and "unset MUJOCO_GL" in row.do and "bogus" in row.found
+    (row,) = doctor.check_user_gl(SOON)
+    assert row.status == environment.PROBLEM and "unset MUJOCO_GL" in row.do and "bogus" in row.found
 
 
 def test_gl_switched_off_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert [row.status for row in checks.check_user_gl(SOON)] == [checks.OK]
+    assert [row.status for row in doctor.check_user_gl(SOON)] == [environment.OK]
 
 
 # ----------------------------------------------------------------------------------- devices
@@ -152,38 +153,40 @@ def test_free_port_then_used_port() -> None:
     path = os.ttyname(slave)
     client = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
-        used = device_checks.serial_row(path, "a pty")
-        assert used.status == checks.NOTE and f"({os.getpid()})" in used.found
+        used = health.serial_row(path, "a pty")
+        assert used.status == environment.NOTE and f"({os.getpid()})" in used.found
     finally:
         os.close(client)
     try:  # who serves the terminal has both of its ends open and is no user of it
-        assert device_checks.users_of(path) == []
-        assert device_checks.serial_row(path, "a pty").status == checks.OK
+        assert environment.named_users_of(path) == []
+        assert health.serial_row(path, "a pty").status == environment.OK
     finally:
         os.close(master)
         os.close(slave)
 
 
 @linux
-@pytest.mark.parametrize(("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)])
+@pytest.mark.parametrize(
+    ("text", "status"), [("16\n", environment.NOTE), ("1\n", environment.OK), ("?", environment.OK)]
+)
 def test_latency_timer(text: str, status: str, tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB7"
     port.write_text("")
     timer = tmp_path / "bus/usb-serial/devices/ttyUSB7/latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text(text)
-    row = device_checks.serial_row(str(port), "FTDI", sys_root=str(tmp_path))
+    row = health.serial_row(str(port), "FTDI", sys_root=str(tmp_path))
     assert row.status == status
-    assert ("ttyUSB7/latency_timer" in row.do) == (status == checks.NOTE)
+    assert ("ttyUSB7/latency_timer" in row.do) == (status == environment.NOTE)
 
 
 def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *a, **k: False)
-    monkeypatch.setattr(device_checks, "_group_of", lambda path: "dialout")
-    row = device_checks.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
-    assert row.status == checks.NOTE and "usermod -aG dialout" in row.do
-    monkeypatch.setattr(device_checks, "_group_of", lambda path: "root")
-    assert "usermod" not in device_checks.serial_row("x", "y").do  # nobody should join the group root
+    monkeypatch.setattr(environment, "_group_of", lambda path: "dialout")
+    row = health.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
+    assert row.status == environment.NOTE and "usermod -aG dialout" in row.do
+    monkeypatch.setattr(environment, "_group_of", lambda path: "root")
+    assert "usermod" not in health.serial_row("x", "y").do  # nobody should join the group root
 
 
 @linux
@@ -193,19 +196,17 @@ def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tm
         Path(node).write_text("")
     metadata = CameraDevice(2, str(tmp_path / "video2"), "Webcam", "", True, False)
     cameras = [CameraDevice(k, node, "Webcam", "", True, True) for k, node in enumerate(nodes)]
-    monkeypatch.setattr(device_list, "find_cameras", lambda: (*cameras, metadata))
+    monkeypatch.setattr(device, "find_cameras", lambda: (*cameras, metadata))
     probes(monkeypatch, Probe(False, f"{nodes[0]}=640x480\nno answer within 7 s"))
-    first, second = device_checks.check_cameras(SOON)
-    assert first.status == checks.OK and first.found == "Webcam: 640x480"
-    assert second.status == checks.NOTE and "no answer" in second.found
+    first, second = doctor.check_cameras(SOON)
+    assert first.status == environment.OK and first.found == "Webcam: 640x480"
+    assert second.status == environment.NOTE and "no answer" in second.found
 
 
 @linux
 def test_camera_probe_with_real_opencv(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     node = tmp_path / "video0"
     node.write_text("not a camera")
-    monkeypatch.setattr(
-        device_list, "find_cameras", lambda: (CameraDevice(0, str(node), "", "", True, True),)
-    )
-    (row,) = device_checks.check_cameras(SOON)
-    assert row.status == checks.NOTE and "no picture" in row.found
+    monkeypatch.setattr(device, "find_cameras", lambda: (CameraDevice(0, str(node), "", "", True, True),))
+    (row,) = doctor.check_cameras(SOON)
+    assert row.status == environment.NOTE and "no picture" in row.found

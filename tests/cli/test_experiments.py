@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.jobs.experiments import a00
-from robot_ik.jobs.experiments.courses import Course
+from robot_ik.bench.theses import a00
+from robot_ik.bench.theses.a00 import Course
 
 
 def test_a00_passes_and_says_what_it_chose(

@@ -17,7 +17,7 @@ import pytest
 
 from robot_ik import errors
 from robot_ik.cli import main as main_module
-from robot_ik.cli.commands import COMMANDS, Command, find_command
+from robot_ik.cli.main import COMMANDS, Command, find_command
 
 #: All that has options of its own: "reach", "servo scan" …
 LEAVES = [name for name, command in COMMANDS.items() if command.options] + [
@@ -62,7 +62,7 @@ def test_help_names_every_command_on_one_screen(robot_ik: Any) -> None:
     for arguments in (["--help"], ["-h"], ["help"]):
         run = robot_ik(*arguments)
         assert run.code == 0 and run.err == ""
-        assert len(run.out.splitlines()) < 25
+        assert len(run.out.splitlines()) < 30
         for name, command in COMMANDS.items():
             assert f"{name} " in run.out and command.about in run.out
 

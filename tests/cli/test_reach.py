@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from robot_ik.cli.reach import ReachOptions, make_request
-from robot_ik.jobs import cameras, eyes
+from robot_ik.jobs import vision as vision_module
 from robot_ik.robot import load_robot
 
 GOAL = ("--goal", "-0.42", "-0.08", "0.80")
@@ -28,8 +28,9 @@ SIM = ("--bus", "sim")
 def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs start in an empty folder; in this process the robot is painted coarsely (markers stay exact)."""
     monkeypatch.chdir(tmp_path)
-    for module in (cameras, eyes):
-        monkeypatch.setattr(module, "SyntheticSource", partial(module.SyntheticSource, quality="fast"))
+    monkeypatch.setattr(
+        vision_module, "SyntheticSource", partial(vision_module.SyntheticSource, quality="fast")
+    )
 
 
 def left(folder: Path) -> list[str]:
@@ -203,14 +204,16 @@ def test_the_limits_name_the_side_that_gave_way(robot_ik: Any, tmp_path: Path) -
     assert "end" not in line
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.soak), (signal.SIGTERM, 143)]
+)
 def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
     number: int, code: int, robot_ik_child: Any, tmp_path: Path
 ) -> None:
     """Asked of the servos themselves, which live in another process."""
     from robot_ik.hardware import open_bus
+    from robot_ik.hardware.bus import shared_register
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.startup import shared_register
 
     program = [sys.executable, "-m", "robot_ik"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli.results import results_folder
+from robot_ik.cli.console import results_folder
 from robot_ik.errors import OutputError
 
 OWN = ("reach.png", "summary.json")

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.catalogue import catalogue
 from robot_ik.robot import load_robot
+from robot_ik.robot_file import catalogue
 
 MIXED = """
 <mujoco><worldbody><body name="base"><freejoint name="float"/><geom size=".1"/>

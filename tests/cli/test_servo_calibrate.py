@@ -94,7 +94,7 @@ def test_a_sweep_across_the_turns_end(good_hand: Any, calibrate: Any, desk: Any,
 
 @pytest.mark.parametrize("folds", [False, True])
 def test_ticks_that_start_anew_in_the_middle_are_counted_on(folds: bool, desk: Any) -> None:
-    from robot_ik.hardware.calibration_sweep import Sweep
+    from robot_ik.hardware.calibration import Sweep
 
     sweep = Sweep(desk.config, {1: 4000, 2: 4000, 3: 100})
     for tick in (4050, 4099, 4150):
@@ -104,7 +104,7 @@ def test_ticks_that_start_anew_in_the_middle_are_counted_on(folds: bool, desk: A
 
 
 def test_a_limp_servo_that_counts_beyond_its_turn_is_taken_as_with_torque(desk: Any) -> None:
-    from robot_ik.hardware.calibration_sweep import Sweep
+    from robot_ik.hardware.calibration import Sweep
 
     assert Sweep(desk.config, {1: 4096 + 7, 2: 5000, 3: -1}).now == {1: 7, 2: 5000, 3: 4095}
 
@@ -115,7 +115,7 @@ def test_a_hand_that_does_not_hold_still(good_hand: Any, calibrate: Any, desk: A
     def restless(text: str, sample: Callable[[], object]) -> None:
         hand(text, sample)
         if text[0] == "2":
-            from robot_ik.hardware.virtual.fault_kinds import Fault
+            from robot_ik.hardware.virtual.faults import Fault
 
             bus.inject(Fault("turn", id=2, value=30.0, at=bus.clock.now() - bus.schedule.start + 0.05))
 
@@ -190,7 +190,7 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
 
 
 def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
-    from robot_ik.cli.servo_prompt import Prompts
+    from robot_ik.cli.servo_hand import Prompts
     from robot_ik.ports import RealClock
 
     with open(os.devnull) as nothing:
@@ -202,7 +202,7 @@ def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_steps_that_take_a_time() -> None:
-    from robot_ik.cli.servo_prompt import Prompts
+    from robot_ik.cli.servo_hand import Prompts
     from robot_ik.ports import VirtualClock
 
     clock, seen = VirtualClock(), []

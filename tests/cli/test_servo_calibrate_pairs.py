@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.cli.servo_calibrate import _by_hand
+from robot_ik.cli.servo_hand import _by_hand
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated, check_calibration
-from robot_ik.hardware.calibration_file import Calibration
-from robot_ik.hardware.config import ArmConfig, JointMap, Twin
+from robot_ik.hardware.calibration_file import Calibration, load_lerobot, save_lerobot
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.lerobot_file import load_lerobot, save_lerobot
+from robot_ik.hardware.joint_map import JointMap, Twin
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
 

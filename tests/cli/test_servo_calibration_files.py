@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError
-from robot_ik.hardware.calibration_file import Calibration, JointCalibration
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration, load_lerobot
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.lerobot_file import load_lerobot
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli import checks, doctor
-from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik import environment
+from robot_ik.cli import doctor as cli_doctor
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
 
@@ -19,12 +20,12 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch, desk: Any) -> None:
-    from robot_ik.hardware import scan
+    from robot_ik.hardware import discovery
 
-    monkeypatch.setattr(scan, "listening_time", lambda baud: 0.03)
-    monkeypatch.setattr(scan, "KNOCK", 0.012)
-    monkeypatch.setattr(scan, "IDS", range(8))
-    monkeypatch.setattr(doctor, "CHECKS", [])
+    monkeypatch.setattr(discovery, "listening_time", lambda baud: 0.03)
+    monkeypatch.setattr(discovery, "PING_WAIT", 0.012)
+    monkeypatch.setattr(discovery, "IDS", range(8))
+    monkeypatch.setattr(cli_doctor, "CHECKS", [])
     for servo in desk.bus.servos:
         servo.memory.set("return_delay_time", 0)
 
@@ -47,7 +48,7 @@ def rows(robot_ik: Any, desk: Any) -> Callable[[], Any]:
 
 def test_healthy_servos(rows: Any) -> None:
     code, found = rows()
-    assert code == 0 and [row["status"] for row in found.values()] == [checks.OK] * 3
+    assert code == 0 and [row["status"] for row in found.values()] == [environment.OK] * 3
     assert "12.0 V" in found[1]["found"] and "firmware 48" in found[1]["found"]
 
 
@@ -58,17 +59,27 @@ def memory(name: str, value: int) -> Callable[[Any], object]:
 @pytest.mark.parametrize(
     ("illness", "status", "found", "cure"),
     [
-        (lambda d: setattr(d.servo(2), "silent", True), checks.PROBLEM, "no XL430-W250 answers", "cable"),
-        (memory("baud_rate", 1), checks.PROBLEM, "talks at 57600", "setup --joint joint2"),
-        (memory("model_number", 1020), checks.PROBLEM, "says XL430-W250", "arm file"),
-        (lambda d: d.servo(2).set_supply(5.0), checks.PROBLEM, "6.0 to 14.0 V", "power supply"),
-        (lambda d: d.servo(2).inject_error("overload"), checks.PROBLEM, "overload", "reset-fault"),
-        (memory("firmware_version", 37), checks.PROBLEM, "Bus Watchdog", "Wizard"),
-        (memory("firmware_version", 42), checks.NOTE, "fast reads", "update"),
-        (memory("status_return_level", 0), checks.NOTE, "pings only", "sets 2"),
-        (memory("return_delay_time", 250), checks.NOTE, "500 us", "sets 0"),
-        (memory("torque_enable", 1), checks.NOTE, "torque is on", "torque off"),
-        (lambda d: d.bus.add(VirtualServo("XL430-W250", 2, RealClock())), checks.PROBLEM, "two", "--id N"),
+        (
+            lambda d: setattr(d.servo(2), "silent", True),
+            environment.PROBLEM,
+            "no XL430-W250 answers",
+            "cable",
+        ),
+        (memory("baud_rate", 1), environment.PROBLEM, "talks at 57600", "setup --joint joint2"),
+        (memory("model_number", 1020), environment.PROBLEM, "says XL430-W250", "arm file"),
+        (lambda d: d.servo(2).set_supply(5.0), environment.PROBLEM, "6.0 to 14.0 V", "power supply"),
+        (lambda d: d.servo(2).inject_error("overload"), environment.PROBLEM, "overload", "reset-fault"),
+        (memory("firmware_version", 37), environment.PROBLEM, "Bus Watchdog", "Wizard"),
+        (memory("firmware_version", 42), environment.NOTE, "fast reads", "update"),
+        (memory("status_return_level", 0), environment.NOTE, "pings only", "sets 2"),
+        (memory("return_delay_time", 250), environment.NOTE, "500 us", "sets 0"),
+        (memory("torque_enable", 1), environment.NOTE, "torque is on", "torque off"),
+        (
+            lambda d: d.bus.add(VirtualServo("XL430-W250", 2, RealClock())),
+            environment.PROBLEM,
+            "two",
+            "--id N",
+        ),
     ],
 )
 def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: Any, desk: Any) -> None:
@@ -76,24 +87,24 @@ def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: 
     code, seen = rows()
     row = seen[2]
     assert row["status"] == status and found in row["found"] and cure in row["do"], row
-    assert code == (2 if status == checks.PROBLEM else 0)
-    assert seen[1]["status"] == seen[3]["status"] == checks.OK
+    assert code == (2 if status == environment.PROBLEM else 0)
+    assert seen[1]["status"] == seen[3]["status"] == environment.OK
 
 
-@pytest.mark.parametrize(("late_ms", "status"), [(0.0, checks.OK), (16.0, checks.NOTE)])
+@pytest.mark.parametrize(("late_ms", "status"), [(0.0, environment.OK), (16.0, environment.NOTE)])
 def test_the_latency_of_an_adapter_is_measured(late_ms: float, status: str, desk: Any, robot_ik: Any) -> None:
     desk.bus.inject(Fault("latency", value=late_ms))
     run = robot_ik("doctor", *desk.at, "--json")
     (row,) = [row for row in json.loads(run.out)["rows"] if row["what"] == "servo speed"]
     late = float(row["found"].split()[3])
     assert late_ms <= late + 0.1 and (row["status"] == status or late > late_ms + 3.0), row  # a busy machine
-    assert run.code == 0 and ("latency timer" in row["do"]) == (row["status"] == checks.NOTE)
+    assert run.code == 0 and ("latency timer" in row["do"]) == (row["status"] == environment.NOTE)
 
 
 def test_a_stranger_on_the_bus(rows: Any, desk: Any) -> None:
     desk.bus.add(VirtualServo("XM540-W270", 7, RealClock()))
     code, found = rows()
-    assert code == 0 and "XM540-W270" in found[7]["found"] and found[7]["status"] == checks.NOTE
+    assert code == 0 and "XM540-W270" in found[7]["found"] and found[7]["status"] == environment.NOTE
 
 
 def test_no_such_port_and_no_such_arm(robot_ik: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

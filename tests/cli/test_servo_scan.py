@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli import servo_scan
+from robot_ik.cli import servo_bus
 from robot_ik.cli.arguments import gather
 from robot_ik.cli.reach import ReachOptions
-from robot_ik.hardware.scan import FoundServo
+from robot_ik.hardware.discovery import FoundServo
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
 
@@ -21,11 +21,11 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
 @pytest.fixture(autouse=True)
 def _servos_answer_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    from robot_ik.hardware import scan
+    from robot_ik.hardware import discovery
 
-    monkeypatch.setattr(scan, "listening_time", lambda baud: 0.03)
-    monkeypatch.setattr(scan, "KNOCK", 0.006)
-    monkeypatch.setattr(scan, "IDS", range(20))
+    monkeypatch.setattr(discovery, "listening_time", lambda baud: 0.03)
+    monkeypatch.setattr(discovery, "PING_WAIT", 0.006)
+    monkeypatch.setattr(discovery, "IDS", range(20))
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_ports_name_the_adapter_and_who_uses_it(robot_ik: Any, ports: Any, desk:
 
 
 def test_a_name_that_survives_replugging(tmp_path: Any) -> None:
-    from robot_ik.cli.servo_ports import stable_name
+    from robot_ik.cli.servo_bus import stable_name
 
     names = tmp_path / "by-id"
     names.mkdir()
@@ -138,8 +138,8 @@ def test_rates_may_be_given_one_by_one(words: tuple[str, ...], robot_ik: Any, de
 
 def test_only_options_of_any_number_of_values_are_gathered() -> None:
     words = ["--arm", "a", "--baud", "1", "-x", "--arm", "b", "--baud=2"]
-    assert gather(servo_scan.ScanOptions, words) == ["--arm", "a", "-x", "--arm", "b", "--baud", "1", "2"]
-    assert gather(servo_scan.ScanOptions, words[:6]) == words[:6]
+    assert gather(servo_bus.ScanOptions, words) == ["--arm", "a", "-x", "--arm", "b", "--baud", "1", "2"]
+    assert gather(servo_bus.ScanOptions, words[:6]) == words[:6]
     flag = "--rehearse.zero-offset"  # of options within options
     assert gather(ReachOptions, [flag, "a=1", flag, "b=2"]) == [flag, "a=1", "b=2"]
 
@@ -239,5 +239,5 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
     ],
 )
 def test_what_is_wrong_with_all_of_them_together(found: list[FoundServo], told: list[str]) -> None:
-    notes = servo_scan._notes(found)
+    notes = servo_bus._notes(found)
     assert len(notes) == len(told) and all(part in note for part, note in zip(told, notes, strict=True))

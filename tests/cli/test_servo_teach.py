@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.cli import servo_teach
+from robot_ik.cli import servo_hand
 from robot_ik.motion import Trajectory
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
@@ -48,7 +48,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
     run = robot_ik("servo", "teach", file, *desk.at, "--seconds", 0.4, "--rate", 100)
     hand.join()
     assert run.code == 0 and done.is_set(), run.err
-    motion = servo_teach.load_motion(file, JOINTS)
+    motion = servo_hand.load_motion(file, JOINTS)
     assert np.degrees(motion.q[0] - motion.q[-1])[1] == pytest.approx(0.0, abs=0.1)
     assert np.degrees(motion.q[-1]) == pytest.approx([30.0, 0.0, -15.0], abs=0.3)
     assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
@@ -62,7 +62,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
 
 def record(path: Path, degrees: list[list[float]], seconds: float) -> Path:
     times = np.linspace(0.0, seconds, len(degrees))
-    servo_teach.save_motion(path, Trajectory(times, np.radians(degrees), JOINTS))
+    servo_hand.save_motion(path, Trajectory(times, np.radians(degrees), JOINTS))
     return path
 
 
@@ -83,8 +83,8 @@ def test_what_leaves_the_limits_is_refused(robot_ik: Any, desk: Any, tmp_path: P
 
 def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
     motion = Trajectory([0.0, 1.0], np.radians([[0, 0, 0], [100.5, 0, 0]]), JOINTS)
-    played, stretch = servo_teach.playable(motion, desk.config, 0.5)
-    assert stretch == 2.0 and played.duration == pytest.approx(2.0 * (1.0 + servo_teach.SMOOTHING), abs=0.03)
+    played, stretch = servo_hand.playable(motion, desk.config, 0.5)
+    assert stretch == 2.0 and played.duration == pytest.approx(2.0 * (1.0 + servo_hand.SMOOTHING), abs=0.03)
     assert np.degrees(played.q.max()) == pytest.approx(100.0)
 
 
@@ -94,15 +94,15 @@ def test_steps_that_no_hand_has_made_do_not_slow_it_down(desk: Any) -> None:
     degrees = np.outer(np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0])  # 50 deg/s in steps of a degree
     motion = Trajectory(times, np.radians(degrees), JOINTS)
     assert motion.peak_velocity.max() > 4.0 * desk.config.velocity.max()
-    played, stretch = servo_teach.playable(motion, desk.config, 1.0)
+    played, stretch = servo_hand.playable(motion, desk.config, 1.0)
     assert stretch == 1.0
     assert played.q[0] == pytest.approx(motion.q[0]) and played.q[-1] == pytest.approx(motion.q[-1])
     assert np.degrees(played.at(1.05)) == pytest.approx([49.0, 0.0, -49.0], abs=1.5)
 
 
 def test_the_way_to_the_beginning_keeps_its_share_of_the_caps(desk: Any) -> None:
-    way = servo_teach.approach(np.zeros(3), np.array([1.0, -0.4, 0.0]), desk.config)
-    share = servo_teach.APPROACH * 1.01
+    way = servo_hand.approach(np.zeros(3), np.array([1.0, -0.4, 0.0]), desk.config)
+    share = servo_hand.APPROACH * 1.01
     assert (way.peak_velocity <= share * desk.config.velocity).all()
     assert (way.peak_acceleration <= share * desk.config.acceleration).all()
     assert way.q[-1] == pytest.approx([1.0, -0.4, 0.0])
@@ -176,7 +176,7 @@ def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tm
 def test_joints_in_another_order_are_put_right(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     Trajectory([0.0, 0.2], np.radians([[0, 0, 0], [5, 10, 15]]), JOINTS[::-1]).save_csv(file)
-    assert np.degrees(servo_teach.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
+    assert np.degrees(servo_hand.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
 
 
 def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
     finally:
         child.kill()
     assert child.returncode == 130 and "Traceback" not in err
-    assert len(servo_teach.load_motion(file, JOINTS)) > 2
+    assert len(servo_hand.load_motion(file, JOINTS)) > 2
 
 
 def test_in_process(robot_ik: Any, tmp_path: Path) -> None:

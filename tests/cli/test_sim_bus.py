@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.catalogue import catalogue
 from robot_ik.cli import sim_bus
+from robot_ik.robot_file import catalogue
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 sdk = pytest.importorskip("dynamixel_sdk")

@@ -16,15 +16,16 @@ from typing import Any
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.discovery import ScanBus
 from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.packets import FastParser, StatusParser
 from robot_ik.hardware.packets import crc as host_crc
-from robot_ik.hardware.scan import ScanBus
+from robot_ik.hardware.simulated import InProcessPort, SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.inprocess import InProcessPort, SimBus
-from robot_ik.hardware.virtual.protocol2 import (
+from robot_ik.hardware.virtual.protocol import (
     HEADER,
     MAX_PACKET,
     Instruction,
@@ -215,7 +216,7 @@ QUESTIONS: tuple[Callable[[ScanBus], list[tuple[int, int, int]]], ...] = (
     lambda bus: _exchange(bus, ()),
     lambda bus: _exchange(bus, (1, 2, 3)),
     lambda bus: [(id, 2, number) for id, number in bus.broadcast_ping().items()],
-    lambda bus: [(id, 2, who[0]) for id, who in bus.shout(0.0)[0].items()],
+    lambda bus: [(id, 2, who[0]) for id, who in bus.collect_pings(0.0)[0].items()],
 )
 
 

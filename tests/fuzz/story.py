@@ -7,7 +7,7 @@ from pathlib import Path
 
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.packets import crc as host_crc
-from robot_ik.hardware.virtual.protocol2 import (
+from robot_ik.hardware.virtual.protocol import (
     HEADER,
     Instruction,
     build,

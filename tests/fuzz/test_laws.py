@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.hardware.virtual import protocol2
+from robot_ik.hardware.virtual import protocol
 
 
 def _laws() -> ModuleType:
@@ -48,7 +48,7 @@ def test_any_bytes_break_no_law(law: str, data: bytes) -> None:
 
 
 def test_the_laws_notice_a_parser_that_believes_a_wrong_checksum(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(protocol2, "crc16", lambda data: int.from_bytes(b"\x00\x00", "little"))
-    noise = protocol2.HEADER + bytes((1, 4, 0, protocol2.Instruction.REBOOT, 9, 0, 0))
+    monkeypatch.setattr(protocol, "crc16", lambda data: int.from_bytes(b"\x00\x00", "little"))
+    noise = protocol.HEADER + bytes((1, 4, 0, protocol.Instruction.REBOOT, 9, 0, 0))
     with pytest.raises(AssertionError):
         laws.servo_parser(bytes((len(noise) << 3,)) + noise)

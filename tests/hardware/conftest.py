@@ -14,11 +14,10 @@ from robot_ik.errors import HardwareError
 from robot_ik.hardware import BUSES, open_arm
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
-from robot_ik.hardware.virtual.faults import RATES
-from robot_ik.hardware.virtual.inprocess import SimBus
-from robot_ik.hardware.virtual.protocol2 import ErrorCode, Packet, Parser
+from robot_ik.hardware.virtual.faults import RATES, Fault
+from robot_ik.hardware.virtual.protocol import ErrorCode, Packet, Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock, VirtualClock

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_ik.hardware.answer_times import SHORTEST_WAIT, SLOWNESS, STEADY, AnswerTimes
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.quiet_port import QuietPortHandler
+from robot_ik.hardware.dynamixel import SHORTEST_WAIT, SLOWNESS, STEADY, AnswerTimes
+from robot_ik.hardware.serial_port import QuietPortHandler
 
 AT_MOST = 0.034
 

@@ -106,7 +106,7 @@ steps = st.tuples(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None)
 @given(st.lists(steps, min_size=20, max_size=80), st.sampled_from([1.0, -1.0]))
 def test_over_any_window_travel_is_within_the_cap(arm_config, steps, way):
     with open_arm(arm_config, "sim", start=np.zeros(6)) as arm:

@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 
 from robot_ik.errors import ConfigError
-from robot_ik.hardware.config import ArmConfig, Gains, StopAt, SwingArm, Twin
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.joint_map import Gains, StopAt, SwingArm, Twin
 
 ALL = """
 schema = 1

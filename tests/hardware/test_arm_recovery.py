@@ -20,7 +20,7 @@ from robot_ik.errors import (
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
 

@@ -10,8 +10,9 @@ import pytest
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig, Gains, Twin
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.joint_map import Gains, Twin
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
 

@@ -19,8 +19,8 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.bus import shared_register
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
-from robot_ik.hardware.registers import shared_register
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
 from robot_ik.hardware.virtual.servo import VirtualServo

@@ -9,8 +9,9 @@ import pytest
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig, Twin
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.joint_map import Twin
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
 

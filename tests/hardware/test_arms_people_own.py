@@ -18,17 +18,16 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.cli.main import main
-from robot_ik.cli.servo_calibrate import _by_hand
+from robot_ik.cli.servo_hand import _by_hand
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.calibration import calibrated, check_calibration
-from robot_ik.hardware.calibration_file import Calibration
+from robot_ik.hardware.calibration_file import Calibration, load_lerobot
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.lerobot_file import load_lerobot
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.inprocess import SimBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
 

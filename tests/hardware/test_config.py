@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError, OutputError, UnknownJointError
-from robot_ik.hardware.config import ArmConfig, JointMap
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.joint_map import JointMap
 
 POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
 

@@ -17,9 +17,9 @@ import pytest
 from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusNotOpenError, BusTimeoutError
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.quiet_port import describe_failure
+from robot_ik.hardware.serial_port import describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.protocol2 import Parser, build_status
+from robot_ik.hardware.virtual.protocol import Parser, build_status
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 

@@ -17,11 +17,10 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import BROADCAST_ID, Counters
 from robot_ik.hardware.control_table import CONTROL_TABLES
-from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
-from robot_ik.hardware.group import CYCLE_TIME
+from robot_ik.hardware.dynamixel import CYCLE_TIME, DynamixelBus, listening_time
 from robot_ik.hardware.packets import FastParser, StatusParser
-from robot_ik.hardware.quiet_port import ANSWER_TIME, LONGEST_DRAIN, QuietPortHandler
-from robot_ik.hardware.virtual.protocol2 import build_status
+from robot_ik.hardware.serial_port import ANSWER_TIME, LONGEST_DRAIN, QuietPortHandler
+from robot_ik.hardware.virtual.protocol import build_status
 
 XM = CONTROL_TABLES["XM430-W350"]
 POSITION, GOAL = XM["present_position"], XM["goal_position"]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 

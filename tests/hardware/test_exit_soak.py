@@ -17,7 +17,7 @@ import pytest
 from dynamixel_sdk import COMM_SUCCESS, PacketHandler, PortHandler
 
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.protocol2 import Parser
+from robot_ik.hardware.virtual.protocol import Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 

@@ -21,8 +21,7 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
-from robot_ik.hardware.virtual.faults import RATES
+from robot_ik.hardware.virtual.faults import RATES, Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import BusTimeoutError, MotorFaultError, ServoMismatchError, ServoRefusedError
-from robot_ik.hardware import open_arm, scan
+from robot_ik.hardware import discovery, open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 
@@ -112,16 +112,16 @@ def test_row_08(lab):
 
 def test_row_09(lab):
     """another baud rate"""
-    scan.listening_time, waits = (lambda baud: 0.05), scan.listening_time
+    discovery.listening_time, waits = (lambda baud: 0.05), discovery.listening_time
     bus = VirtualBus.from_config(lab.config, RealClock())
     bus.inject(Fault("baud", id=3, value=57_600))
     try:
         with PtyPort(bus, match_baud=True) as port:
-            found = {servo.id: servo.baud for servo in scan.scan(port.path, [57_600, 1_000_000])}
+            found = {servo.id: servo.baud for servo in discovery.scan(port.path, [57_600, 1_000_000])}
             with pytest.raises(ServoMismatchError, match=r"3  joint3: XM430-W350  missing") as caught:
                 open_arm(lab.config, port.path).connect()
     finally:
-        scan.listening_time = waits
+        discovery.listening_time = waits
     assert found == {1: 1_000_000, 2: 1_000_000, 3: 57_600, 4: 1_000_000, 5: 1_000_000, 6: 1_000_000}
     assert "servo scan" in caught.value.hint
 

@@ -9,9 +9,9 @@ import pytest
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.config import JointMap
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.suspicion import jumped
+from robot_ik.hardware.cycle import jumped
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock

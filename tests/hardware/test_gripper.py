@@ -14,12 +14,12 @@ import robot_ik as rik
 from robot_ik.errors import ConfigError, UnsafeCommandError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
-from robot_ik.hardware.config import ArmConfig, JointMap, SwingArm
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.telemetry import read_states
+from robot_ik.hardware.health import read_states
+from robot_ik.hardware.joint_map import JointMap, SwingArm
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.things import Thing, model_with
-from robot_ik.hardware.virtual.world import World
+from robot_ik.hardware.virtual.world import Thing, World, model_with
 from robot_ik.ports import VirtualClock
 
 ID = 7

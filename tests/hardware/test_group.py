@@ -8,11 +8,10 @@ import pytest
 
 from robot_ik.hardware import BUSES, open_bus
 from robot_ik.hardware.control_table import CONTROL_TABLES, Register
-from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.group import FAST_PATIENCE
+from robot_ik.hardware.dynamixel import FAST_PATIENCE, DynamixelBus
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.hardware.virtual.inprocess import SimBus
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock, VirtualClock

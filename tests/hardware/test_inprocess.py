@@ -11,9 +11,9 @@ from robot_ik.errors import BusCorruptError, BusNotOpenError, BusTimeoutError, S
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, Status
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.hardware.virtual.inprocess import SimBus
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.hardware.config import JointMap, SwingArm, Twin
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import BESIDE_TICKS
+from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap, SwingArm, Twin
 
 POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
 WX250S = SwingArm(0.014, 0.024)

@@ -13,9 +13,9 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
-from robot_ik.hardware.virtual.inprocess import SimBus
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock, VirtualClock
 

@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 import serial
 
-from robot_ik.cli.device_checks import serial_row
-from robot_ik.cli.servo_link import serial_ports, served_or_real
-from robot_ik.cli.servo_ports import port_row
+from robot_ik.cli.connection import serial_ports, served_or_real
+from robot_ik.cli.servo_bus import port_row
 from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware import open_bus
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.quiet_port import QuietPortHandler, describe_failure
+from robot_ik.hardware.health import serial_row
+from robot_ik.hardware.serial_port import QuietPortHandler, describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import ending_signals
 
@@ -139,8 +139,7 @@ def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
 
 @pytest.fixture
 def without_pty(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("robot_ik.hardware.virtual.pty", "robot_ik.hardware.served"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.delitem(sys.modules, "robot_ik.hardware.virtual.pty", raising=False)
     monkeypatch.setitem(sys.modules, "fcntl", None)
 
 

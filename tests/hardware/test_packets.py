@@ -16,7 +16,7 @@ from robot_ik.hardware.packets import (
     read_request,
     write_request,
 )
-from robot_ik.hardware.virtual.protocol2 import build_fast_status, build_status
+from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
 XM, XL = CONTROL_TABLES["XM430-W350"], CONTROL_TABLES["XL330-M288"]
 GOAL, PRESENT = XM["goal_position"], XM["present_position"]

@@ -7,7 +7,7 @@ from dynamixel_sdk import PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_ik.hardware.virtual.protocol2 import (
+from robot_ik.hardware.virtual.protocol import (
     HEADER,
     PACKET_GAP,
     Instruction,

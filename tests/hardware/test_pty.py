@@ -19,7 +19,7 @@ from dynamixel_sdk import (
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.hardware.virtual.protocol2 import Instruction, build
+from robot_ik.hardware.virtual.protocol import Instruction, build
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock, VirtualClock
 

@@ -15,7 +15,7 @@ from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, Packet
 
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 

@@ -13,7 +13,7 @@ import serial
 
 from robot_ik.errors import OutputError
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.protocol2 import Instruction, build, build_status
+from robot_ik.hardware.virtual.protocol import Instruction, build, build_status
 from robot_ik.hardware.virtual.pty import PtyPort
 
 

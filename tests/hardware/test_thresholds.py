@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.config import ArmConfig, JointMap, StopAt
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.feedback import LEAST_SAMPLES, SUSTAINED, Thresholds
+from robot_ik.hardware.joint_map import JointMap, StopAt
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock

@@ -15,10 +15,10 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.quiet_port import QuietPortHandler
+from robot_ik.hardware.serial_port import QuietPortHandler
+from robot_ik.hardware.simulated import InProcessPort
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
-from robot_ik.hardware.virtual.inprocess import InProcessPort
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
 DOCS = Path(__file__).parents[2] / "docs"

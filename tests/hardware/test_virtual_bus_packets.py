@@ -8,7 +8,7 @@ import pytest
 
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, build, build_status, crc16
+from robot_ik.hardware.virtual.protocol import Instruction, Packet, build, build_status, crc16
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
 

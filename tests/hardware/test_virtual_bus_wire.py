@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import RATES, Faults
-from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, build, build_status
+from robot_ik.hardware.virtual.protocol import Instruction, Packet, build, build_status
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
 

@@ -8,8 +8,7 @@ import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual.fault_file import load_faults, parse_faults
-from robot_ik.hardware.virtual.fault_kinds import KINDS, Fault
+from robot_ik.hardware.virtual.faults import KINDS, Fault, load_faults, parse_faults
 
 GOOD = """
 schema = 1

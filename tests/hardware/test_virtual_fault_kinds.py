@@ -9,11 +9,10 @@ import pytest
 from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusTimeoutError, ServoRefusedError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import KINDS, Fault
-from robot_ik.hardware.virtual.faults import RATES
-from robot_ik.hardware.virtual.inprocess import SimBus
-from robot_ik.hardware.virtual.protocol2 import Instruction, Packet, build
+from robot_ik.hardware.virtual.faults import KINDS, RATES, Fault
+from robot_ik.hardware.virtual.protocol import Instruction, Packet, build
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]

@@ -11,10 +11,10 @@ import pytest
 from robot_ik.errors import ConfigError, UnknownJointError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.hardware.virtual.inprocess import SimBus
-from robot_ik.hardware.virtual.protocol2 import Instruction, build
+from robot_ik.hardware.virtual.protocol import Instruction, build
 from robot_ik.ports import VirtualClock
 
 PRESENT = CONTROL_TABLES["XM430-W350"]["present_position"]

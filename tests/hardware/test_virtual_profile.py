@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.hardware.virtual.profile import brake, move
+from robot_ik.hardware.virtual.motor import brake, move
 
 
 def _integrate(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.memory import Memory
-from robot_ik.hardware.virtual.protocol2 import ErrorCode, Instruction, build, build_status
+from robot_ik.hardware.virtual.protocol import ErrorCode, Instruction, build, build_status
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode, Register
-from robot_ik.hardware.virtual.protocol2 import ErrorCode
+from robot_ik.hardware.virtual.protocol import ErrorCode
 
 EXTENDED = OperatingMode.EXTENDED_POSITION
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
-from robot_ik.hardware.virtual.load import Load
-from robot_ik.hardware.virtual.protocol2 import ErrorCode
+from robot_ik.hardware.virtual.motor import Load
+from robot_ik.hardware.virtual.protocol import ErrorCode
 
 CURRENT, PWM, HOLDING = OperatingMode.CURRENT, OperatingMode.PWM, OperatingMode.CURRENT_BASED_POSITION
 VELOCITY, EXTENDED = OperatingMode.VELOCITY, OperatingMode.EXTENDED_POSITION

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.virtual.profile import ProfileKind
+from robot_ik.hardware.virtual.motor import ProfileKind
 
 EXTENDED = OperatingMode.EXTENDED_POSITION
 

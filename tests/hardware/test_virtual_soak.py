@@ -9,9 +9,9 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import RATES, Faults
-from robot_ik.hardware.virtual.inprocess import SimBus
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]

@@ -11,11 +11,12 @@ import pytest
 
 from robot_ik.errors import UnknownJointError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig, Twin
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
+from robot_ik.hardware.joint_map import Twin
+from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.fault_kinds import Fault
-from robot_ik.hardware.virtual.inprocess import SimBus
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World, joint_torques
 from robot_ik.ports import VirtualClock
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from aho_update import DIAGONAL, Array, Chain, Frame, Update, X, Y, Z, follow, turn
 
-from robot_ik.jobs.experiments.witnesses import arc_bend
+from robot_ik.bench.theses.a00 import arc_bend
 
 
 @dataclass(eq=False)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.jobs import ahead
-from robot_ik.jobs.ahead import CompiledAhead
+from robot_ik.jobs import precompile
+from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.kernels import jit
 
 
@@ -23,7 +23,7 @@ def test_it_runs_for_the_robot_and_method_that_were_asked_for(
 ) -> None:
     note = tmp_path / "note"
     program = f"import sys, pathlib; pathlib.Path({str(note)!r}).write_text(' '.join(sys.argv[1:]))"
-    monkeypatch.setattr(ahead, "_SOLVE", program)
+    monkeypatch.setattr(precompile, "_SOLVE", program)
     with CompiledAhead.solver("puma560", "lm") as compiling:
         compiling.wait()
     assert note.read_text() == "puma560 lm"
@@ -38,7 +38,7 @@ def test_the_program_is_one_that_solves(due: None, solver: str) -> None:
 
 
 def test_one_that_is_slow_is_not_left_behind(due: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "_SOLVE", "import time; time.sleep(600)")
+    monkeypatch.setattr(precompile, "_SOLVE", "import time; time.sleep(600)")
     began = time.monotonic()
     with CompiledAhead.solver("puma560", "lm") as compiling:
         process = compiling._process
@@ -47,10 +47,10 @@ def test_one_that_is_slow_is_not_left_behind(due: None, monkeypatch: pytest.Monk
 
 
 def test_one_that_fails_costs_nothing(due: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "_SOLVE", "raise SystemExit(3)")
+    monkeypatch.setattr(precompile, "_SOLVE", "raise SystemExit(3)")
     with CompiledAhead.solver("puma560", "lm") as compiling:
         compiling.wait()
-    monkeypatch.setattr(ahead.sys, "executable", "/no/such/python")
+    monkeypatch.setattr(precompile.sys, "executable", "/no/such/python")
     with CompiledAhead.solver("puma560", "lm") as compiling:
         compiling.wait()
 

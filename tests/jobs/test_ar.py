@@ -9,20 +9,19 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.ar.draw import Figure
-from robot_ik.camera.ar.registrar import Registrar, Remedies, Shown
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.pose.bodies import grid_body
-from robot_ik.catalogue import catalogue
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.drawing.renderers import DrawnRobot
+from robot_ik.camera.registration import LatencyOptions, Registrar, Shown
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
-from robot_ik.jobs import ar, ar_files
-from robot_ik.jobs.ar import ArRequest, run_ar
-from robot_ik.jobs.ar_motion import Replay, make_motion
-from robot_ik.jobs.ar_scene import SteppedClock, lens
-from robot_ik.jobs.ar_script import play_script, robot_of
+from robot_ik.jobs.ar import job, output
+from robot_ik.jobs.ar.job import ArRequest, run_ar
+from robot_ik.jobs.ar.motion import Replay, make_motion, play_script, robot_of
+from robot_ik.jobs.ar.scene import SteppedClock, lens
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import load_robot
+from robot_ik.robot_file import catalogue
 
 COUNT = 5
 
@@ -107,7 +106,7 @@ def test_a_run_that_fails_leaves_the_older_film(request_for: ArRequest, tmp_path
 def test_without_the_extra_a_film_says_how_to_get_it(
     request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ar_files.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(output.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="'av'"):  # before anything is loaded
         run_ar(replace(request_for, out=tmp_path / "a.mp4", robot="nowhere.xml"))
     (tmp_path / "file").write_text("")
@@ -118,18 +117,24 @@ def test_without_the_extra_a_film_says_how_to_get_it(
 def test_latest_shows_the_next_picture_and_remedies_bring_the_robot_there(
     request_for: ArRequest, tmp_path: Path
 ) -> None:
-    def middle(name: str, remedies: Remedies) -> float:
+    def middle(name: str, latency_options: LatencyOptions) -> float:
         report = run_ar(
-            replace(request_for, out=tmp_path / f"{name}.png", remedies=remedies, motion="home", shadow=False)
+            replace(
+                request_for,
+                out=tmp_path / f"{name}.png",
+                latency_options=latency_options,
+                motion="home",
+                shadow=False,
+            )
         )
-        assert report.pictures == (COUNT if remedies.sync == "tracked" else COUNT - 1)
+        assert report.pictures == (COUNT if latency_options.sync == "tracked" else COUNT - 1)
         before = cv2.imread(str(Path(request_for.camera) / f"{COUNT - 1}.png"))
         changed = np.abs(cv2.imread(str(tmp_path / f"{name}.png")).astype(int) - before).max(axis=2) > 0
         return float(np.argwhere(changed).mean(axis=0)[1])
 
-    right = middle("tracked", Remedies())
-    late = middle("latest", Remedies("latest"))
-    shifted = middle("shifted", Remedies("latest", shift=True))
+    right = middle("tracked", LatencyOptions())
+    late = middle("latest", LatencyOptions("latest"))
+    shifted = middle("shifted", LatencyOptions("latest", shift=True))
     assert right - late > 12
     assert abs(right - shifted) < 0.5 * (right - late), "what stands above the board moves a little otherwise"
 
@@ -164,7 +169,7 @@ def test_all_of_a_robot_is_in_the_pictures_of_the_stage(
 def test_what_is_neither_film_nor_picture_nor_folder_is_an_error(
     request_for: ArRequest, tmp_path: Path
 ) -> None:
-    for name in ("a.gif", "a.webm", "a.csv"):
+    for name in ("a.webm", "a.csv"):
         with pytest.raises(OutputError, match="of this kind") as told:
             run_ar(replace(request_for, out=tmp_path / name))
         assert ".mp4" in told.value.hint and ".png" in told.value.hint
@@ -275,7 +280,7 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
     path.write_text(SCRIPT.format(state=state))
     assert robot_of(str(path)) == "tabletop_puma" == robot_of("overload") and robot_of("wave") == ""
     robot = load_robot("tabletop_puma")
-    figure = Figure(robot.model, Pose(), 1.0)
+    figure = DrawnRobot(robot.model, Pose(), 1.0)
     with contextlib.ExitStack() as stack:
         motion = make_motion(str(path), robot, figure, stack)
         assert isinstance(motion, Replay) and motion.notice[: len(notice) or None] == notice
@@ -288,7 +293,7 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
         for q in moved.q[moved.times > moved.duration - 0.3]:
             np.testing.assert_allclose(q, end, atol=4e-3)
         # the made-up film is as long as the script
-        count = ar._open(ArRequest(size=(64, 48)), motion, stack)[2]
+        count = job._open(ArRequest(size=(64, 48)), motion, stack)[2]
         assert count == round(30 * moved.duration)
         with pytest.raises(ConfigError, match="is a script of tabletop_puma, and puma560 is drawn"):
             make_motion(str(path), load_robot("puma560"), figure, stack)

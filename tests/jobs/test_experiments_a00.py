@@ -11,12 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import robot_ik as rik
+from robot_ik.bench.theses import a00
+from robot_ik.bench.theses.a00 import DIAGONAL, NUMBERS, Course, chain_witness, make_course
+from robot_ik.bench.theses.results import save_a00
+from robot_ik.bench.theses.tracking import Gauge, track
 from robot_ik.errors import ConfigError, UnknownSolverError
-from robot_ik.jobs.experiments import a00
-from robot_ik.jobs.experiments.courses import DIAGONAL, NUMBERS, Course, make_course
-from robot_ik.jobs.experiments.results import save_a00
-from robot_ik.jobs.experiments.tracking import Gauge, track
-from robot_ik.jobs.experiments.witnesses import chain_witness
 from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, make_solver
 

@@ -12,10 +12,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from robot_ik.bench.theses import results, s12
+from robot_ik.bench.theses.results import s12_rows, save_s12
 from robot_ik.errors import MissingExtraError
 from robot_ik.goals import PositionGoal
-from robot_ik.jobs.experiments import notes, plot, s12
-from robot_ik.jobs.experiments.results import s12_rows, save_s12
 from robot_ik.problem import Budget, Problem
 
 FEW = 15
@@ -106,7 +106,7 @@ def test_files_and_picture(report: s12.S12Report, tmp_path: Any) -> None:
     files = save_s12(report, tmp_path, plot=True)
     assert [file.name for file in files] == ["s12.json", "s12.csv", "s12.png"]
     summary = json.loads(files[0].read_text())
-    assert summary["passed"] and summary["not_stated"] == list(notes.S12_NOT_STATED)
+    assert summary["passed"] and summary["not_stated"] == list(results.S12_NOT_STATED)
     with files[1].open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 16 + len(report.tracks) == 16 + 4 * (4 + 3 + 6)
@@ -116,7 +116,7 @@ def test_files_and_picture(report: s12.S12Report, tmp_path: Any) -> None:
 def test_without_matplotlib_the_picture_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="plots"):
-        plot.require_plots()
+        s12.require_plots()
 
 
 def test_one_miss_fails_the_whole(report: s12.S12Report) -> None:

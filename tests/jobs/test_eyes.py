@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.goals.latest import LatestGoals
-from robot_ik.camera.made_up.synthetic import SyntheticSource
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.marker_goals import LatestGoals
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import (
     CalibrationError,
     CameraError,
@@ -22,10 +22,10 @@ from robot_ik.errors import (
     MarkerNotFoundError,
 )
 from robot_ik.geometry import Pose
-from robot_ik.jobs import cameras
-from robot_ik.jobs.pictures import Wandering
+from robot_ik.jobs import vision as vision_module
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.vision import Wandering
 from robot_ik.ports import RealClock, VirtualClock
 from robot_ik.robot import load_robot
 
@@ -88,7 +88,7 @@ def test_a_lying_truth_changes_nothing_but_the_remark(
 ) -> None:
     lie = Pose((9.0, 9.0, 9.0))
     lies = {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
-    monkeypatch.setattr(cameras.SyntheticSource, "_truth", lambda self, *rest: lies)
+    monkeypatch.setattr(vision_module.SyntheticSource, "_truth", lambda self, *rest: lies)
     report = reach()
     assert report.reached and report.seen.true_pose is lie
     np.testing.assert_array_equal(report.target.position, healthy.target.position)  # type: ignore[union-attr]
@@ -100,14 +100,14 @@ def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachR
     report = look(name)
     assert report.reached and report.by_camera is None and "recorded" in report.verdict
     assert report.seen.true_pose is None
-    stage = report.eyes.stage
+    stage = report.vision.stage
     assert report.seen.pose_world_marker.distance(stage.pose_world_marker)[0] < 1.5e-3
     camera = stage.pose_world_camera.inverse().compose(stage.pose_world_marker)
     assert report.seen.observation.pose.distance(camera)[0] < 1.5e-3
 
 
 def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None:
-    stage = healthy.eyes.stage  # type: ignore[union-attr]
+    stage = healthy.vision.stage  # type: ignore[union-attr]
     moved = Pose(np.add(stage.pose_world_camera.position, [0.02, 0.0, 0.0]), stage.pose_world_camera.wxyz)
     report = look("photo.png", pose_world_camera=moved)
     shift = report.target.position - healthy.target.position  # type: ignore[union-attr]
@@ -125,9 +125,9 @@ def test_a_photograph_without_the_marker_ends(look: Any) -> None:
 def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
     report = look("film.avi", follow=1.5, bus="sim")
     assert report.reached
-    home = report.eyes.stage.pose_world_marker.position
+    home = report.vision.stage.pose_world_marker.position
     np.testing.assert_allclose(report.seen.pose_world_marker.position - home, [0.022, 0, 0], atol=2e-3)
-    tool = report.robot.forward(report.limbs.true_q(), "gripper").position
+    tool = report.robot.forward(report.setup.true_q(), "gripper").position
     assert np.linalg.norm(tool - report.target.position) < 3e-3
     assert report.following.held > 20  # the film is shorter
 

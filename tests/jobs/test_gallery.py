@@ -11,13 +11,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.catalogue import catalogue
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.jobs import gallery
-from robot_ik.jobs.gallery import contact_sheet, draw_gallery, draw_robot, pose_at_work
-from robot_ik.jobs.studio import TONE, fitted_camera, lens, surface
+from robot_ik.jobs.gallery import (
+    TONE,
+    contact_sheet,
+    draw_gallery,
+    draw_robot,
+    fitted_camera,
+    lens,
+    pose_at_work,
+    surface,
+)
 from robot_ik.robot import load_robot
+from robot_ik.robot_file import catalogue
 
 TWO_LINKS = """
 <mujoco><worldbody><body><joint name="a" axis="0 -1 0" range="-90 90"/>

@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import parse_board
-from robot_ik.camera.boards.view import BoardView
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.made_up.synthetic import SyntheticScene
+from robot_ik.camera.boards.board import BoardView, parse_board
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.synthetic.camera import SyntheticScene
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
-from robot_ik.jobs import handeye_scene
-from robot_ik.jobs.handeye import HandEyeRequest, handeye_from_samples, run_handeye, samples_path
-from robot_ik.jobs.handeye_samples import SampleSet
+from robot_ik.jobs.arm_camera import handeye
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, handeye_from_samples, run_handeye, samples_path
+from robot_ik.jobs.arm_camera.measuring import SampleSet
 from robot_ik.robot import load_robot
 
 Array = NDArray[np.float64]
@@ -62,14 +61,14 @@ class Drawn(ClosingSource):
 @pytest.fixture(autouse=True)
 def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small pictures that are quickly made."""
-    stage_for = handeye_scene.stage_for
+    stage_for = handeye.stage_for
 
     def small(*arguments: Any) -> Any:
         return replace(stage_for(*arguments), intrinsics=STANDARD_CAMERA)
 
-    monkeypatch.setattr(handeye_scene, "stage_for", small)
-    monkeypatch.setattr(handeye_scene, "SyntheticSource", Drawn)
-    monkeypatch.setattr(handeye_scene, "CarriedSource", Drawn)
+    monkeypatch.setattr(handeye, "stage_for", small)
+    monkeypatch.setattr(handeye, "SyntheticSource", Drawn)
+    monkeypatch.setattr(handeye, "CarriedSource", Drawn)
 
 
 def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
@@ -90,7 +89,7 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
     )
     # the place and the samples on file say the same
     report.place().save(tmp_path / "place.toml")
-    place = CameraPlace.load(tmp_path / "place.toml", report.samples.intrinsics)
+    place = CameraExtrinsics.load(tmp_path / "place.toml", report.samples.intrinsics)
     assert place.parent == "world" and place.views == 5
     path = samples_path(tmp_path / "place.toml")
     report.samples.save(path)
@@ -116,7 +115,7 @@ def test_a_carried_camera_is_not_put_into_the_arm(name: str, frame: str) -> None
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(robot.home)
     mujoco.mj_forward(robot.model, data)
-    camera = robot.forward(robot.home, frame).compose(handeye_scene._beside_the_tool(robot, frame))
+    camera = robot.forward(robot.home, frame).compose(handeye._beside_the_tool(robot, frame))
     ahead = camera.apply(np.array([0.0, 0.0, 1.0])) - camera.position
     hit = mujoco.mj_ray(robot.model, data, camera.position, ahead, None, 1, -1, np.zeros(1, np.int32), None)
     assert hit < 0.0 or hit > 0.1

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError, UnsupportedJointError
-from robot_ik.jobs.limbs import KinematicScene, joints_that_move, prepare_limbs
 from robot_ik.jobs.reach import ReachRequest, Rehearsal
+from robot_ik.jobs.robot_setup import KinematicScene, joints_that_move, prepare_robot
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 
@@ -23,21 +23,21 @@ def arm_text() -> str:
 def test_the_narrower_limit_counts(tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     file.write_text(arm_text().replace("upper_deg = 160.0", "upper_deg = 45.0", 1))
-    limbs = prepare_limbs(ReachRequest(bus="sim", arm_file=file))
-    first, others = limbs.limits[0], limbs.limits[1:]
-    assert np.rad2deg(limbs.robot.upper[0]) == pytest.approx(45.0, abs=0.1)
-    assert first.used[1] == limbs.robot.upper[0] < first.model[1] and first.servo is not None
-    for limit, low, high in zip(others, limbs.robot.lower[1:], limbs.robot.upper[1:], strict=True):
+    setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    first, others = setup.limits[0], setup.limits[1:]
+    assert np.rad2deg(setup.robot.upper[0]) == pytest.approx(45.0, abs=0.1)
+    assert first.used[1] == setup.robot.upper[0] < first.model[1] and first.servo is not None
+    for limit, low, high in zip(others, setup.robot.lower[1:], setup.robot.upper[1:], strict=True):
         assert limit.used == (low, high)
         assert limit.servo is not None
         assert low == max(limit.model[0], limit.servo[0]) and high == min(limit.model[1], limit.servo[1])
 
 
 def test_without_a_bus_the_models_limits_stay() -> None:
-    limbs = prepare_limbs(ReachRequest(bus="none"))
-    assert all(limit.used == limit.model and limit.servo is None for limit in limbs.limits)
-    assert limbs.source is None and isinstance(limbs.clock, VirtualClock)
-    assert not limbs.resolution.any()
+    setup = prepare_robot(ReachRequest(bus="none"))
+    assert all(limit.used == limit.model and limit.servo is None for limit in setup.limits)
+    assert setup.source is None and isinstance(setup.clock, VirtualClock)
+    assert not setup.resolution.any()
 
 
 def test_fingers_need_no_servo_and_count_for_nothing(arms: dict[str, Path]) -> None:
@@ -47,37 +47,37 @@ def test_fingers_need_no_servo_and_count_for_nothing(arms: dict[str, Path]) -> N
     assert joints_that_move(whole, "left") == ("waist", "shoulder", "elbow", "wrist", "left_finger")
     assert joints_that_move(whole, "turn") == ("waist",)
     for bus in ("sim", "none"):
-        limbs = prepare_limbs(ReachRequest(robot=str(arms["desk"]), bus=bus))
-        assert limbs.robot.joints == ("waist", "shoulder", "elbow", "wrist") and limbs.freedoms == 4
+        setup = prepare_robot(ReachRequest(robot=str(arms["desk"]), bus=bus))
+        assert setup.robot.joints == ("waist", "shoulder", "elbow", "wrist") and setup.freedoms == 4
 
 
 def test_a_slide_that_moves_the_tool_has_no_generic_servo(arms: dict[str, Path]) -> None:
     request = ReachRequest(robot=str(arms["desk"]), bus="sim", frame="left")
     with pytest.raises(UnsupportedJointError, match="left_finger"):
-        prepare_limbs(request)
-    limbs = prepare_limbs(ReachRequest(robot=str(arms["desk"]), bus="none", frame="left"))
-    assert [limit.unit for limit in limbs.limits] == ["rad"] * 4 + ["m"]
+        prepare_robot(request)
+    setup = prepare_robot(ReachRequest(robot=str(arms["desk"]), bus="none", frame="left"))
+    assert [limit.unit for limit in setup.limits] == ["rad"] * 4 + ["m"]
 
 
 def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> None:
     blocks = arm_text().split("[[joints]]")
     file = tmp_path / "arm.toml"
     file.write_text("[[joints]]".join(blocks[:4]))  # joint1 to joint3
-    limbs = prepare_limbs(ReachRequest(bus="sim", arm_file=file))
-    assert limbs.robot.joints == ("joint1", "joint2", "joint3")
+    setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    assert setup.robot.joints == ("joint1", "joint2", "joint3")
     # the order of the file is its own affair
     file.write_text("[[joints]]".join([blocks[0], *reversed(blocks[1:])]))
-    limbs = prepare_limbs(ReachRequest(bus="sim", arm_file=file))
-    assert limbs.config is not None and limbs.config.names == limbs.robot.joints
+    setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    assert setup.config is not None and setup.config.names == setup.robot.joints
     file.write_text(arm_text().replace('"joint6"', '"joint9"'))
     with pytest.raises(ConfigError, match="joint9"):
-        prepare_limbs(ReachRequest(bus="sim", arm_file=file))
+        prepare_robot(ReachRequest(bus="sim", arm_file=file))
 
 
 @pytest.mark.parametrize("bus", ["none", "/dev/ttyUSB9"])
 def test_faults_are_for_simulated_servos(bus: str) -> None:
     with pytest.raises(ConfigError, match="simulated"):
-        prepare_limbs(ReachRequest(bus=bus, rehearsal=Rehearsal(stuck=("joint1",))))
+        prepare_robot(ReachRequest(bus=bus, rehearsal=Rehearsal(stuck=("joint1",))))
 
 
 def test_the_scene_shows_angles_and_no_time_passes() -> None:
@@ -92,12 +92,12 @@ def test_the_scene_shows_angles_and_no_time_passes() -> None:
 
 
 def test_torque_is_on_from_energise_to_the_end_whatever_ends_it() -> None:
-    limbs = prepare_limbs(ReachRequest(bus="sim"))
-    assert limbs.arm is not None and limbs.arm.virtual_bus is not None
-    servos = limbs.arm.virtual_bus.servos
-    with pytest.raises(RuntimeError), limbs.connected():
+    setup = prepare_robot(ReachRequest(bus="sim"))
+    assert setup.arm is not None and setup.arm.virtual_bus is not None
+    servos = setup.arm.virtual_bus.servos
+    with pytest.raises(RuntimeError), setup.connected():
         assert not any(servo.torque for servo in servos)
-        limbs.energise()
+        setup.energise()
         assert all(servo.torque for servo in servos)
         raise RuntimeError
     assert not any(servo.torque for servo in servos)
@@ -105,8 +105,8 @@ def test_torque_is_on_from_energise_to_the_end_whatever_ends_it() -> None:
 
 def test_the_shafts_are_what_the_camera_sees() -> None:
     faults = Rehearsal(zero_offset_deg={"joint3": 2.0})
-    limbs = prepare_limbs(ReachRequest(bus="sim", rehearsal=faults))
-    with limbs.connected():
-        away = np.rad2deg(limbs.true_q() - limbs.q)
+    setup = prepare_robot(ReachRequest(bus="sim", rehearsal=faults))
+    with setup.connected():
+        away = np.rad2deg(setup.true_q() - setup.q)
     assert abs(away[2]) == pytest.approx(2.0, abs=0.2)
     assert np.abs(np.delete(away, 2)).max() < 0.1

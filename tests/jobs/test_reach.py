@@ -27,16 +27,16 @@ JOINTS = [f"joint{k}" for k in range(1, 7)]
 
 def shafts(report: ReachReport) -> Pose:
     """Where the tool really is."""
-    return report.robot.forward(report.limbs.true_q(), report.frame)
+    return report.robot.forward(report.setup.true_q(), report.frame)
 
 
 def test_a_healthy_arm_reaches_its_marker(healthy: ReachReport) -> None:
     report = healthy
     assert report.reached and report.problem is None
-    assert report.seen is not None and report.seen.true_pose is not None and report.eyes is not None
+    assert report.seen is not None and report.seen.true_pose is not None and report.vision is not None
     assert report.target is not None and report.execution is not None and report.bound is not None
     assert report.seen.pose_world_marker.distance(report.seen.true_pose)[0] < 1e-3
-    wanted = report.seen.pose_world_marker.compose(report.eyes.stage.pose_marker_tool)
+    wanted = report.seen.pose_world_marker.compose(report.vision.stage.pose_marker_tool)
     assert report.target.distance(wanted)[0] < 1e-9
     # the truth: the shafts hold the tool where it was wanted, and the camera is right about it
     assert shafts(report).distance(report.target)[0] <= report.bound.position
@@ -54,18 +54,18 @@ def test_exit_is_literally_what_the_two_judgements_say(healthy: ReachReport) -> 
 
 
 def test_the_motion_is_timed_and_capped(healthy: ReachReport) -> None:
-    run, limbs = healthy.execution, healthy.limbs
+    run, setup = healthy.execution, healthy.setup
     assert run is not None and run.measured is not None
     assert run.rate == pytest.approx(100.0, rel=0.01) and run.overruns == 0
     speed = np.abs(np.diff(run.commanded, axis=0)) * run.rate
-    assert limbs.velocity is not None
-    assert (speed <= limbs.velocity * 1.01).all()
-    np.testing.assert_allclose(run.measured[-1], run.commanded[-1], atol=limbs.resolution.max())
+    assert setup.velocity is not None
+    assert (speed <= setup.velocity * 1.01).all()
+    np.testing.assert_allclose(run.measured[-1], run.commanded[-1], atol=setup.resolution.max())
     assert healthy.counters["cycles"] >= len(run.times) and healthy.counters["timeouts"] == 0
-    assert limbs.scene.data.time == 0.0
-    np.testing.assert_allclose(limbs.scene.q, healthy.q_end, atol=limbs.resolution.max())
-    assert limbs.arm is not None and limbs.arm.virtual_bus is not None
-    assert not any(servo.torque for servo in limbs.arm.virtual_bus.servos)  # left without torque
+    assert setup.scene.data.time == 0.0
+    np.testing.assert_allclose(setup.scene.q, healthy.q_end, atol=setup.resolution.max())
+    assert setup.arm is not None and setup.arm.virtual_bus is not None
+    assert not any(servo.torque for servo in setup.arm.virtual_bus.servos)  # left without torque
 
 
 @pytest.mark.parametrize(("joint", "degrees"), list(zip(JOINTS, [2.0, -2.0] * 3, strict=True)))
@@ -98,11 +98,11 @@ def test_a_blank_marker_moves_nothing(reach: Any) -> None:
     assert not report.reached and isinstance(report.problem, MarkerNotFoundError)
     assert "marker 7" in str(report.problem)
     assert report.execution is None and report.solution is None and report.before is not None
-    np.testing.assert_allclose(report.limbs.true_q(), report.robot.home, atol=1e-2)
+    np.testing.assert_allclose(report.setup.true_q(), report.robot.home, atol=1e-2)
 
 
 def test_goal_arm_and_verdict_move_with_the_rendered_marker(healthy: ReachReport, reach: Any) -> None:
-    home = healthy.eyes.stage.pose_world_marker  # type: ignore[union-attr]
+    home = healthy.vision.stage.pose_world_marker  # type: ignore[union-attr]
     shift, yaw = np.array([0.03, 0.04, 0.0]), -80.0
     report = reach({"marker_at": (*(home.position + shift), yaw)})
     assert report.reached
@@ -136,7 +136,7 @@ def test_a_given_pose_of_another_frame(reach: Any) -> None:
     goal = PoseGoal("flange", position=target.position, wxyz=target.wxyz)
     report = reach(goal=goal, frame="flange")
     assert report.reached and report.frame == "flange"
-    metres, radians = report.robot.forward(report.limbs.true_q(), "flange").distance(target)
+    metres, radians = report.robot.forward(report.setup.true_q(), "flange").distance(target)
     assert metres <= report.bound.position and radians <= report.bound.angle
 
 
@@ -161,7 +161,7 @@ def test_following_the_marker(reach: Any) -> None:
     assert report.reached and report.following.ticks == 350 and report.following.held < 40
     assert report.following.statuses["CONVERGED"] > 300
     # it went somewhere, the arm went along, and the verdict is about the last place
-    home = report.eyes.stage.pose_world_marker.position
+    home = report.vision.stage.pose_world_marker.position
     away = np.linalg.norm(report.seen.pose_world_marker.position - home)
     assert away > 0.02
     assert np.linalg.norm(shafts(report).position - report.target.position) < 2e-3
@@ -191,7 +191,7 @@ def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.soak)])
 def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
-    report = reach(bus="none", follow=2.0, seed=seed)
+    report = reach(bus="none", follow=1.2, seed=seed)
     assert report.reached, report.verdict
     assert report.read_back.position > 1e-5  # two looks at the marker differ
     assert report.read_back.position <= report.read_back.allowed.position < LARGEST_MISS
@@ -262,7 +262,7 @@ def test_progress_only_grows_within_a_stage(reach: Any) -> None:
 
 def test_the_film_shows_the_whole_motion(arms: dict[str, Path], reach: Any, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra `video`")
-    from robot_ik.jobs.reach_window import FILM_RATE_HZ, save_film
+    from robot_ik.jobs.reach import FILM_RATE_HZ, save_film
 
     report = reach(bus="none", robot=str(arms["planar"]))
     path = save_film(report, tmp_path / "reach.mp4")

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.overlay import draw_robot
+from robot_ik.camera.drawing.overlay import draw_robot
 from robot_ik.errors import OutputError
 from robot_ik.files import folder_for_results, plain
 from robot_ik.jobs.reach import ReachReport
@@ -115,12 +115,12 @@ def test_runs_that_end_early_leave_what_there_is(reach: Any, tmp_path: Path) -> 
 
 def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
     """The drawn lines follow the picture's own edges, and no longer do so when shifted by some pixels."""
-    eyes, robot = healthy.eyes, healthy.robot
-    assert eyes is not None and healthy.q_end is not None
+    vision, robot = healthy.vision, healthy.robot
+    assert vision is not None and healthy.q_end is not None
     for image, q in [(healthy.before, healthy.q_start), (healthy.after, healthy.q_end)]:
-        pose = eyes.pose_world_camera
+        pose = vision.pose_world_camera
         drawn = draw_robot(
-            image, robot.model, robot.qpos(q), eyes.intrinsics, pose, alpha=0.0, style="registered"
+            image, robot.model, robot.qpos(q), vision.intrinsics, pose, alpha=0.0, style="registered"
         )
         lines = np.abs(drawn.astype(int) - image.astype(int)).max(axis=2) > 40
         assert lines.sum() > 1000

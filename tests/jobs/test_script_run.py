@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.goals.latest import LatestGoals
+from robot_ik.camera.marker_goals import LatestGoals
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.limiter import SafetyLimiter
 from robot_ik.jobs.script import (
@@ -85,7 +85,7 @@ def test_following_is_judged_by_the_marker_not_by_what_the_camera_made_of_it(
             self.first = self.first or super().poll(now)
             return self.first
 
-    monkeypatch.setattr("robot_ik.jobs.eyes.LatestGoals", Stopped)
+    monkeypatch.setattr("robot_ik.jobs.vision.LatestGoals", Stopped)
     steps = """
 [[steps]]
 do = "marker"

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.camera.made_up.synthetic import SyntheticSource
-from robot_ik.camera.track import MarkerTracker
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.jobs.stage import Stage, stage_for
+from robot_ik.inverse_kinematics import solve
+from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solve import solve
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.pose import BodyObservation
+from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs.verdict import (
     LARGEST_ANGLE,
     LARGEST_MISS,
@@ -20,7 +20,6 @@ from robot_ik.jobs.verdict import (
     quantisation,
     sigma_at,
 )
-from robot_ik.problem import Tolerance
 from robot_ik.robot import Robot, load_robot
 
 EXACT = Tolerance(position=1e-9, angle=1e-9)

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.bench.camera_rows import Effort
-from robot_ik.camera.arm_zeros.fit import PoseError
+from robot_ik.bench.camera import Effort, arm
 from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.handeye.places import CameraPlace
-from robot_ik.camera.made_up.standard_set import STANDARD_CAMERA, render_markers
-from robot_ik.camera.made_up.synthetic import SyntheticScene
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+from robot_ik.camera.calibration.kinematic import PoseError
 from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.synthetic.camera import SyntheticScene
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
+from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import cameras_request, handeye_scene, verify, verify_bench
-from robot_ik.jobs.verify import VerifyReport, VerifyRequest, run_verify
-from robot_ik.jobs.verify_arm_file import zeros_moved
-from robot_ik.jobs.verify_map import regions, summary
-from robot_ik.jobs.verify_picture import error_picture
+from robot_ik.jobs import vision
+from robot_ik.jobs.arm_camera import handeye, verify
+from robot_ik.jobs.arm_camera.error_picture import error_picture
+from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, regions, run_verify, summary
 
 HIDDEN = {"joint1": 2.0, "joint2": -2.5, "joint3": 1.5, "joint4": -3.0, "joint5": 2.0, "joint6": 1.0}
 
@@ -62,12 +62,12 @@ def _drawn() -> Iterator[None]:
 
 
 def _draw_lightly(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (handeye_scene, verify):
+    for module in (handeye, verify):
         stage_for = module.stage_for  # type: ignore[attr-defined]
         monkeypatch.setattr(
             module, "stage_for", lambda *of, make=stage_for: replace(make(*of), intrinsics=STANDARD_CAMERA)
         )
-    monkeypatch.setattr(handeye_scene, "SyntheticSource", Drawn)
+    monkeypatch.setattr(handeye, "SyntheticSource", Drawn)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
 
 
 def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_path: Path) -> None:
-    place = CameraPlace(
+    place = CameraExtrinsics(
         report.camera.pose, "world", report.camera.covariance, 0.1, 0.1, "2026-01-01",
         STANDARD_CAMERA.digest, method="handeye, eye to hand",
     )  # fmt: skip
@@ -119,20 +119,20 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     report: VerifyReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[Any] = []
-    prepare = verify.prepare_limbs
-    monkeypatch.setattr(verify, "prepare_limbs", lambda request: made.append(prepare(request)) or made[0])
+    prepare = verify.prepare_robot
+    monkeypatch.setattr(verify, "prepare_robot", lambda request: made.append(prepare(request)) or made[0])
 
     def opened(name: str, **rest: Any) -> Drawn:
-        limbs = made[0]
-        return Drawn(handeye_scene.stage_for(limbs.robot, limbs.frame).scene(limbs.robot), limbs.true_q)
+        setup = made[0]
+        return Drawn(handeye.stage_for(setup.robot, setup.frame).scene(setup.robot), setup.true_q)
 
-    monkeypatch.setattr(cameras_request, "open_source", opened)
+    monkeypatch.setattr(vision, "open_source", opened)
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
-    CameraPlace(
+    CameraExtrinsics(
         report.camera.pose, "world", report.camera.covariance, 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
     ).save(place)
-    stage = handeye_scene.stage_for(report.robot, "gripper")
+    stage = handeye.stage_for(report.robot, "gripper")
     found = run_verify(
         VerifyRequest(
             "tabletop_puma", camera="0", intrinsics=lens, place=place, views=4, frame=stage.cube_frame,
@@ -192,12 +192,12 @@ def test_the_picture_shows_the_arm_as_it_is_and_corrected(report: VerifyReport) 
 def test_the_benchmark_sees_offsets_that_are_wrong(
     report: VerifyReport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(verify_bench, "_SPOILT", 2)
-    monkeypatch.setattr(verify_bench, "run_verify", lambda request: report)
-    found = {one.quantity: one for one in verify_bench.joint_zero_offsets(Effort(quick=True))}
+    monkeypatch.setattr(arm, "_SPOILT", 2)
+    monkeypatch.setattr(arm, "run_verify", lambda request: report)
+    found = {one.quantity: one for one in arm.joint_zero_offsets(Effort(quick=True))}
     assert len(found) == 4 and found["zero offsets, worst joint off by"].passed
     assert report.true_offsets is not None
     wrong = replace(report, true_offsets=report.true_offsets + 0.01)
-    monkeypatch.setattr(verify_bench, "run_verify", lambda request: wrong)
-    worse = list(verify_bench.joint_zero_offsets(Effort(quick=True)))
+    monkeypatch.setattr(arm, "run_verify", lambda request: wrong)
+    worse = list(arm.joint_zero_offsets(Effort(quick=True)))
     assert [one.passed for one in worse] == [False, None, False, False]

@@ -11,9 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError, OutputError, UnknownJointError
-from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
+from robot_ik.hardware.calibration_file import (
+    Calibration,
+    JointCalibration,
+    calibration_beside,
+    changes,
+    write_zeros,
+    zeros_moved,
+)
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.verify_arm_file import changes, write_zeros, zeros_moved
 from robot_ik.robot import load_robot
 
 SHIPPED = load_robot("tabletop_puma").arm_file

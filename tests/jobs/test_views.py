@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.handeye.model import Mount, compress
-from robot_ik.camera.handeye.rotation_average import rotation_spread
-from robot_ik.camera.pose import marker_points
+from robot_ik.camera.calibration.handeye import Mount, compress, rotation_spread
+from robot_ik.camera.observations import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.jobs.stage import Stage, stage_for
-from robot_ik.jobs.views import ViewTask, plan_views
+from robot_ik.jobs.arm_camera.view_planning import ViewTask, plan_views
+from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.robot import Robot, load_robot
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ import pytest
 
 from robot_ik.goals import PositionGoal
 from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.work import WORK
+from robot_ik.kernels.workspace import WORK
 from robot_ik.problem import Problem
 
 PAIR = Layout("Pair", numbers="floats", places="ints", grid="table")

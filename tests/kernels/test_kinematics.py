@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.catalogue import catalogue
 from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot
+from robot_ik.robot_file import catalogue
 
 # Rounding grows with the numbers: relative to the largest position.
 EXACT = 1e-12

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from numba import njit
 from scipy.optimize import lsq_linear
 
-from robot_ik.kernels.linalg import box_step, normal_equations, solve_definite
-from robot_ik.kernels.row_space import row_products, row_step
+from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step, solve_definite
 
 
 def solve(matrix, gradient, low, high):

@@ -3,9 +3,9 @@
 import numpy as np
 from numba import njit
 
-from robot_ik.kernels.draws import draw
+from robot_ik.kernels.loop import draw
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import SEED, STATE_SIZE
+from robot_ik.kernels.workspace import SEED, STATE_SIZE
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>

@@ -6,10 +6,10 @@ import pytest
 import robot_ik as rik
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.residuals import open_goals, residual_and_jacobian
-from robot_ik.kernels.second_order import has_second_order, second_order
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.work import open_work
+from robot_ik.kernels.workspace import open_work
 from robot_ik.problem import Problem
+from robot_ik.solvers.levenberg_marquardt import has_second_order, second_order
 
 # Slides before and after hinges, a branch that the second goal alone hangs on.
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
@@ -72,7 +72,7 @@ GOALS = [
 def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
     robot = load_xml(MIXED)
     problem = Problem(robot, goals)
-    ease = problem.compiled.goal_arrays["ease"]
+    ease = problem.compiled.goal_arrays["joint_scale"]
     if stiff:
         ease[:] = np.linspace(0.5, 1.0, len(ease))
     rng = np.random.default_rng(1)

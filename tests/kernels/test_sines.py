@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.sines import sine_cosine
+from robot_ik.kernels.kinematics import sine_cosine
 
 
 @kernel

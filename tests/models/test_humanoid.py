@@ -1,6 +1,7 @@
 """The humanoid against its sources: P11's parts, lengths, masses, joint ranges, frames."""
 
 import tomllib
+from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,9 @@ LIMB = {
     "thigh": (0.100, 0.433, 0.323),
     "shank": (0.0465, 0.433, 0.302),
 }
-OTHER_MASS = {"hand": 0.006, "foot": 0.0145}
+OTHER_MASS = {"hand": 0.006}
+FOOT_MASS, FOOT_GYRATION = 0.0145, 0.475  # foot and toes
+TOES = ("left_toe_pitch", "right_toe_pitch")
 TRUNK_MASS = {"head": 0.081, "abdomen": 0.139, "pelvis": 0.142}
 THORAX = 0.216  # torso and both shoulder girdles
 # Degrees: AAOS 1965; girdle Levangie & Norkin; loaded ankle and adduction of the arm as the README says.
@@ -47,6 +50,7 @@ SIDED_RANGE = {
     "knee_pitch": (0, 135),
     "ankle_pitch": (-50, 35),
     "ankle_yaw": (-15, 35),
+    "toe_pitch": (-30, 70),
 }
 MIDDLE_RANGE = {
     "head_yaw": (-60, 60),
@@ -100,9 +104,9 @@ def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
     one_segment = ("torso", "head", "pelvis", "left_shoulder", "right_shoulder")
     limbs = ("left_arm", "right_arm", "left_leg", "right_leg")
     assert freedoms == dict.fromkeys(one_segment, 2) | dict.fromkeys(limbs, 6)
-    assert sorted(joint for _, joints in parts for joint in joints) == sorted(["root", *RANGE])
+    assert sorted(joint for _, joints in parts for joint in joints) == sorted({"root", *RANGE} - {*TOES})
     model = load()
-    assert model.nv == 6 + 5 * 2 + 4 * 6
+    assert model.nv == 6 + 5 * 2 + 4 * 6 + len(TOES)
     assert model.joint("root").type[0] == mujoco.mjtJoint.mjJNT_FREE
     assert model.jnt_bodyid[model.joint("root").id] == model.body("torso").id
     for limb, joints in parts:
@@ -144,12 +148,41 @@ def test_masses_are_those_of_the_table() -> None:
             assert body.inertia[:2] == pytest.approx([share * MASS * (gyration * length) ** 2] * 2, rel=5e-3)
         for name, share in OTHER_MASS.items():
             assert model.body(f"{side}_{name}").mass[0] == pytest.approx(share * MASS)
+        foot, toes = model.body(f"{side}_foot"), model.body(f"{side}_toes")
+        assert foot.mass[0] + toes.mass[0] == pytest.approx(FOOT_MASS * MASS)
     for name, share in TRUNK_MASS.items():
         assert model.body(name).mass[0] == pytest.approx(share * MASS)
     thorax = sum(model.body(name).mass[0] for name in ("torso", "left_shoulder", "right_shoulder"))
     assert thorax == pytest.approx(THORAX * MASS)
     inertia = model.body_inertia[1:]
     assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) >= 2 * inertia.max(axis=1))
+
+
+def test_foot_and_toes_together_are_the_foot_of_the_table() -> None:
+    """Centre of mass half way along the foot, and the table's radius of gyration across it."""
+    model, data = load(), posed()
+    whole = FOOT_MASS * MASS
+    parts = [model.body(f"left_{part}").id for part in ("foot", "toes")]
+    centre = sum(model.body_mass[b] * data.xipos[b] for b in parts) / whole
+    middle = (data.site("left_heel").xpos[0] + data.site("left_toe").xpos[0]) / 2
+    assert centre[0] - data.site("left_foot").xpos[0] == pytest.approx(0.0675, abs=1e-6)
+    assert centre[0] == pytest.approx(middle, abs=0.006)
+    across = 0.0
+    for b in parts:
+        axes = data.ximat[b].reshape(3, 3)
+        across += (axes @ np.diag(model.body_inertia[b]) @ axes.T)[2, 2]
+        across += model.body_mass[b] * float(((data.xipos[b] - centre)[:2] ** 2).sum())
+    assert across == pytest.approx(0.00484, rel=1e-4)
+    assert (across / whole) ** 0.5 / (FOOT_LENGTH * STATURE) < FOOT_GYRATION
+
+
+def test_joint_speed_limits_cover_every_hinge_in_both_sets() -> None:
+    speeds = rik.load_robot("humanoid").file.speeds
+    assert set(speeds) == {"daily", "jump"}
+    for name, rows in speeds.items():
+        assert all(speed > 0.0 for speed in rows.values()), name
+        for joint in RANGE:
+            assert any(fnmatch(joint, pattern) for pattern in rows), (name, joint)
 
 
 def test_centre_of_mass_of_the_whole_is_a_mans() -> None:
@@ -174,7 +207,7 @@ def test_joint_ranges_are_those_of_the_table() -> None:
         ("wrist_pitch", "hand", 0, 1), ("wrist_yaw", "hand", 1, -1), ("clavicle_yaw", "hand", 0, 1),
         ("clavicle_roll", "hand", 2, 1), ("hip_pitch", "toe", 0, 1), ("hip_roll", "toe", 1, 1),
         ("hip_yaw", "toe", 1, -1), ("knee_pitch", "toe", 0, -1), ("ankle_pitch", "toe", 2, 1),
-        ("ankle_yaw", "toe", 1, -1),
+        ("ankle_yaw", "toe", 1, -1), ("toe_pitch", "toe", 2, 1),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("side", SIDES)
@@ -202,9 +235,9 @@ def test_frames_are_where_they_are_said_to_be() -> None:
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-15), name
     hips = [data.body(f"{side}_thigh").xpos for side in SIDES]
     assert data.site("pelvis").xpos == pytest.approx((hips[0] + hips[1]) / 2)
-    eyes = [data.geom(f"{side}_eye").xpos for side in SIDES]
-    assert data.site("gaze").xpos[1:] == pytest.approx(((eyes[0] + eyes[1]) / 2)[1:])
-    assert 0 < data.site("gaze").xpos[0] - eyes[0][0] < 0.015
+    vision = [data.geom(f"{side}_eye").xpos for side in SIDES]
+    assert data.site("gaze").xpos[1:] == pytest.approx(((vision[0] + vision[1]) / 2)[1:])
+    assert 0 < data.site("gaze").xpos[0] - vision[0][0] < 0.015
     assert data.site("head").xpos == pytest.approx(data.xipos[load().body("head").id])
     for side in SIDES:
         foot = data.site(f"{side}_foot").xpos
@@ -216,7 +249,7 @@ def test_frames_are_where_they_are_said_to_be() -> None:
         pose = robot.forward(robot.home, name)
         assert pose.position == pytest.approx(home.site(name).xpos, abs=1e-12)
     assert robot.tool == "right_hand" and "arm" not in told()["groups"]
-    assert robot.joints[0] == "root" and len(robot.joints) == 35
+    assert robot.joints[0] == "root" and len(robot.joints) == 37
 
 
 def test_shapes_are_mirrored_and_touch_where_bodies_would() -> None:

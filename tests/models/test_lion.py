@@ -137,8 +137,8 @@ def test_frames_are_where_they_are_said_to_be() -> None:
         assert place[0] < min(toe[0] for toe in toes)
         assert place[1] == pytest.approx(np.mean([toe[1] for toe in toes]))
     assert data.site("nose").xpos[0] > max(data.geom_xpos[:, 0])
-    eyes = (data.geom("left_eye").xpos + data.geom("right_eye").xpos) / 2
-    assert np.linalg.norm(data.site("gaze").xpos - eyes) < 0.04
+    vision = (data.geom("left_eye").xpos + data.geom("right_eye").xpos) / 2
+    assert np.linalg.norm(data.site("gaze").xpos - vision) < 0.04
     assert data.site("tail_tip").xpos[0] < min(data.geom_xpos[:, 0])
     assert robot.tool == "nose" and "arm" not in told()["groups"] and len(robot.joints) == load().njnt
 

@@ -242,6 +242,7 @@ def test_masses_are_those_of_the_readme_and_inertias_those_of_bodies(arm: OwnedA
 
 def test_every_keyframe_is_inside_the_limits_and_touches_nothing(arm: OwnedArm) -> None:
     for model in (arm.model, arm.scene):
+        assert model.nkey >= 1
         for k in range(model.nkey):
             qpos = np.array(model.key(k).qpos)
             assert touching(model, arm.posed(qpos, model)) == [], model.key(k).name
@@ -328,7 +329,7 @@ def test_reach_on_simulated_servos_without_a_contact(name: str, place: tuple[flo
     arm = ARMS[name]
     report = run_reach(ReachRequest(robot=name, bus="sim", rehearsal=Rehearsal(marker_at=place)))  # type: ignore[arg-type]
     assert report.reached, report.problem or report.verdict
-    assert report.limbs.config is not None and report.limbs.config.robot == name
+    assert report.setup.config is not None and report.setup.config.robot == name
     assert isinstance(report.goal, rik.PoseGoal) and report.by_camera is not None
     assert report.goal.free_axis == ("z" if name in FIVE else None)
     assert report.q_end is not None and report.trajectory is not None

@@ -262,7 +262,7 @@ def test_reach_on_simulated_servos(place: tuple[float, float, float, float] | No
     request = ReachRequest(robot="tabletop_puma", bus="sim", rehearsal=Rehearsal(marker_at=place))
     report = run_reach(request)
     assert report.reached, report.problem or report.verdict
-    assert report.limbs.config is not None and report.limbs.config.robot == "tabletop_puma"
+    assert report.setup.config is not None and report.setup.config.robot == "tabletop_puma"
     assert report.trajectory is not None
     scene = load("scene.xml")
     for q in report.trajectory.q[::5]:

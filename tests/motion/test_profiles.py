@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.motion.profiles import PROFILES, fastest_timing
+from robot_ik.motion.timing import PROFILES, fastest_timing
 
 positive = st.floats(0.01, 100.0)
 

@@ -18,8 +18,8 @@ from robot_ik.goals import (
     PoseGoal,
     PositionGoal,
     PostureGoal,
+    Tolerance,
 )
-from robot_ik.problem import Tolerance
 
 TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 KINDS = (

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from robot_ik.geometry import Pose
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Tolerance
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.base import IterativeSolver
 

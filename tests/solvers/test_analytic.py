@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.inverse_kinematics import solve, solve_all
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
-from robot_ik.solve import solve, solve_all
 from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-6, angle=1e-6)

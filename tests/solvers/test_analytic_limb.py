@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
+from robot_ik.inverse_kinematics import solve, solve_all, solve_batch
 from robot_ik.kernels.tree import BALL
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
-from robot_ik.solve import solve, solve_all, solve_batch
 from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-7, angle=1e-7)

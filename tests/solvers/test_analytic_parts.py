@@ -8,13 +8,13 @@ import pytest
 
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import AimGoal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Problem, Tolerance
+from robot_ik.goals import AimGoal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.inverse_kinematics import solve, solve_all
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
-from robot_ik.solve import solve, solve_all
 from robot_ik.solvers import make_solver
-from robot_ik.solvers.base import Answers
+from robot_ik.solvers.base import BatchResult
 
 # Made-up limbs are made there.
 _spec = importlib.util.spec_from_file_location("limbs", Path(__file__).with_name("test_analytic_limb.py"))
@@ -105,7 +105,7 @@ def test_many_at_once_are_answered_as_one_by_one(kind):
         problem.retarget(goal_at(kind, robot.forward(robot.sample(rng)), rng))
         targets.append(problem.target[0].copy())
         single.append(solver.solve(problem, start))
-    answers = Answers.empty(len(starts), robot.nq)
+    answers = BatchResult.empty(len(starts), robot.nq)
     solver.solve_many(problem, np.array(targets), starts, answers)
     assert np.array_equal(answers.q, [s.q for s in single])
     assert np.array_equal(answers.status, [s.status for s in single])

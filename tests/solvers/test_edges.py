@@ -24,10 +24,11 @@ from robot_ik.goals import (
     PoseGoal,
     PositionGoal,
     PostureGoal,
+    Tolerance,
 )
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.inverse_kinematics import solve, solve_batch
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
-from robot_ik.solve import solve, solve_batch
 from robot_ik.solvers import SOLVERS, make_solver
 
 SHORT = Budget(iterations=300)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 

@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from robot_ik.bench.methods.growth import hinge_chain
 from robot_ik.errors import InvalidGoalError, ModelError, UnsupportedGoalError
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
@@ -188,3 +189,17 @@ def test_positions_of_all_sorts_move_a_target_alike():
         np.testing.assert_array_equal(problem.target[:, 3:], turned)
     with pytest.raises(InvalidGoalError, match="no position"):
         Problem(robot, OrientationGoal(None, (1, 0, 0, 0))).retarget(position)
+
+
+def test_the_last_descent_of_a_long_chain_costs_what_its_joints_do_and_not_their_cube():
+    times = {}
+    for joints in (50, 200):
+        robot = hinge_chain(joints)
+        never = Problem(robot, PoseGoal("tip", (2.6, 0, 0)), budget=Budget(iterations=40, restarts=0))
+        steps = []
+        for _ in range(5):
+            solution = make_solver("lm").solve(never)
+            assert solution.status is Status.UNREACHABLE
+            steps.append(solution.seconds / solution.iterations)
+        times[joints] = min(steps)
+    assert times[200] < 16 * times[50]

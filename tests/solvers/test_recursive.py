@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem, Tolerance
+from robot_ik.goals import PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 

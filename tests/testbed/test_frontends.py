@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.ar.draw import PainterArtist
+from robot_ik.camera.drawing.renderers import PainterArtist
 from robot_ik.cli.main import main
 from robot_ik.errors import MissingExtraError
 from robot_ik.jobs.testbed import film

@@ -194,8 +194,8 @@ def test_a_display_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None
 STAGE = """
 import sys, threading
 import numpy as np
-from robot_ik.jobs.reach_window import stage_solids
-from robot_ik.jobs.stage import stage_for
+from robot_ik.jobs.reach import stage_solids
+from robot_ik.jobs.scene import stage_for
 from robot_ik.robot import load_robot
 from robot_ik.testbed.frontends.window import WindowSink
 

@@ -19,10 +19,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from robot_ik.bench.methods.results import this_machine
 from robot_ik.bench.peers import worker
 from robot_ik.bench.peers.results import judged, merged
 from robot_ik.bench.peers.tasks import ARMS, FIGURE, write_task
-from robot_ik.bench.results import this_machine
 from robot_ik.files import make_folder, plain, write_atomically
 
 #: Libraries that share an environment have the name of the first.

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.bench.methods.results import JUMP
 from robot_ik.bench.peers.tasks import Sites
-from robot_ik.bench.results import JUMP
 
 Array = NDArray[np.float64]
 Cells = dict[str, dict[str, Any]]

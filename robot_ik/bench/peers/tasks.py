@@ -13,9 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.judge import Judge
-from robot_ik.bench.plain_model import plain_mjcf
-from robot_ik.bench.problems import ProblemSet, make_set
+from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, plain_mjcf
 from robot_ik.files import make_folder, plain, write_atomically
 from robot_ik.robot import Robot, load_robot
 

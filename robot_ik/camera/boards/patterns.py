@@ -7,19 +7,100 @@ right and y down.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import dataclasses
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.found_pattern import FEWEST_CORNERS, CornerGrid, FoundPattern, fitted_pattern
-from robot_ik.camera.opencv import dictionary_size, marker_bits, marker_dictionary, quiet
-from robot_ik.camera.reduction import reduced, reduction_for
+from robot_ik.camera.boards.chess_corner import refine_corners
+from robot_ik.camera.image import (
+    dictionary_size,
+    from_reduced,
+    marker_bits,
+    marker_dictionary,
+    quiet,
+    reduced,
+    reduction_for,
+    to_reduced,
+)
 from robot_ik.errors import CalibrationError
+
+# ------------------------------------------------------------------------------------------
+# The corners of a pattern in one picture, fitted at the size in which they are measured best.
+
+
+# Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
+FEWEST_CORNERS = 6
+# A step of this width, px, is measured well; the fit does not look far enough round much wider ones.
+_SOFT = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPattern:
+    """The corners of a pattern in one picture.
+
+    Attributes:
+        points_board: (n, 3) metres, z = 0, in the board frame.
+        pixels: (n, 2) distorted pixels, integer pixel centres.
+        ids: (n,) number of each corner: column + row * columns of inner corners.
+        blur: Width of the edges at the corners, pixels (median): about 1.2 times the blur's sigma.
+    """
+
+    points_board: Array
+    pixels: Array
+    ids: NDArray[np.int64]
+    blur: float = 0.0
+
+
+@dataclass(frozen=True)
+class CornerGrid:
+    """Where the inner corners of a pattern are.
+
+    Attributes:
+        columns: How many there are in a row.
+        square: Side of a square, metres.
+        first: x and y of the first one in the board frame, metres.
+        reach: Radius round a corner, in squares, in which there is no third edge.
+    """
+
+    columns: int
+    square: float
+    first: tuple[float, float]
+    reach: float
+
+
+def fitted_pattern(
+    gray: Image, times: int, start: Array, ids: NDArray[np.int64], grid: CornerGrid
+) -> FoundPattern | None:
+    """Refines corners and takes away those that were none; None when too few are left.
+
+    Args:
+        gray: (h, w), the whole picture.
+        times: So many times smaller was the one in which the corners were found.
+        start: (n, 2) pixels of that smaller one, to within about 1.5 px.
+        ids: (n,) their numbers.
+        grid: Whose they are.
+    """
+    place = np.stack([ids % grid.columns, ids // grid.columns], axis=1).astype(float)
+    pixels, good, blur = refine_corners(reduced(gray, times), start, place, grid.reach)
+    softness = float(np.median(blur[good])) if good.any() else 0.0
+    best = max(1, int(times * softness / _SOFT))
+    if good.any() and best != times:
+        again = to_reduced(from_reduced(np.where(good[:, None], pixels, start), times), best)
+        other = refine_corners(reduced(gray, best), again, place, grid.reach)
+        if other[1].sum() >= good.sum():
+            times, (pixels, good, blur) = best, other
+    if good.sum() < FEWEST_CORNERS:
+        return None
+    points = np.hstack([np.array(grid.first) + place * grid.square, np.zeros((len(place), 1))])
+    there = from_reduced(pixels[good], times)
+    return FoundPattern(points[good], there, ids[good], times * float(np.median(blur[good])))
+
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -269,3 +350,121 @@ def _check_length(what: str, length: float) -> None:
             f"{what} of {length:g} m cannot be meant",
             hint="lengths are in metres here, in millimetres on the command line",
         )
+
+
+# ------------------------------------------------------------------------------------------
+# Which pattern a picture really shows, when it is not the one that was said; and patterns in words.
+
+
+# Pictures that must show a pattern before the rest need not be asked.
+_ENOUGH_VOTES = 3
+
+
+def fitting_pattern(pattern: Pattern, images: Sequence[Image]) -> Pattern | None:
+    """The pattern itself, or what it must be where only that is found in the pictures; None when nothing is.
+
+    Tried: a ChArUco board of the old layout, columns and rows the other way round, and one row or column
+    more or less (a chessboard is easily miscounted: squares instead of inner corners).  A chance find in one
+    picture is outvoted by the others; of candidates that are found equally often the first is taken.
+    """
+    candidates = (pattern, *_relatives(pattern))
+    votes = dict.fromkeys(candidates, 0)
+    for image in images:
+        for candidate in candidates:
+            votes[candidate] += candidate.find(image) is not None
+        if max(votes.values()) >= _ENOUGH_VOTES:
+            break
+    best = max(candidates, key=lambda one: votes[one])
+    return best if votes[best] else None
+
+
+def larger_chessboard(pattern: Pattern, images: Sequence[Image]) -> ChessboardPattern | None:
+    """The chessboard of which only a part was taken, where most of the pictures show it; None: none.
+
+    OpenCV also finds a smaller chessboard than is there: which part of it differs from picture to picture.
+    """
+    if not isinstance(pattern, ChessboardPattern):
+        return None
+    wider, taller = pattern.columns + 1, pattern.rows + 1
+    for columns, rows in ((wider, taller), (wider, pattern.rows), (pattern.columns, taller)):
+        candidate = ChessboardPattern(columns, rows, pattern.square)
+        if 2 * sum(candidate.find(image) is not None for image in images) > len(images):
+            return candidate
+    return None
+
+
+def _relatives(pattern: Pattern) -> list[Pattern]:
+    if isinstance(pattern, CharucoPattern):
+        turned = dataclasses.replace(pattern, columns=pattern.rows, rows=pattern.columns)
+        both = [dataclasses.replace(p, legacy=old) for p in (pattern, turned) for old in (False, True)]
+        return [p for p in both if p != pattern]
+    if isinstance(pattern, ChessboardPattern):
+        c, r = pattern.columns, pattern.rows
+        sizes = [(c - 1, r - 1), (r, c), (c + 1, r + 1), (c - 1, r), (c, r - 1), (c + 1, r), (c, r + 1)]
+        good = [s for s in dict.fromkeys(sizes) if min(s) >= 3 and s != (c, r)]
+        return [ChessboardPattern(a, b, pattern.square) for a, b in good]
+    return []
+
+
+def describe(pattern: Pattern) -> str:
+    """The pattern in words."""
+    count, square = f"{pattern.columns}x{pattern.rows}", f"{1e3 * pattern.square:g} mm"
+    if isinstance(pattern, CharucoPattern):
+        layout = ", layout of OpenCV before 4.6" if pattern.legacy else ""
+        markers = f"markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}"
+        return f"ChArUco board of {count} squares ({square}, {markers}{layout})"
+    return f"chessboard of {count} inner corners (squares {square})"
+
+
+# ------------------------------------------------------------------------------------------
+# The patterns that are printed and calibrated with by name, and their usual sizes.
+
+
+PatternKind = Literal["charuco", "chessboard"]
+
+#: A marker's side in squares, where nobody says it.
+MARKER_SHARE = 0.73
+
+
+@dataclass(frozen=True)
+class PatternRequest:
+    """What somebody said of a pattern; None where the usual will do.
+
+    Attributes:
+        kind: ``charuco`` or ``chessboard``.
+        columns: charuco: squares (8); chessboard: inner corners (9).
+        rows: The same downwards (6; 6).
+        square_mm: Side of a square (30; 25).
+        marker_mm: Side of a marker of a charuco board; by default ``MARKER_SHARE`` squares, to whole mm.
+        dictionary: Of its markers.
+    """
+
+    kind: PatternKind = "charuco"
+    columns: int | None = None
+    rows: int | None = None
+    square_mm: float | None = None
+    marker_mm: float | None = None
+    dictionary: str = "DICT_5X5_50"
+
+    def pattern(self) -> Pattern:
+        """The pattern.
+
+        Raises:
+            CalibrationError: No such pattern can be.
+        """
+        columns, rows, square = _USUAL[self.kind]
+        columns, rows = self.columns or columns, self.rows or rows
+        square = square if self.square_mm is None else self.square_mm
+        if self.kind == "chessboard":
+            return ChessboardPattern(columns, rows, square / 1e3)
+        marker = self.marker_mm if self.marker_mm is not None else _marker_of(square)
+        return CharucoPattern(columns, rows, square / 1e3, marker / 1e3, self.dictionary)
+
+
+_USUAL = {"charuco": (8, 6, 30.0), "chessboard": (9, 6, 25.0)}
+
+
+def _marker_of(square: float) -> float:
+    share = MARKER_SHARE * square
+    # Whole millimetres can be measured; in a small square they would be too coarse.
+    return float(round(share)) if square >= 10.0 else share

@@ -11,17 +11,83 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing import compositing, scanline, vertices
-from robot_ik.camera.drawing.clipping import clip, view_planes
-from robot_ik.camera.drawing.layer import EMPTY, Box, Image, Layer
-from robot_ik.camera.drawing.mesh import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
+from robot_ik.camera.drawing import rasteriser
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
+from robot_ik.camera.drawing.rasteriser import clip, view_planes
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens_kernels import lens_vector
+from robot_ik.camera.lens import lens_vector
 from robot_ik.geometry import Pose
+
+# ------------------------------------------------------------------------------------------
+# A drawn robot as a transparent sheet that is laid over pictures: over one, or over many, shifted.
+
+
+Image = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+
+EMPTY: Box = (0, 0, 0, 0)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A drawing on the pixels of ``box``.
+
+    Attributes:
+        box: (x0, y0, x1, y1) pixels of the picture, half open.
+        colour: (h, w, 3) BGR times coverage.
+        coverage: (h, w) 255 where the drawing is all there is.
+    """
+
+    box: Box
+    colour: Image
+    coverage: Image
+
+    @classmethod
+    def empty(cls) -> Layer:
+        """Nothing drawn."""
+        return cls(EMPTY, np.zeros((0, 0, 3), dtype=np.uint8), np.zeros((0, 0), dtype=np.uint8))
+
+    def over(self, image: Image, alpha: float = 1.0) -> None:
+        """Lays the drawing over ``image`` (height, width, 3), in place; ``alpha`` 0 leaves it."""
+        if self.coverage.size:
+            rasteriser.lay_over(image, self.colour, self.coverage, float(alpha), self.box[0], self.box[1])
+
+    def shifted(self, motion: Array, width: int, height: int) -> Layer:
+        """The drawing moved in the picture: Azuma's image shifting.
+
+        Args:
+            motion: (2, 3) where pixels (x, y, 1) of this drawing go.
+            width: Of the picture; what leaves it is cut off.
+            height: See ``width``.
+        """
+        if not self.coverage.size:
+            return self
+        x0, y0, x1, y1 = self.box
+        corners = np.array([[x0, y0, 1], [x1, y0, 1], [x1, y1, 1], [x0, y1, 1]]) @ motion.T
+        low = np.clip(np.floor(corners.min(axis=0)).astype(int) - 1, 0, (width, height))
+        high = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 2, 0, (width, height))
+        size = (int(high[0] - low[0]), int(high[1] - low[1]))
+        if min(size) <= 0:
+            return Layer.empty()
+        own = motion.copy()
+        own[:, 2] += motion[:, :2] @ (x0, y0) - low
+        colour = cv2.warpAffine(self.colour, own, size, flags=cv2.INTER_LINEAR)
+        coverage = cv2.warpAffine(self.coverage, own, size, flags=cv2.INTER_LINEAR)
+        box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+        return Layer(box, np.asarray(colour, dtype=np.uint8), np.asarray(coverage, dtype=np.uint8))
+
+    def mask(self, width: int, height: int) -> Image:
+        """Coverage (height, width) on the whole picture."""
+        whole = np.zeros((height, width), dtype=np.uint8)
+        x0, y0, x1, y1 = self.box
+        whole[y0:y1, x0:x1] = self.coverage
+        return whole
+
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -92,7 +158,7 @@ def surface_points(model: mujoco.MjModel, qpos: ArrayLike) -> Array:
     rotation, position = geom_placement(model, qpos, Pose())
     mesh = cached_mesh(model)
     points = np.empty_like(mesh.vertices)
-    vertices.place(mesh.vertices, mesh.vertex_geom, rotation[mesh.geoms], position[mesh.geoms], points)
+    rasteriser.place(mesh.vertices, mesh.vertex_geom, rotation[mesh.geoms], position[mesh.geoms], points)
     return points
 
 
@@ -100,7 +166,7 @@ def project(points: Array, intrinsics: CameraIntrinsics) -> tuple[Array, Array, 
     """Pixels (n, 2), one over depth (n,), and which of the points (n, 3) the lens can see."""
     pixels, inverse, within = np.empty((len(points), 2)), np.empty(len(points)), np.empty(len(points), bool)
     limit = _SAFE_RADIUS * intrinsics.radius_limit
-    vertices.through_lens(points, lens_vector(intrinsics), NEAR, limit, pixels, inverse, within)
+    rasteriser.through_lens(points, lens_vector(intrinsics), NEAR, limit, pixels, inverse, within)
     return pixels, inverse, within
 
 
@@ -126,11 +192,11 @@ def faces_in_picture(
     mesh = cached_mesh(model, planes=planes, segments=segments)
     rotation, position = rotation[mesh.geoms], position[mesh.geoms]
     points = np.empty_like(mesh.vertices)
-    vertices.place(mesh.vertices, mesh.vertex_geom, rotation, position, points)
+    rasteriser.place(mesh.vertices, mesh.vertex_geom, rotation, position, points)
     pixels, inverse, within = project(points, intrinsics)
     inside = bool(within.all())
     lit = np.empty((len(mesh.faces), 4, 2), dtype=np.float32)
-    vertices.light_corners(
+    rasteriser.light_corners(
         mesh.corner_normals, mesh.faces, mesh.face_geom, pixels, not inside, LIGHT @ rotation,
         _HALFWAY @ rotation, _AMBIENT, lit,
     )  # fmt: skip
@@ -196,7 +262,7 @@ def _cells(count: int, width: int) -> tuple[Float32, Float32, int, int, tuple[fl
     Returns columns (width lanes,), rows off the cell's middle, rows of pixels in a cell, samples in one, and
     the farthest column and row of a sample off the middle of its cell.
     """
-    tall = max(scanline.LANES // count, 1)
+    tall = max(rasteriser.LANES // count, 1)
     below = np.arange(tall) - 0.5 * (tall - 1)
     down = (below[:, None] + SAMPLES[count][:, 1]).reshape(-1)
     aside = np.tile(SAMPLES[count][:, 0], tall)
@@ -235,7 +301,7 @@ class Samples:
         light = np.empty((len(faces.faces) + 1, 12), dtype=np.float32)
         light[0] = 0.0
         across, down, tall, lanes, reach = self._cells
-        scanline.fill_faces(
+        rasteriser.fill_faces(
             faces.pixels, faces.inverse, faces.lit, faces.faces, faces.chosen, before, *self.box[:2],
             across, down, tall, lanes, reach, self._depth.view(np.int32), self._whose, light, self._extent,
         )  # fmt: skip
@@ -260,7 +326,7 @@ class Samples:
         """What is seen, in colours ``base`` (ngeom, 3) of 0..255."""
         shape = (self.box[3] - self.box[1], self.box[2] - self.box[0])
         colour, coverage = np.zeros((*shape, 3), dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
-        compositing.resolve(
+        rasteriser.resolve(
             self._whose, self._tall, (0,) * self._count, self._light, self._extent, self._owner,
             base.astype(np.float32), np.float32(_GLOSS), colour, coverage,
         )  # fmt: skip

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing.mesh import VISIBLE_GROUPS, geom_rgba
+from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS, geom_rgba
 from robot_ik.camera.intrinsics import CameraIntrinsics
 
 Array = NDArray[np.float64]
@@ -56,17 +56,17 @@ class RayField:
         y = np.linspace(-1.0, h, max(4, int(np.ceil(h / _NODE_PX)) + 1))
         grid = np.stack(np.meshgrid(x, y), axis=-1)
         # a corner beyond the lens model's range sees nothing sensible; straight ahead is harmless
-        ideal = np.nan_to_num(intrinsics.undistort(grid.reshape(-1, 2))).reshape(*grid.shape)
-        self._nodes = x, y, ideal
+        normalized = np.nan_to_num(intrinsics.undistort(grid.reshape(-1, 2))).reshape(*grid.shape)
+        self._nodes = x, y, normalized
         # (X/Z) + i (Y/Z) of every pixel centre, with one more pixel all round: one gather fetches both
         self._map = self._interpolated(np.arange(-1.0, w + 1), np.arange(-1.0, h + 1))
 
     def _interpolated(self, x: Array, y: Array) -> NDArray[np.complex128]:
-        nodes_x, nodes_y, ideal = self._nodes
+        nodes_x, nodes_y, normalized = self._nodes
         columns, rows = _cubic_weights(nodes_x, x).T, _cubic_weights(nodes_y, y)
         result = np.empty((len(y), len(x)), dtype=np.complex128)
-        result.real = rows @ (ideal[..., 0] @ columns)
-        result.imag = rows @ (ideal[..., 1] @ columns)
+        result.real = rows @ (normalized[..., 0] @ columns)
+        result.imag = rows @ (normalized[..., 1] @ columns)
         return result
 
     def grid(self, x: ArrayLike, y: ArrayLike) -> Array:

@@ -70,12 +70,12 @@ def _fold(towards: Array, normal: Array) -> Array:
 
 
 def cube_net(ids: Sequence[int], size: float, edge: float) -> list[NetFace]:
-    """The net of ``robot_ik.camera.pose.bodies.cube_body``, lengths in mm.
+    """The net of ``robot_ik.camera.bodies.cube_body``, lengths in mm.
 
     Raises:
         CameraError: Not five or six different ids, or markers larger than the faces.
     """
-    from robot_ik.camera.pose.bodies import cube_body
+    from robot_ik.camera.bodies import cube_body
 
     body = cube_body(ids, size / 1e3, edge / 1e3)
     return unfold({marker: pose for marker, (_, pose) in body.markers.items()}, edge)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing.raster import paint_boxes
+from robot_ik.camera.drawing.rasteriser import paint_boxes
 from robot_ik.errors import OutputError
 from robot_ik.files import write_atomically
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_ik.errors import UnknownFrameError, apart
-from robot_ik.jobs.limbs import Limbs
-from robot_ik.jobs.script.faults import fault_for
-from robot_ik.jobs.script.file import Script
-from robot_ik.jobs.script.gripping import check_grip
-from robot_ik.jobs.script.moves import keyframes, per_unit, slides
+from robot_ik.hardware.virtual.faults import fault_for
+from robot_ik.jobs.robot_setup import RobotSetup
+from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import (
     AnyStep,
     ClearStep,
@@ -19,6 +17,10 @@ from robot_ik.jobs.script.steps import (
     InjectStep,
     MarkerStep,
     RecoverStep,
+    check_grip,
+    keyframes,
+    per_unit,
+    slides,
 )
 from robot_ik.solution import Status
 
@@ -31,13 +33,13 @@ def looks(step: AnyStep) -> bool:
     return isinstance(step, MarkerStep) or (isinstance(step, FollowStep) and step.path == "marker")
 
 
-def check_script(script: Script, limbs: Limbs) -> None:
+def check_script(script: Script, setup: RobotSetup) -> None:
     """Names, ranges and kinds of every step.
 
     Raises:
         ConfigError: With the key of the first step that cannot be run here.
     """
-    metal = limbs.arm is None or limbs.arm.virtual_bus is None
+    metal = setup.arm is None or setup.arm.virtual_bus is None
     if metal and script.content.physics:
         raise script.wrong(
             "servos on a real port move by themselves", "physics", "false, or --bus sim or pty"
@@ -46,11 +48,11 @@ def check_script(script: Script, limbs: Limbs) -> None:
         at = f"steps[{k}]"
         if metal:
             _check_metal(script, step, at)
-        _check_names(script, limbs, step, at)
+        _check_names(script, setup, step, at)
         if isinstance(step, GripStep) or (isinstance(step, ExpectStep) and step.width_mm is not None):
-            check_grip(script, limbs, step, at)
+            check_grip(script, setup, step, at)
         if isinstance(step, InjectStep):
-            _fault(script, limbs, step, at)
+            _fault(script, setup, step, at)
 
 
 def _check_metal(script: Script, step: AnyStep, at: str) -> None:
@@ -67,8 +69,8 @@ def _check_metal(script: Script, step: AnyStep, at: str) -> None:
         )
 
 
-def _check_names(script: Script, limbs: Limbs, step: AnyStep, at: str) -> None:
-    robot = limbs.robot
+def _check_names(script: Script, setup: RobotSetup, step: AnyStep, at: str) -> None:
+    robot = setup.robot
     frame = getattr(step, "frame", None)
     if frame is not None:
         try:
@@ -106,10 +108,10 @@ def _check_joint(
         raise script.wrong(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
 
 
-def _fault(script: Script, limbs: Limbs, step: InjectStep, at: str) -> None:
-    assert limbs.config is not None
+def _fault(script: Script, setup: RobotSetup, step: InjectStep, at: str) -> None:
+    assert setup.config is not None
     fault_for(
-        limbs.config,
+        setup.config,
         step.kind,
         joint=step.joint,
         id=step.id,

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from robot_ik import errors
-from robot_ik.errors import ConfigError, RobotIkError, close_matches
+from robot_ik.errors import ConfigError
 from robot_ik.files import parse_toml, read_text, shown
 from robot_ik.hardware.config_file import first_slip
+from robot_ik.jobs.script.state import Script, did_you_mean, error_classes
 from robot_ik.jobs.script.steps import (
     STEPS,
-    Action,
     AnyStep,
     ExpectStep,
     FollowStep,
@@ -30,41 +27,6 @@ from robot_ik.jobs.script.steps import (
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
-
-
-@dataclass(frozen=True)
-class Script:
-    """A script and where it came from.
-
-    Attributes:
-        content: What it says.
-        file: For messages.
-        folder: From where paths in it are seen; None: the current one.
-    """
-
-    content: ScriptFile
-    file: str
-    folder: Path | None = None
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        return self.content.name
-
-    @property
-    def steps(self) -> list[AnyStep]:
-        """In order."""
-        return self.content.steps
-
-    def wrong(self, problem: str, key: str, allowed: str = "", hint: str = "") -> ConfigError:
-        """The error for something in this script."""
-        return ConfigError(problem, file=self.file, key=key, allowed=allowed, hint=hint)
-
-    def unknown(self, what: str, name: str, known: list[str], key: str) -> ConfigError:
-        """The error for a name that does not exist; the close ones are named."""
-        return self.wrong(
-            f"no {what} is called {shown(name)}", key, ", ".join(known), _did_you_mean(name, known)
-        )
 
 
 def shipped() -> dict[str, Path]:
@@ -84,7 +46,7 @@ def find_script(name: str) -> Path:
     if path.is_file() or path.suffix or path.name != name:
         return path
     if name not in known:
-        hint = _did_you_mean(name, list(known))
+        hint = did_you_mean(name, list(known))
         raise ConfigError("there is no such script", file=name, allowed=", ".join(known), hint=hint)
     return known[name]
 
@@ -111,16 +73,6 @@ def parse_script(text: str, file: Path | str = "<text>") -> Script:
     for k, step in enumerate(content.steps):
         _check_step(script, step, f"steps[{k}]")
     return script
-
-
-def error_classes() -> Mapping[str, type[RobotIkError]]:
-    """Name -> class of every error that ``raises`` and ``error`` may name."""
-    found = {name: getattr(errors, name) for name in errors.__all__}
-    return {
-        name: kind
-        for name, kind in found.items()
-        if isinstance(kind, type) and issubclass(kind, RobotIkError)
-    }
 
 
 def _check_step(script: Script, step: AnyStep, at: str) -> None:
@@ -192,11 +144,6 @@ def _check_expect(script: Script, step: ExpectStep, at: str) -> None:
 # ------------------------------------------------------------------------------------- slips of pydantic
 
 
-def _did_you_mean(name: str, known: list[str]) -> str:
-    close = close_matches(name, known)
-    return f"did you mean {' or '.join(close)}?" if close else ""
-
-
 def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
     where = detail["loc"]
     model: type[Table] = ThingTable if where[:1] == ("things",) and len(where) > 1 else ScriptFile
@@ -212,7 +159,7 @@ def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
             file=file,
             key=key,
             allowed=", ".join(known),
-            hint=_did_you_mean(name, known),
+            hint=did_you_mean(name, known),
         )
     if detail["type"] == "missing":
         return ConfigError("this key is missing", file=file, key=key, allowed="a value")
@@ -232,8 +179,5 @@ def _explain_kind(detail: ErrorDetails, file: Path | str, key: str) -> ConfigErr
         file=file,
         key=f"{key}.do",
         allowed=allowed,
-        hint=_did_you_mean(name, list(STEPS)),
+        hint=did_you_mean(name, list(STEPS)),
     )
-
-
-__all__ = ["Action", "Script", "error_classes", "find_script", "load_script", "parse_script", "shipped"]

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from robot_ik.catalogue import catalogue, find_robot
+import mujoco
+import numpy as np
+
+from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import RobotIkError, apart
+from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
-from robot_ik.hardware.virtual.faults import Faults
-from robot_ik.jobs.limbs import prepare_limbs
-from robot_ik.jobs.reach_request import ReachRequest
+from robot_ik.hardware.virtual.faults import Faults, ScriptFaults, fault_for
+from robot_ik.inverse_kinematics import solve
+from robot_ik.jobs.reach import ReachRequest
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.scene import stage_for
 from robot_ik.jobs.script.check import check_script, looks
-from robot_ik.jobs.script.expect import expect
-from robot_ik.jobs.script.faults import Mischief, fault_for
-from robot_ik.jobs.script.file import Script, error_classes
-from robot_ik.jobs.script.follow import follow_goal
-from robot_ik.jobs.script.gripping import grip
-from robot_ik.jobs.script.looking import open_camera, with_things
-from robot_ik.jobs.script.moves import go
-from robot_ik.jobs.script.recover import recover
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
-from robot_ik.jobs.script.situation import Situation, StepFailed
+from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
 from robot_ik.jobs.script.steps import (
     Action,
     AnyStep,
@@ -35,9 +33,75 @@ from robot_ik.jobs.script.steps import (
     FollowStep,
     HoldStep,
     InjectStep,
+    ThingTable,
     WaitStep,
+    expect,
+    follow_goal,
+    go,
+    grip,
+    recover,
 )
-from robot_ik.solve import solve
+from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
+from robot_ik.robot import Robot
+from robot_ik.robot_file import catalogue, find_robot
+
+# ------------------------------------------------------------------------------------------
+# The world of a script: its synthetic camera, and things that lie about.
+
+
+SMALLER = 2
+"""A script looks often, and pictures take longer than all else: half the size is a quarter of the work."""
+
+
+def open_camera(
+    setup: RobotSetup, marker_at: list[float] | None, seed: int, stack: contextlib.ExitStack
+) -> Vision:
+    """The camera of the robot's stage, ready: the first picture, which takes longest, has been taken.
+
+    Args:
+        setup: What it looks at.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker; None: the stage's own.
+        seed: Of its noise.
+        stack: Closes it.
+
+    Raises:
+        CameraError: The robot's model says of no stage, and none can be made up.
+    """
+    stage = stage_for(setup.robot, setup.frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
+    width, height = stage.intrinsics.size
+    stage = replace(stage, intrinsics=stage.intrinsics.scaled(width // SMALLER, height // SMALLER))
+    if marker_at is not None:
+        yaw = marker_at[3] if len(marker_at) == 4 else 0.0
+        pose = Pose(marker_at[:3], rotation_exp([0.0, 0.0, np.radians(yaw)]))
+        stage = replace(stage, pose_world_marker=pose)
+    scene = replace(stage, cube={}).scene(setup.robot)  # nobody judges by the gripper's markers here
+    source = SyntheticSource(scene, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
+    vision = Vision(
+        stage,
+        stack.enter_context(source),
+        stage.intrinsics,
+        stage.pose_world_camera,
+        setup,
+        setup.frame,
+        synthetic=source,
+        seed=seed,
+    )
+    vision.picture()
+    return vision
+
+
+def with_things(robot: Robot, things: Sequence[ThingTable]) -> mujoco.MjModel:
+    """The robot's model with things on the plane z = 0."""
+    from robot_ik.hardware.virtual.world import Thing, model_with
+
+    boxes = []
+    for thing in things:
+        (x, y, z), half = thing.position, 0.5 * float(np.radians(thing.yaw_deg))
+        wide, deep, high = (1e-3 * edge for edge in thing.size_mm)
+        turn = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        boxes.append(Thing(thing.name, (x, y, z), (wide, deep, high), 1e-3 * thing.mass_g, turn))
+    return model_with(robot.path, boxes, floor=0.0)
+
 
 Progress = Callable[[str, float], None]
 
@@ -75,7 +139,7 @@ class ScriptRun:
 
     Attributes:
         report: Grows while it runs, and is whole as far as it goes whenever the run ends.
-        limbs: The arm; its clock is the run's.
+        setup: The arm; its clock is the run's.
     """
 
     def __init__(self, script: Script, request: ScriptRequest) -> None:
@@ -94,12 +158,12 @@ class ScriptRun:
         if arm_file is None and content.arm is not None and not request.robot:
             arm_file = Path(seen_from(script, content.arm))
         self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
-        self.limbs = prepare_limbs(self._request)
-        check_script(script, self.limbs)
+        self.setup = prepare_robot(self._request)
+        check_script(script, self.setup)
         rows = [StepResult(step.name or describe(step), step.do) for step in script.steps]
         virtual = request.bus == "sim"
         self.report = ScriptReport(
-            script.name, script.file, self.limbs.robot.name, request.bus, self._seed, virtual,
+            script.name, script.file, self.setup.robot.name, request.bus, self._seed, virtual,
             [*rows, StepResult("leave the arm", "leave")],
         )  # fmt: skip
 
@@ -109,16 +173,16 @@ class ScriptRun:
         Raises:
             RobotIkError: The arm cannot be connected or switched on: no step was run.
         """
-        limbs, report = self.limbs, self.report
+        setup, report = self.setup, self.report
         method = find_robot(self._request.robot)[1].solver or "auto"
-        now = Situation(self._script, limbs, method, self._seed)
+        now = RunState(self._script, setup, method, self._seed)
         try:
             with contextlib.ExitStack() as stack:
                 self._prepare(now, stack, progress)
-                stack.enter_context(limbs.connected())
-                limbs.energise()
+                stack.enter_context(setup.connected())
+                setup.energise()
                 now.stand()
-                now.begin = limbs.clock.now()
+                now.begin = setup.clock.now()
                 try:
                     self._steps(now, progress)
                 except BaseException:
@@ -130,13 +194,13 @@ class ScriptRun:
             _tell_leaving(now, report.steps[-1])
         return report
 
-    def _prepare(self, now: Situation, stack: contextlib.ExitStack, progress: Progress) -> None:
+    def _prepare(self, now: RunState, stack: contextlib.ExitStack, progress: Progress) -> None:
         """Does what takes long while no servo has torque: compiles the solver, paints the scene."""
-        limbs, robot = now.limbs, now.robot
+        setup, robot = now.setup, now.robot
         servos = now.arm.virtual_bus
         if servos is not None:
             servos.set_faults(Faults(seed=self._seed))
-            now.mischief = Mischief(servos)
+            now.script_faults = ScriptFaults(servos)
             if self._script.content.physics:
                 from robot_ik.hardware.virtual.world import World
 
@@ -144,25 +208,25 @@ class ScriptRun:
                 model = with_things(robot, things) if things else robot.model
                 World(model, now.config, servos, contacts=bool(things))
         progress("getting ready", 0.0)
-        solve(robot, PoseGoal.at(limbs.frame, robot.forward(robot.home, limbs.frame)), solver=now.solver)
+        solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=now.solver)
         if any(looks(step) for step in self._script.steps):
-            now.eyes = open_camera(limbs, self._script.content.marker_at, self._seed, stack)
+            now.vision = open_camera(setup, self._script.content.marker_at, self._seed, stack)
             if any(isinstance(step, FollowStep) for step in self._script.steps):
-                now.eyes.get_ready_to_follow()
+                now.vision.get_ready_to_follow()
 
-    def _steps(self, now: Situation, progress: Progress) -> None:
+    def _steps(self, now: RunState, progress: Progress) -> None:
         counters: Counter[str] = Counter()
         for k, (step, result) in enumerate(zip(self._script.steps, self.report.steps, strict=False)):
             progress(result.name, k / len(self._script.steps))
-            before = Counter(now.limbs.counters())
+            before = Counter(now.setup.counters())
             run_step(now, step, result)
-            counters.update({key: n - before[key] for key, n in now.limbs.counters().items()})
+            counters.update({key: n - before[key] for key, n in now.setup.counters().items()})
             self.report.counters = dict(counters)
             if result.outcome == FAILED:
                 return
 
 
-def _tell_leaving(now: Situation, row: StepResult) -> None:
+def _tell_leaving(now: RunState, row: StepResult) -> None:
     left = now.arm.exit_report
     if left is None:  # it was never connected
         return
@@ -172,9 +236,9 @@ def _tell_leaving(now: Situation, row: StepResult) -> None:
         row.found += f"; {left.doubt}"
 
 
-def run_step(now: Situation, step: AnyStep, result: StepResult) -> None:
+def run_step(now: RunState, step: AnyStep, result: StepResult) -> None:
     """One step; how it went is in ``result``."""
-    begin = now.limbs.clock.now()
+    begin = now.setup.clock.now()
     wanted = step.raises if isinstance(step, Action) else None
     result.outcome, result.found = FAILED, "interrupted"
     try:
@@ -198,12 +262,12 @@ def run_step(now: Situation, step: AnyStep, result: StepResult) -> None:
         result.found = "interrupted"
         raise
     finally:
-        result.seconds = now.limbs.clock.now() - begin
+        result.seconds = now.setup.clock.now() - begin
     if isinstance(step, Action):
         _take_time(now, step, result)
 
 
-def _take_time(now: Situation, step: Action, result: StepResult) -> None:
+def _take_time(now: RunState, step: Action, result: StepResult) -> None:
     now.seconds = result.seconds
     over = step.time_limit_s is not None and result.seconds > step.time_limit_s + 0.5 / now.config.rate_hz
     if over and result.outcome == PASSED:
@@ -212,38 +276,38 @@ def _take_time(now: Situation, step: Action, result: StepResult) -> None:
         result.found = "; ".join(filter(None, (f"took {took} s, allowed {most} s", result.found)))
 
 
-def _wait(now: Situation, step: WaitStep, result: StepResult) -> None:
+def _wait(now: RunState, step: WaitStep, result: StepResult) -> None:
     if now.movable:
         now.repeat(step.seconds)
     else:
-        now.limbs.clock.sleep_until(now.limbs.clock.now() + step.seconds)
+        now.setup.clock.sleep_until(now.setup.clock.now() + step.seconds)
 
 
-def _hold(now: Situation, step: HoldStep, result: StepResult) -> None:
+def _hold(now: RunState, step: HoldStep, result: StepResult) -> None:
     now.arm.hold()
     now.stand()
 
 
-def _inject(now: Situation, step: InjectStep, result: StepResult) -> None:
-    assert now.mischief is not None
+def _inject(now: RunState, step: InjectStep, result: StepResult) -> None:
+    assert now.script_faults is not None
     fault = fault_for(now.config, step.kind, joint=step.joint, id=step.id, value=step.value)
-    now.mischief.inject(fault, step.in_s, step.for_s)
+    now.script_faults.inject(fault, step.in_s, step.for_s)
 
 
-def _clear(now: Situation, step: ClearStep, result: StepResult) -> None:
-    assert now.mischief is not None
-    result.numbers["cleared"] = now.mischief.clear(step.kind)
+def _clear(now: RunState, step: ClearStep, result: StepResult) -> None:
+    assert now.script_faults is not None
+    result.numbers["cleared"] = now.script_faults.clear(step.kind)
 
 
-def _expect(now: Situation, step: ExpectStep, result: StepResult) -> None:
+def _expect(now: RunState, step: ExpectStep, result: StepResult) -> None:
     expect(now, step, result)
 
 
-def _follow(now: Situation, step: FollowStep, result: StepResult) -> None:
+def _follow(now: RunState, step: FollowStep, result: StepResult) -> None:
     follow_goal(now, step, result)
 
 
-DO: Mapping[str, Callable[[Situation, Any, StepResult], None]] = MappingProxyType(
+DO: Mapping[str, Callable[[RunState, Any, StepResult], None]] = MappingProxyType(
     {
         **dict.fromkeys(("pose", "position", "line", "joints", "keyframe", "marker"), go),
         "grip": grip,

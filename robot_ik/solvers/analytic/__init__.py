@@ -5,24 +5,28 @@ a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the answer i
 nearest to the start.  At singular poses the free angle stays as near to the start as can be.  Where there is
 no answer, a proof is tried that nothing within tolerance can be reached (``proof.py``).
 """
-
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numba import types
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import AimGoal, Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
-from robot_ik.kernels.tree import Q_WIDTH, Tree
-from robot_ik.kernels.work import (
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
+from robot_ik.kernels.workspace import (
     BEST_COST,
     CONVERGED,
     ITERATION_LIMIT,
@@ -30,18 +34,271 @@ from robot_ik.kernels.work import (
     STATUS,
     TIME_LIMIT,
     UNREACHABLE,
+    open_work,
 )
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
-from robot_ik.solvers.analytic.edges import limit_edges, middle_turns
-from robot_ik.solvers.analytic.entry import closed_form, closed_form_many
-from robot_ik.solvers.analytic.form import EVERY, FORM, LOOK, SOLVE
-from robot_ik.solvers.analytic.geometry import BRANCH_NAMES, Family, Form, recognise
-from robot_ik.solvers.analytic.limb_entry import closed_limb, closed_limb_many
-from robot_ik.solvers.analytic.limb_parts import recognise_part
-from robot_ik.solvers.analytic.partial_entry import closed_part, closed_part_many
-from robot_ik.solvers.analytic.proof_entry import PROOFS
-from robot_ik.solvers.base import Answers, Solver, take_start
+from robot_ik.solvers.analytic.limb import limb
+from robot_ik.solvers.analytic.limb_goals import branches_of_part, part_of_limb
+from robot_ik.solvers.analytic.proofs import (
+    length,
+    limb_is_out_of_reach,
+    parallel_is_out_of_reach,
+    planar_is_out_of_reach,
+    wrist_is_out_of_reach,
+)
+from robot_ik.solvers.analytic.recognise import (
+    BRANCH_NAMES,
+    Family,
+    Form,
+    limit_edges,
+    middle_turns,
+    recognise,
+    recognise_part,
+)
+from robot_ik.solvers.analytic.six_axes import centre, planar_two_link, spherical_wrist, three_parallel
+from robot_ik.solvers.analytic.subproblems import (
+    EVERY,
+    FORM,
+    LOOK,
+    SOLVE,
+    invert,
+    look,
+    nearest,
+    open_form,
+    settle,
+)
+from robot_ik.solvers.base import BatchResult, Solver, take_start
+
+# ------------------------------------------------------------------------------------------
+# The entry points of the closed forms of two and of six hinges.
+
+
+_PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
+_SHOULDER = int(Family.SPHERICAL_SHOULDER)
+
+
+@outlined
+def answer(tree, goal, work, form, family, mode):
+    """Solves from work.start, which is the answer if it is at the goal; fills best, status and branches."""
+    if not look(tree, goal, work, form, mode):
+        return
+    axes, extra, target, start, branches = form.axes, form.extra, form.target, form.start, form.branches
+    lower, upper = form.lower, form.upper
+    if family == _PLANAR:
+        found = planar_two_link(axes, extra, target, start, goal.tolerance[0, 0], branches)
+    elif family == _WRIST:
+        found = spherical_wrist(axes, extra, target, start, lower, upper, branches)
+    elif family == _SHOULDER:
+        invert(target, form.inverse)
+        found = spherical_wrist(axes, extra, form.inverse, start, lower, upper, branches)
+    else:
+        found = three_parallel(axes, extra, target, start, branches)
+    row = nearest(branches, start, lower, upper, form.best)
+    settle(tree, goal, work, form, row, found)
+
+
+@kernel
+def closed_form(tree, goals, work, form, family, mode):
+    """One solve."""
+    answer(open_tree(tree), open_goals(goals), open_work(work), open_form(form), family, mode)
+
+
+@kernel
+def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
+    """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
+    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
+    for row in range(targets.shape[0]):
+        for i in range(12):
+            target[0, i] = targets[row, i]
+        for i in range(start.shape[0]):
+            start[i] = starts[row, i]
+        answer(tree, goal, work, form, family, SOLVE)
+        for i in range(start.shape[0]):
+            q[row, i] = best[i]
+        status[row] = state[STATUS]
+        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row] = state[ITERATIONS]
+
+
+# ------------------------------------------------------------------------------------------
+# The entry points of a limb's closed form; compiled only for robots that have one.
+
+
+@outlined
+def answer_limb(tree, goal, work, form, mode):
+    """Solves from work.start; fills best and status, and the branches if they are asked for."""
+    if not look(tree, goal, work, form, mode):
+        return
+    if mode == EVERY:
+        branches = form.branches
+        for row in range(branches.shape[0]):
+            for j in range(branches.shape[1]):
+                branches[row, j] = math.nan
+        # First without limits: a branch that is nowhere inside them is still a branch.
+        limb(form, form.least, form.most, mode)
+    row, found = limb(form, form.lower, form.upper, mode)
+    if mode == EVERY:
+        return
+    settle(tree, goal, work, form, row, found)
+
+
+@kernel
+def closed_limb(tree, goals, work, form, _family, mode):
+    """One solve."""
+    answer_limb(open_tree(tree), open_goals(goals), open_work(work), open_form(form), mode)
+
+
+@kernel
+def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
+    """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
+    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
+    for row in range(targets.shape[0]):
+        for i in range(12):
+            target[0, i] = targets[row, i]
+        for i in range(start.shape[0]):
+            start[i] = starts[row, i]
+        answer_limb(tree, goal, work, form, SOLVE)
+        for i in range(start.shape[0]):
+            q[row, i] = best[i]
+        status[row] = state[STATUS]
+        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row] = state[ITERATIONS]
+
+
+# ------------------------------------------------------------------------------------------
+# The entry points for a point to a place and for an aim; compiled only where they are asked for.
+
+
+_AIM = int(Family.LIMB_AIM)
+
+
+@kernel
+def closed_part(tree, goals, work, form, family, mode):
+    """One solve from work.start; fills best and status, and the branches if they are asked for."""
+    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    aimed = family == _AIM
+    if not look(tree, goal, work, form, mode):
+        return
+    if mode == EVERY:
+        form.branches[:, :] = math.nan
+        # First without limits: a branch that is nowhere inside them is still a branch.
+        branches_of_part(form, aimed, form.least, form.most)
+        branches_of_part(form, aimed, form.lower, form.upper)
+        return
+    settle(tree, goal, work, form, part_of_limb(tree, goal, work, form, aimed), types.int64(0))
+
+
+@kernel
+def closed_part_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
+    """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
+    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    none = types.int64(0)
+    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
+    for row in range(targets.shape[0]):
+        for i in range(12):
+            target[0, i] = targets[row, i]
+        for i in range(start.shape[0]):
+            start[i] = starts[row, i]
+        if look(tree, goal, work, form, SOLVE):
+            settle(tree, goal, work, form, part_of_limb(tree, goal, work, form, family == _AIM), none)
+        for i in range(start.shape[0]):
+            q[row, i] = best[i]
+        status[row] = state[STATUS]
+        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
+        iterations[row] = state[ITERATIONS]
+
+
+# ------------------------------------------------------------------------------------------
+# The entry points of the proofs, one for each family: compiled when a goal is first missed.
+
+
+@pure
+def aim_at(form, targets, row):
+    """Moves the form's target."""
+    for i in range(12):
+        form.target[0, i] = targets[row, i]
+
+
+@kernel
+def prove_planar(goals, form, targets, status):
+    """UNREACHABLE in ``status`` (n,) for those of ``targets`` (n, 12), of the missed, that are proven so."""
+    form, goal = open_form(form), open_goals(goals)
+    for row in range(targets.shape[0]):
+        if status[row] == CONVERGED:
+            continue
+        aim_at(form, targets, row)
+        if planar_is_out_of_reach(form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance):
+            status[row] = UNREACHABLE
+
+
+@kernel
+def prove_wrist(goals, form, targets, status):
+    """The same for a spherical wrist."""
+    form, goal = open_form(form), open_goals(goals)
+    lever = length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
+    for row in range(targets.shape[0]):
+        if status[row] == CONVERGED:
+            continue
+        aim_at(form, targets, row)
+        if wrist_is_out_of_reach(
+            form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance, lever
+        ):
+            status[row] = UNREACHABLE
+
+
+@kernel
+def prove_shoulder(goals, form, targets, status):
+    """The same for a spherical shoulder: the lever is from the goal to it."""
+    form, goal = open_form(form), open_goals(goals)
+    for row in range(targets.shape[0]):
+        if status[row] == CONVERGED:
+            continue
+        aim_at(form, targets, row)
+        invert(form.target, form.inverse)
+        x, y, z = centre(form.inverse, form.extra)
+        if wrist_is_out_of_reach(
+            form.axes, form.extra, form.inverse, form.lower, form.upper, goal.tolerance, length(x, y, z)
+        ):
+            status[row] = UNREACHABLE
+
+
+@kernel
+def prove_parallel(goals, form, targets, status):
+    """The same for three parallel axes."""
+    form, goal = open_form(form), open_goals(goals)
+    for row in range(targets.shape[0]):
+        if status[row] == CONVERGED:
+            continue
+        aim_at(form, targets, row)
+        if parallel_is_out_of_reach(
+            form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance
+        ):
+            status[row] = UNREACHABLE
+
+
+@kernel
+def prove_limb(goals, form, targets, status):
+    """The same for a limb."""
+    form, goal = open_form(form), open_goals(goals)
+    for row in range(targets.shape[0]):
+        if status[row] == CONVERGED:
+            continue
+        aim_at(form, targets, row)
+        if limb_is_out_of_reach(form, goal.tolerance):
+            status[row] = UNREACHABLE
+
+
+PROOFS: dict[Family, Callable[[Any, Any, Any, Any], None]] = {
+    Family.PLANAR_TWO_LINK: prove_planar,
+    Family.SPHERICAL_WRIST: prove_wrist,
+    Family.SPHERICAL_SHOULDER: prove_shoulder,
+    Family.THREE_PARALLEL: prove_parallel,
+    Family.LIMB: prove_limb,
+}
+
 
 Array = NDArray[np.float64]
 
@@ -161,7 +418,7 @@ class Analytic(Solver):
         )  # fmt: skip
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: Answers, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
     ) -> None:
         prepared = self._require(problem)
         if budget.iterations < 1 or budget.seconds is not None:
@@ -172,7 +429,9 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations,
         )  # fmt: skip
-        if prepared.prove is not None and (answers.status != CONVERGED).any():
+        if np.count_nonzero(answers.status == CONVERGED) == len(targets):
+            return
+        if prepared.prove is not None:
             prepared.prove(prepared.addresses[1], prepared.addresses[3], targets, answers.status)
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 

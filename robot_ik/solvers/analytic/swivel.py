@@ -12,10 +12,9 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import outlined, pure
-from robot_ik.solvers.analytic.apart import keep_apart
-from robot_ik.solvers.analytic.geometry import BALL_JOINT
-from robot_ik.solvers.analytic.subproblems import turn
+from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES
+from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside, turn
 
 # Rows of form.matrices: the start's shoulder, S₀, the goal's rotation of all joints, S₀ with the elbow's
 # turn, then the rotations of shoulder and wrist at the swivel angle of the moment.
@@ -71,7 +70,7 @@ def into_frame(axes, k, x, y, z):
 @outlined
 def start_rotation(form):
     """What the start makes of the shoulder, into matrices[START]."""
-    keep_apart()
+    noinline()
     m, axes, start = form.matrices, form.axes, form.start
     if form.groups[0, 0] == BALL_JOINT:
         # A ball joint turns in its own frame; its axes stand in the table.
@@ -96,7 +95,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
 
     v and n are unit vectors from the shoulder to the wrist's centre: as the elbow makes it, and wanted.
     """
-    keep_apart()
+    noinline()
     m, parts, axes = form.matrices, form.parts, form.axes
     ax, ay, az = apply(m, START, vx, vy, vz)
     kx, ky, kz = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
@@ -157,3 +156,174 @@ def swing(form, g, c, s):
     row = TURNED + g
     for i in range(9):
         m[row, i] = parts[g, i] + c * parts[g, 9 + i] + s * parts[g, 18 + i]
+
+
+# ------------------------------------------------------------------------------------------
+# Joint angles of a limb's shoulder and wrist: three hinges that meet, or a ball, for one rotation.
+
+
+# Sine below which axes 1 and 3 are nearly in line, and the formulas take more care of digits.
+_NEARLY = 1e-3
+# Volume of three axes from which they count as lying in a plane: the joints' speeds are then without bound.
+_FLAT = 1e-6
+# Sine below which two axes count as one (a singular pose): the free angle then stays near the start.
+ALIGNED = 1e-8
+
+
+@outlined
+def score(form, g, first_flip, last_flip, lower, upper):
+    """Joint angles of the rotation made by ``swing``, into trial; their squared distances to the start.
+
+    Flips are the two solutions of three hinges.  The distances go into scores[2 g + flip]; infinite where
+    there is no solution inside the limits.  Returns the smallest.
+    """
+    scores, how = form.scores, form.groups[g, 0]
+    for flip in range(first_flip, last_flip + 1):
+        scores[2 * g + flip] = math.inf
+    if how == HINGES:
+        three_hinges(form, g, first_flip, last_flip, lower, upper)
+    elif first_flip == 0:
+        scores[2 * g] = ball(form, g, upper) if how == BALL_JOINT else 0.0
+    return min(scores[2 * g + first_flip], scores[2 * g + last_flip])
+
+
+@outlined
+def three_hinges(form, g, first_flip, last_flip, lower, upper):
+    """``score`` of three hinges that meet: R₁ R₂ R₃ = matrices[TURNED + g]."""
+    noinline()
+    axes, m, start, trial, scores = form.axes, form.matrices, form.start, form.trial, form.scores
+    k, row, j = 4 * g, TURNED + g, form.groups[g, 1]
+    hx, hy, hz = axes[k, 0], axes[k, 1], axes[k, 2]
+    kx, ky, kz = axes[k + 1, 0], axes[k + 1, 1], axes[k + 1, 2]
+    ex, ey, ez = axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2]
+    x, y, z = apply(m, row, ex, ey, ez)
+    amplitude, middle = form.turns[g, 1], form.turns[g, 2]
+    rest = hx * x + hy * y + hz * z - form.turns[g, 0]
+    if abs(rest) > amplitude + 1e-9:
+        return
+    # 1 - cos is exact only by way of the sine, and counts where axes 1 and 3 come in line.
+    above, below, cosine = amplitude - rest, amplitude + rest, rest + form.turns[g, 0]
+    sx, sy, sz = hy * z - hz * y, hz * x - hx * z, hx * y - hy * x
+    sine2 = sx * sx + sy * sy + sz * sz
+    if cosine > 0.0 and abs(form.turns[g, 0] + amplitude - 1.0) < 1e-12:
+        above = sine2 / (1.0 + cosine)
+    elif cosine < 0.0 and abs(form.turns[g, 0] - amplitude + 1.0) < 1e-12:
+        below = sine2 / (1.0 - cosine)
+    side = math.sqrt(max(0.0, above * below))
+    half = math.atan2(side, rest)
+    bx, by, bz = apply_back(m, row, hx, hy, hz)  # R₃ᵀ R₂ᵀ h₁
+    for flip in range(first_flip, last_flip + 1):
+        second = middle + (half if flip == 0 else -half)
+        two, inside = image(second, start[j + 1], lower[j + 1], upper[j + 1])
+        if not inside:
+            continue
+        c, s = math.cos(second), math.sin(second)
+        ax, ay, az = turn(kx, ky, kz, c, s, ex, ey, ez)  # R₂ h₃
+        one, weight = angle_between(hx, hy, hz, ax, ay, az, x, y, z)
+        if weight > ALIGNED * ALIGNED:
+            one, inside = image(one, start[j], lower[j], upper[j])
+            if not inside:
+                continue
+            cx, cy, cz = turn(kx, ky, kz, c, -s, hx, hy, hz)  # R₂ᵀ h₁
+            three, _ = angle_between(ex, ey, ez, bx, by, bz, cx, cy, cz)
+            if weight < _NEARLY * _NEARLY:  # what q₁ lacks in digits q₃ must make up for
+                px, py, pz = ey * kz - ez * ky, ez * kx - ex * kz, ex * ky - ey * kx
+                cx, cy, cz = apply(m, row, px, py, pz)
+                cx, cy, cz = turn(hx, hy, hz, math.cos(one), -math.sin(one), cx, cy, cz)
+                cx, cy, cz = turn(kx, ky, kz, c, -s, cx, cy, cz)
+                three, _ = angle_between(ex, ey, ez, px, py, pz, cx, cy, cz)
+        else:  # axes 1 and 3 in line: only q₁ ± q₃ counts; the turn of a vector across them tells it
+            px, py, pz = hy * kz - hz * ky, hz * kx - hx * kz, hx * ky - hy * kx
+            cx, cy, cz = turn(kx, ky, kz, c, -s, px, py, pz)
+            cx, cy, cz = apply(m, row, cx, cy, cz)
+            total, _ = angle_between(hx, hy, hz, px, py, pz, cx, cy, cz)
+            one, three = split_inside(
+                total, 1.0 if ax * hx + ay * hy + az * hz > 0.0 else -1.0, start[j], start[j + 2],
+                lower[j], upper[j], lower[j + 2], upper[j + 2],
+            )  # fmt: skip
+            one, inside = image(one, start[j], lower[j], upper[j])
+            if not inside:
+                continue
+        three, inside = image(three, start[j + 2], lower[j + 2], upper[j + 2])
+        if not inside:
+            continue
+        trial[flip, j], trial[flip, j + 1], trial[flip, j + 2] = one, two, three
+        one, two, three = one - start[j], two - start[j + 1], three - start[j + 2]
+        scores[2 * g + flip] = one * one + two * two + three * three
+
+
+@outlined
+def ball(form, g, upper):
+    """``score`` of a ball joint: its quaternion, of the two the one nearer to the start's."""
+    noinline()
+    m, start, trial = form.matrices, form.start, form.trial
+    row, first, t = TURNED + g, form.groups[g, 1], types.int64(0)
+    trace = m[row, 0] + m[row, 4] + m[row, 8]
+    xx, yy, zz = m[row, 0], m[row, 4], m[row, 8]
+    wx, wy, wz = m[row, 7] - m[row, 5], m[row, 2] - m[row, 6], m[row, 3] - m[row, 1]
+    xy, xz, yz = m[row, 1] + m[row, 3], m[row, 2] + m[row, 6], m[row, 5] + m[row, 7]
+    # Of the four ways to the quaternion the one that divides by its largest number (Shepperd 1978).
+    if trace >= max(xx, yy, zz):
+        w, x, y, z = 1.0 + trace, wx, wy, wz
+    elif xx >= yy and xx >= zz:
+        w, x, y, z = wx, 1.0 + xx - yy - zz, xy, xz
+    elif yy >= zz:
+        w, x, y, z = wy, xy, 1.0 + yy - xx - zz, yz
+    else:
+        w, x, y, z = wz, xz, yz, 1.0 + zz - xx - yy
+    x, y, z = into_frame(form.axes, 4 * g, x, y, z)
+    a, b, c, d = start[first], start[first + 1], start[first + 2], start[first + 3]
+    size = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    if a * w + b * x + c * y + d * z < 0.0:
+        size = -size
+    w, x, y, z = w * size, x * size, y * size, z * size
+    angle = 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+    if angle > upper[first] + 1e-9:
+        return math.inf
+    trial[t, first], trial[t, first + 1], trial[t, first + 2], trial[t, first + 3] = w, x, y, z
+    # The turn from the start to here, and how it grows with the swivel.
+    px, py, pz = a * x - b * w - d * y + c * z, a * y - c * w - b * z + d * x, a * z - d * w - c * x + b * y
+    px, py, pz = from_frame(form.axes, 4 * g, px, py, pz)
+    sine = math.sqrt(px * px + py * py + pz * pz)
+    between = 2.0 * math.atan2(sine, a * w + b * x + c * y + d * z)
+    spin = form.spin
+    form.speeds[g] = (px * spin[g, 0] + py * spin[g, 1] + pz * spin[g, 2]) / max(sine, 1e-30)
+    return between * between
+
+
+@outlined
+def add_slope(form, g, flip):
+    """Adds what ``score`` just found to scores[4] (half its slope by the swivel angle) and scores[5].
+
+    Those are Σ (q - start) q' and Σ q'² of the joints' speeds q', from the axes a: Σ aᵢ q'ᵢ = the spin.
+    Where the axes lie in a plane the second is infinite.
+    """
+    noinline()
+    scores, axes, trial, start, spin = form.scores, form.axes, form.trial, form.start, form.spin
+    how = form.groups[g, 0]
+    if how == BALL_JOINT:
+        scores[4] += math.sqrt(scores[2 * g + flip]) * form.speeds[g]
+        scores[5] += 1.0
+    if how != HINGES:
+        return
+    k, j = 4 * g, form.groups[g, 1]
+    ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
+    one = trial[flip, j]
+    bx, by, bz = turn(
+        ax, ay, az, math.cos(one), math.sin(one), axes[k + 1, 0], axes[k + 1, 1], axes[k + 1, 2]
+    )
+    cx, cy, cz = apply(form.matrices, TURNED + g, axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2])
+    nx, ny, nz = spin[g, 0], spin[g, 1], spin[g, 2]
+    ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    volume = ax * ux + ay * uy + az * uz
+    if abs(volume) < _FLAT:
+        scores[5] = math.inf
+        return
+    vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    d1 = (nx * ux + ny * uy + nz * uz) / volume
+    d2 = (nx * vx + ny * vy + nz * vz) / volume
+    d3 = (nx * wx + ny * wy + nz * wz) / volume
+    scores[4] += (one - start[j]) * d1
+    scores[4] += (trial[flip, j + 1] - start[j + 1]) * d2 + (trial[flip, j + 2] - start[j + 2]) * d3
+    scores[5] += d1 * d1 + d2 * d2 + d3 * d3

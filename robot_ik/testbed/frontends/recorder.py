@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.ar.draw import Artist, Figure
-from robot_ik.camera.drawing.text import write as put_text
+from robot_ik.camera.drawing.overlay import write as put_text
+from robot_ik.camera.drawing.renderers import Artist, DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.made_up.synthetic import look_at
+from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
@@ -111,7 +111,7 @@ class Recorder:
             one, offset = view.instances[k], self._stage.offsets[k]
             if view.count > 1:
                 self._plate(image, k)
-            figure = Figure(self.session.robot.model)
+            figure = DrawnRobot(self.session.robot.model)
             seen_from = Pose(self._camera.position - offset, self._camera.wxyz)
             qpos = self.session.robot.qpos(one.q)
             self._artist.draw(figure, qpos, self._lens, seen_from).over(image)

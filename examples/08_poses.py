@@ -1,0 +1,54 @@
+"""Key poses of the figure: record two by reaching, play them as a loop, blend into a walk, save all.
+
+    python examples/08_poses.py            prints what it made
+    python examples/08_poses.py FOLDER     and writes poses.toml, motion.csv and motion.bvh there
+
+Each reach takes the likeliest of all poses that put the hand there (a learned prior).  Prints how long the
+motion is, how high the hand goes and how far the figure walks.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import robot_ik as rik
+from robot_ik.goals import PosePrior, PosePriorGoal
+from robot_ik.motion import Keyframes, KeyPoses
+from robot_ik.motion.bvh import export_bvh
+
+PLACES = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}
+
+
+def recorded(figure: rik.Robot) -> KeyPoses:
+    """Home and the two reaches, under their names."""
+    book = KeyPoses(figure)
+    book.record("stand", figure.home)
+    natural = PosePriorGoal(prior=PosePrior.of(figure))
+    feet = [rik.PoseGoal.at(foot, figure.forward(figure.home, foot)) for foot in ("left_foot", "right_foot")]
+    for name, place in PLACES.items():
+        found = rik.solve(figure, [*feet, rik.PositionGoal("right_hand", place), natural], solver="lm")
+        book.record(name, found.require().q)
+    book.record_motion("greet", ["stand", "high", "low", "stand"], [0.8, 0.6, 0.8])
+    return book
+
+
+def main(folder: str = "") -> None:
+    figure = rik.load_robot("humanoid")
+    book = recorded(figure)
+    greet = book.motion("greet")
+    walk = KeyPoses.load(figure.folder / "poses.toml", figure).motion("walk")
+    both: Keyframes = greet.blended(walk, 0.4)
+    frames = both.sampled(60.0)
+    hand = np.array([figure.forward(q, "right_hand").position for q in frames.q])
+    print(f"{len(frames)} frames in {both.duration:.2f} s, nothing solved in any of them")
+    print(f"the hand was between {hand[:, 2].min():.2f} and {hand[:, 2].max():.2f} m high")
+    print(f"the pelvis went {frames.q[-1, 0] - frames.q[0, 0]:.2f} m")
+    if folder:
+        book.save(Path(folder) / "poses.toml")
+        frames.save_csv(Path(folder) / "motion.csv")
+        export_bvh(both, 60.0).save(Path(folder) / "motion.bvh")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

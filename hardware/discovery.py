@@ -1,0 +1,301 @@
+"""Who is on a wire: every id at every rate, with what it says of itself, and ids that two servos share.
+
+Answers of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
+looks as if nobody with that id were there.  So a scan counts damaged bytes, and where it saw some it asks
+every id alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from robot_ik.errors import ArmStateError, ConfigError, HardwareError
+from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
+from robot_ik.hardware.control_table import (
+    BAUD_RATES,
+    ControlTable,
+    control_table,
+    hardware_error_names,
+    model_by_number,
+)
+from robot_ik.hardware.dynamixel import PING, PING_BYTES, PING_DATA, DynamixelBus, listening_time
+from robot_ik.hardware.packets import StatusParser, build
+from robot_ik.hardware.serial_port import ANSWER_TIME
+
+LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
+"""Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
+
+IDS = range(253)
+
+PING_WAIT = ANSWER_TIME
+"""s for one id to answer a ping of its own."""
+
+_LOOKS = 4  # reads of changing registers that two servos with one id would have to answer alike
+
+
+@dataclass(frozen=True)
+class FoundServo:
+    """One id that answers at one rate.
+
+    Attributes:
+        id, baud: Where; ``number``: Model Number, None where answers were too damaged to tell.
+        firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
+            each None if it could not be read.
+        errors: Latched hardware errors by name.
+        shared: Answers collide: two servos seem to have this id.
+    """
+
+    id: int
+    baud: int
+    number: int | None = None
+    firmware: int | None = None
+    voltage: float | None = None
+    temperature: int | None = None
+    return_delay: int | None = None
+    torque: bool | None = None
+    errors: tuple[str, ...] = ()
+    shared: bool = False
+
+    @property
+    def table(self) -> ControlTable | None:
+        """Its registers; None for a model that is not known here."""
+        known = None if self.number is None else model_by_number(self.number)
+        return known and control_table(known.model, self.firmware or None)
+
+    @property
+    def model(self) -> str:
+        """Its model's name, or what is known of it."""
+        known = None if self.number is None else model_by_number(self.number)
+        if known is not None:
+            return known.model
+        return "?" if self.number is None else f"model number {self.number}"
+
+
+class ScanBus(DynamixelBus):
+    """A driver that also tells what it could not understand."""
+
+    def collect_pings(self, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        """A ping to everybody.
+
+        Args:
+            listen: s.
+
+        Returns:
+            Servo id -> (model number, firmware), and how much came that nobody can understand.
+
+        Raises:
+            BusDisconnectedError, BusNotOpenError.
+        """
+        return self._ping(BROADCAST_ID, listen)
+
+    def ping_once(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        """A ping to one id; late answers of others are told under theirs.  Otherwise as ``collect_pings``."""
+        return self._ping(id, listen)
+
+    def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        parser, found, useful, received = StatusParser(), {}, 0, 0
+        with self._wire.transaction("scan") as port:
+            port.writePort(build(id, PING, b""))
+            end = time.monotonic() + listen
+            while data := port.receive(end):
+                received += len(data)
+                for answer in parser.feed(data):
+                    useful += PING_BYTES
+                    if len(answer.data) == PING_DATA:
+                        found[answer.id] = (answer.data[0] | answer.data[1] << 8, answer.data[2])
+                if id in found:
+                    return found, received - useful
+            self._wire.missed()
+        return found, received - useful
+
+
+def scan(
+    port: str,
+    bauds: Sequence[int] = LIKELY,
+    *,
+    make_bus: Callable[..., ScanBus] = ScanBus,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[FoundServo]:
+    """Asks at every rate who is there, and each of them how it is.  Writes nothing to any servo.
+
+    Args:
+        port: Of the adapter.
+        bauds: Rates to try, bits/s.
+        make_bus: Makes the driver: (port, baud, retries).
+        progress: Told (what is going on, share done).
+
+    Returns:
+        Servos by rate, then by id.
+
+    Raises:
+        BusNotOpenError, BusDisconnectedError.
+        ConfigError: No servo talks at such a rate.
+    """
+    found: list[FoundServo] = []
+    for k, baud in enumerate(bauds):
+        progress(f"{baud} baud", k / len(bauds))
+        bus = make_bus(port, baud, retries=0)
+        bus.open()
+        try:
+            heard, damaged = bus.collect_pings(listening_time(baud))
+            servos = [_look(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
+            if damaged:
+                rest = [id for id in IDS if id not in heard]
+                servos += _one_by_one(bus, baud, rest, progress)
+            found += sorted(servos, key=lambda servo: servo.id)
+        finally:
+            bus.close()
+    progress("done", 1.0)
+    return found
+
+
+def nobody_hint(bauds: Iterable[int]) -> str:
+    """What to look at when no servo answered."""
+    rates = set(bauds)
+    text = "check: is the servos' supply on? the cable, and its direction? is it the right port?"
+    left = [rate for rate in BAUD_RATES.values() if rate not in rates]
+    return text + (f" rates not tried: {', '.join(map(str, left))}" if left else "")
+
+
+def _one_by_one(
+    bus: ScanBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
+) -> list[FoundServo]:
+    """Servos that the ping to all did not find, and ids from which only damaged answers come."""
+    found: dict[int, FoundServo] = {}
+    for k, id in enumerate(ids):
+        progress(f"{baud} baud, id {id}", k / len(ids))
+        heard, damaged = bus.ping_once(id, PING_WAIT)
+        if damaged and id not in heard:
+            heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one answer
+        for other, who in heard.items():
+            found[other] = _look(bus, FoundServo(other, baud, *who))
+        if damaged and id not in heard:
+            found[id] = FoundServo(id, baud, shared=True)
+    return list(found.values())
+
+
+def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
+    """The same servo with its state, and whether its answers collide with another's."""
+    table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
+    before = bus.counters.corrupt
+    values: dict[str, int] = {}
+    names = (
+        "firmware_version",
+        "return_delay_time",
+        "torque_enable",
+        "hardware_error_status",
+        "present_input_voltage",
+        "present_temperature",
+        *("present_position", "realtime_tick") * (_LOOKS // 2),
+    )
+    for name in names:
+        try:
+            values[name] = bus.read(servo.id, table[name]).data or 0
+        except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
+            continue
+    damaged = bus.counters.corrupt - before
+    if not values:  # it answers pings only, or nobody can understand it
+        return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=damaged > 1)
+    return FoundServo(
+        servo.id,
+        servo.baud,
+        servo.number,
+        values.get("firmware_version", servo.firmware),
+        values["present_input_voltage"] / 10.0 if "present_input_voltage" in values else None,
+        values.get("present_temperature"),
+        values["return_delay_time"] * 2 if "return_delay_time" in values else None,
+        bool(values["torque_enable"]) if "torque_enable" in values else None,
+        hardware_error_names(values.get("hardware_error_status", 0)),
+        shared=damaged > 1,
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# A servo as bought gets its id and baud rate: alone on the wire, without torque, and read back.
+
+
+_CODES = {rate: code for code, rate in BAUD_RATES.items()}
+
+
+def the_only_one(found: Sequence[FoundServo]) -> FoundServo:
+    """The servo that may be set up, of those (at least one) that answer.
+
+    Raises:
+        HardwareError: More than one answers, two share an id, or the model is not known.
+    """
+    shared = [servo for servo in found if servo.shared]
+    if shared:
+        raise HardwareError(
+            f"id {shared[0].id} gives damaged answers: two servos with one id, or a bad cable",
+            hint="connect one servo alone and try again",
+        )
+    if len(found) > 1:
+        names = ", ".join(f"id {s.id} {s.model} at {s.baud}" for s in found)
+        raise HardwareError(
+            f"{len(found)} servos answer ({names}); exactly one may be connected, nothing was written",
+            hint="unplug the others: an id that is taken would make both of them unreachable",
+        )
+    if found[0].table is None:
+        raise HardwareError(f"{found[0].model} is not a servo that is known here; nothing was written")
+    return found[0]
+
+
+def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
+    """Writes id and baud rate into a servo's EEPROM and asks it for both under its new address.
+
+    Args:
+        port: With this servo alone on it.
+        servo: As a scan found it.
+        id: 0..252.
+        baud: bits/s.
+
+    Raises:
+        ConfigError: The model cannot have this id or rate.
+        ArmStateError: Its torque is on.
+        HardwareError: It does not answer under the new address as it should.
+        BusNotOpenError, BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    """
+    table = servo.table
+    assert table is not None  # the_only_one has looked
+    if not 0 <= id <= 252:
+        raise ConfigError(f"{id} is no servo id", file="command line", key="--id", allowed="0..252")
+    if baud not in table.baud_rates:
+        allowed = ", ".join(map(str, table.baud_rates))
+        raise ConfigError(
+            f"{servo.model} cannot talk at {baud} bits/s", file="command line", key="--baud", allowed=allowed
+        )
+    bus = DynamixelBus(port, servo.baud)
+    bus.open()
+    try:
+        _write(bus, servo, table, id, baud)
+    finally:
+        bus.close()
+    bus = DynamixelBus(port, baud)
+    bus.open()
+    try:
+        names = ("model_number", "id", "baud_rate", "return_delay_time")
+        said = tuple(bus.read(id, table[name]).data for name in names)
+    finally:
+        bus.close()
+    if said != (servo.number, id, _CODES[baud], 0):
+        raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
+
+
+def _write(bus: ServoBus, servo: FoundServo, table: ControlTable, id: int, baud: int) -> None:
+    """Id before rate: if the line breaks between, the servo is where it was, under its new id."""
+    at = servo.id
+    if bus.read(at, table["torque_enable"]).data:
+        raise ArmStateError(
+            f"torque of the servo (id {at}) is on, so its EEPROM is locked; nothing was written",
+            hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
+            f"{at} --baud {servo.baud}",
+        )
+    if bus.read(at, table["return_delay_time"]).data:
+        bus.write(at, table["return_delay_time"], 0)
+    if at != id:
+        bus.write(at, table["id"], id)
+        bus.ping(id)
+    if servo.baud != baud:
+        bus.write(id, table["baud_rate"], _CODES[baud])

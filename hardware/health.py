@@ -1,0 +1,319 @@
+"""How every servo is, in two reads: position, velocity, current, supply, temperature, torque and errors."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow, named_users_of, permission_hint
+from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
+from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import (
+    VELOCITY_UNIT,
+    ControlTable,
+    Register,
+    control_table,
+    hardware_error_names,
+)
+from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
+from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.joint_map import JointMap
+
+
+@dataclass(frozen=True)
+class ServoState:
+    """One servo at one moment.
+
+    Attributes:
+        joint, id: Whose; everything else is None where it did not answer.
+        position_deg, velocity_deg: At the joint, deg and deg/s; ``ticks``: Present Position.
+        position_mm, velocity_mm: Instead, where the joint slides.
+        current_ma: Motor current, mA; ``load_percent``: what an XL430 has in its place.
+        voltage: V; ``temperature``: C; ``torque``: on or off; ``errors``: latched hardware errors.
+    """
+
+    joint: str
+    id: int
+    position_deg: float | None = None
+    velocity_deg: float | None = None
+    ticks: int | None = None
+    current_ma: float | None = None
+    load_percent: float | None = None
+    voltage: float | None = None
+    temperature: int | None = None
+    torque: bool | None = None
+    errors: tuple[str, ...] = ()
+    position_mm: float | None = None
+    velocity_mm: float | None = None
+
+    @property
+    def answered(self) -> bool:
+        """Both reads came back."""
+        return self.ticks is not None and self.torque is not None
+
+
+def _block(name: str, table: ControlTable, first: str, last: str) -> Register:
+    begin, end = table[first].address, table[last].end
+    return Register(name, begin, end - begin, "r", False, "", False, None, 0, 0)
+
+
+_X = control_table("XM430-W350")  # all X servos have these at the same addresses
+_HEALTH = _block("torque and errors", _X, "torque_enable", "hardware_error_status")
+_MOTION = _block("current to temperature", _X, "present_current", "present_temperature")
+
+
+def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
+    """Asks all servos.
+
+    Args:
+        bus: Open.
+        servos: Rows of an arm file; a second servo of a joint is a row of its own.
+
+    Returns:
+        A row for each, in the same order; one that did not answer is told by ``answered``.
+
+    Raises:
+        BusDisconnectedError, BusNotOpenError.
+    """
+    ids = [servo.id for servo in servos]
+    motion, health = bus.sync_read(ids, _MOTION), bus.sync_read(ids, _HEALTH)
+    return [_state(servo, motion[servo.id].data, health[servo.id].data) for servo in servos]
+
+
+def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoState:
+    table = servo.table
+    values: dict[str, int] = {}
+    for block, value in ((_MOTION, motion), (_HEALTH, health)):
+        if value is None:
+            continue
+        data = value.to_bytes(block.size, "little")
+        for r in table:
+            if block.address <= r.address and r.end <= block.end:
+                values[r.name] = r.decode(data[r.address - block.address : r.end - block.address])
+    if motion is None and health is None:
+        return ServoState(servo.name, servo.id)
+    unit = float(table["present_current"].unit.split()[0]) if "present_current" in table else 0.0
+
+    def scaled(name: str, factor: float) -> float | None:
+        return values[name] * factor if name in values else None
+
+    position = servo.to_radians(values["present_position"]) if "present_position" in values else None
+    lever = servo.lever_at(servo.lower if position is None else position)
+    speed = VELOCITY_UNIT / (servo.direction * servo.ratio) * lever / servo.per_unit
+    place = None if position is None else position / servo.per_unit
+    return ServoState(
+        servo.name,
+        servo.id,
+        ticks=values.get("present_position"),
+        current_ma=scaled("present_current", unit),
+        load_percent=scaled("present_load", 0.1),
+        voltage=scaled("present_input_voltage", 0.1),
+        temperature=values.get("present_temperature"),
+        torque=bool(values["torque_enable"]) if "torque_enable" in values else None,
+        errors=hardware_error_names(values.get("hardware_error_status", 0)),
+        **{f"position_{servo.unit}": place, f"velocity_{servo.unit}": scaled("present_velocity", speed)},
+    )
+
+
+# ------------------------------------------------------------------------------------------
+# The doctor at the servos of a port: who is there, how they are, what to do about it.  Writes nothing.
+
+
+WATCHDOG_FIRMWARE = 38
+"""First firmware of X servos with a Bus Watchdog."""
+
+_LATE = 4e-3
+"""s; a latency timer of 1 ms, the computer and its USB stay below."""
+
+_ASKED = 6  # questions whose quickest answer counts
+_READ_BYTES = 14 + 15  # a read of four bytes, and its answer
+_CYCLE_BYTES, _CYCLE_BYTES_EACH = 14 + 14, 5 + 1 + 16  # a sync write and a sync read; of each servo in them
+
+_WARM = 10  # C below its limit, a servo is worth a word
+
+
+def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
+    """The port, then every servo of the arm file, then those that nobody expects.
+
+    All rates are tried only when a servo is missing at the arm file's.
+    """
+    port = os.path.expanduser(port)
+    rows = [serial_row(port, "servos")]
+    try:
+        found = scan(port, [config.baud])
+        seen = {servo.id for servo in found}
+        if not seen.issuperset(config.servo_ids):
+            found += scan(port, [rate for rate in LIKELY if rate != config.baud])
+    except HardwareError as error:
+        return [*rows, CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
+    if not found:
+        return [*rows, CheckRow("servos", PROBLEM, f"nobody answers on {port}", nobody_hint(LIKELY))]
+    rows += _speed_rows(port, config, found)
+    for servo in config.servos:
+        rows.append(_joint_row(servo, [f for f in found if f.id == servo.id], config))
+    known = set(config.servo_ids)
+    rows += [
+        CheckRow(
+            f"servo {f.id}",
+            NOTE,
+            f"{f.model} at {f.baud}: not in the arm file",
+            "unplug it, or add its joint",
+        )
+        for f in found
+        if f.id not in known
+    ]
+    return rows
+
+
+def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
+    """How late answers come, beyond the time that their bytes take, and how many cycles that leaves."""
+    heard = [f for f in found if f.baud == config.baud and not f.shared and f.return_delay is not None]
+    if not heard:
+        return []
+    seconds = _answer_time(port, heard[0])
+    if seconds is None:
+        return []
+    byte, n = 10.0 / config.baud, len(config.servo_ids)
+    late = max(seconds - _READ_BYTES * byte - 1e-6 * (heard[0].return_delay or 0), 0.0)
+    rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
+    said = f"an answer comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
+    if rate >= config.rate_hz and late < _LATE:
+        return [CheckRow("servo speed", OK, said)]
+    name = os.path.basename(os.path.realpath(port))
+    timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
+    do = f"echo 1 | sudo tee {timer}" if os.path.exists(timer) else "set the adapter's latency timer to 1 ms"
+    return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", do)]
+
+
+def _answer_time(port: str, servo: FoundServo) -> float | None:
+    """s from a question to its answer, the best of some: a busy computer is not the adapter's fault."""
+    table = servo.table or control_table("XM430-W350")
+    times = []
+    try:
+        with contextlib.closing(DynamixelBus(port, servo.baud, retries=0)) as bus:
+            bus.open()
+            for _ in range(_ASKED):
+                begin = time.perf_counter()
+                with contextlib.suppress(BusTimeoutError, BusCorruptError, ServoRefusedError):
+                    bus.read(servo.id, table["present_position"])
+                    times.append(time.perf_counter() - begin)
+    except HardwareError:
+        return None
+    return min(times, default=None)
+
+
+def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
+    what = f"servo {servo.id} {servo.name}"
+    if not found:
+        do = (
+            "check its cable and power; a servo as bought has id 1: robot-ik servo setup --joint "
+            + servo.name
+        )
+        return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
+    if len(found) > 1 or found[0].shared:
+        do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
+        return CheckRow(what, PROBLEM, "answers collide: two servos with this id", do)
+    one = found[0]
+    for status, problem, do in _findings(servo, one, config):
+        return CheckRow(what, status, f"{_about(one)}: {problem}", do)
+    return CheckRow(what, OK, _about(one))
+
+
+def _about(f: FoundServo) -> str:
+    supply = "" if f.voltage is None else f", {f.voltage:.1f} V"
+    warm = "" if f.temperature is None else f", {f.temperature} C"
+    return f"{f.model}, firmware {f.firmware}{supply}{warm}"
+
+
+def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[str, str, str]]:
+    """(status, problem, what to do), the worst first."""
+    rows: list[tuple[str, str, str]] = []
+    setup = f"connect it alone: robot-ik servo setup --joint {servo.name}"
+    if f.model != servo.model:
+        rows.append((PROBLEM, f"the arm file says {servo.model}", "correct the arm file, or the servo's id"))
+    if f.baud != config.baud:
+        rows.append((PROBLEM, f"it talks at {f.baud}, the arm file says {config.baud}", setup))
+    low, high = (servo.table[f"{end}_voltage_limit"].initial or 0 for end in ("min", "max"))
+    if f.voltage is not None and not low <= 10.0 * f.voltage <= high:
+        text = f"its supply must be {low / 10:.1f} to {high / 10:.1f} V"
+        rows.append((PROBLEM, text, "check the power supply and the voltage drop along the cables"))
+    if f.errors:
+        do = "remove the cause, support the arm, then: robot-ik servo reset-fault"
+        rows.append((PROBLEM, f"it has shut down or warns: {', '.join(f.errors)}", do))
+    if f.firmware is not None and "bus_watchdog" not in (f.table or servo.table):
+        text = f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it runs on when the cable is pulled"
+        rows.append(
+            (PROBLEM, text, "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near")
+        )
+    hottest = servo.table["temperature_limit"].initial or 0
+    if f.temperature is not None and f.temperature > hottest - _WARM:
+        rows.append((NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"))
+    if f.torque is None:
+        text = "it answers pings only: its Status Return Level is 0"
+        rows.append((NOTE, text, "nothing: every start of the arm sets 2"))
+    if f.torque:
+        rows.append((NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"))
+    if f.table is not None and "fast_read" not in f.table.abilities:
+        rows.append((NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"))
+    if f.return_delay:
+        text = f"it waits {f.return_delay} us before each answer"
+        rows.append((NOTE, text, "nothing: every start of the arm sets 0"))
+    return rows
+
+
+def latency_ms(path: str, sys_root: str = "/sys") -> int | None:
+    """Latency timer of a USB serial adapter in ms, or ``None`` where the driver has none."""
+    name = os.path.basename(os.path.realpath(path))
+    try:
+        return int(Path(sys_root, "bus/usb-serial/devices", name, "latency_timer").read_text())
+    except (OSError, ValueError):
+        return None
+
+
+_FTDI = 0x0403  # USB vendor; most adapters of servos have such a chip
+
+_LATENCY_ADVICE = {
+    "win32": "set it to 1 ms: Device Manager, Ports, this one, Port Settings, Advanced, Latency Timer",
+    "darwin": "where cycles are slow: FTDI's own driver (VCP) lets the latency timer be set to 1 ms",
+}
+"""Systems on which a latency timer cannot be read -> what to do about it."""
+
+
+def serial_row(
+    path: str, about: str, *, sys_root: str = "/sys", system: str = sys.platform, vendor: int | None = None
+) -> CheckRow:
+    """One serial port: may it be used, is it in use, how late does it answer.
+
+    Args:
+        path: Its name.
+        about: Its description.
+        sys_root: Where Linux tells of devices.
+        system: As ``sys.platform``.
+        vendor: Of the USB adapter, where known.
+    """
+    what = f"serial {path}"
+    if advice := _LATENCY_ADVICE.get(system):
+        # Windows has no files for ports, and tells by opening only who may use one.
+        if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
+            return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
+        late = vendor == _FTDI
+        text = "; its latency timer cannot be read, as it comes it is 16 ms"
+        return CheckRow(what, NOTE if late else OK, about + (text if late else ""), advice if late else "")
+    if not os.access(path, os.R_OK | os.W_OK):
+        return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
+    users = named_users_of(path)
+    if users:
+        return CheckRow(what, NOTE, f"{about}; in use by {', '.join(users)}", "end that program first")
+    latency = latency_ms(path, sys_root)
+    if latency is not None and latency > 1:
+        name = os.path.basename(os.path.realpath(path))
+        timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
+        # 16 ms, the driver's default, holds six servos to about 57 cycles a second.
+        return CheckRow(what, NOTE, f"{about}; answers {latency} ms late", f"echo 1 | sudo tee {timer}")
+    return CheckRow(what, OK, about + ("; free" if system.startswith("linux") else ""))

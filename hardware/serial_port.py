@@ -1,0 +1,425 @@
+"""The SDK's port handler, made quiet: it sleeps while it waits, keeps monotonic time and owns its port alone.
+
+The SDK opens its port without a timeout and polls it: a whole core is burned while a packet is on the wire
+(16 ms of CPU a cycle at 57 600 baud, measured; 0.3 ms with this handler).  Packet code is left as it is.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import serial
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, PortHandler, Protocol2PacketHandler
+from serial.tools import list_ports
+
+from robot_ik.environment import users_of
+from robot_ik.errors import BusDisconnectedError, BusNotOpenError
+from robot_ik.hardware.bus import ALERT_BIT, Counters
+from robot_ik.hardware.control_table import BAUD_RATES
+from robot_ik.hardware.packets import SHORTEST_STATUS, Answer
+
+LONGEST_DRAIN = 0.1
+"""s after which a line that does not fall silent is no longer waited for."""
+
+ANSWER_TIME = 0.034
+"""s a servo is given beyond the bytes' own time: twice a 16 ms USB latency timer and 2 ms, as in the SDK."""
+
+OVERTIME = 1024
+"""Bytes read at most after a packet's time is over: what came in while this program was held up, no more."""
+
+WRITE_TIMEOUT = 0.5
+"""s beyond the bytes' own time; a port that has not taken them by then is gone."""
+
+WATCH = 1.5e-4
+"""s before and after the moment an answer is expected in which the port is watched without sleeping.
+
+A sleep ends up to 50 µs late by the timer's slack (prctl(2), PR_SET_TIMERSLACK), and waking takes time.
+"""
+
+_POLL = 0.002  # s, only where the operating system cannot wait on a serial port with select()
+
+try:  # what a vanished port raises besides OSError; termios does not exist on Windows
+    import termios
+
+    PORT_ERRORS: tuple[type[Exception], ...] = (OSError, termios.error)
+except ImportError:
+    PORT_ERRORS = (OSError,)
+
+
+class QuietPortHandler(PortHandler):
+    """One serial port for one process; counts its bytes.
+
+    ``openPort`` raises what pyserial raises; ``describe_failure`` turns that into words.
+
+    Args:
+        port_name: As the system names it.
+        baud: bit/s.
+        counters: Its bytes are added here.
+        answer_time: s a servo is given to answer.
+        posix: A port is a file on which one can wait and which must be locked; else (Windows) a handle that
+            the system itself gives to one program only.
+        make_serial: Opens a port, as ``serial.Serial``.
+    """
+
+    def __init__(
+        self,
+        port_name: str,
+        baud: int,
+        counters: Counters,
+        answer_time: float = ANSWER_TIME,
+        *,
+        posix: bool = os.name == "posix",
+        make_serial: Callable[..., Any] = serial.Serial,
+    ) -> None:
+        super().__init__(port_name)
+        self._posix = posix
+        self._make_serial = make_serial
+        self.baudrate = baud
+        self.answer_time = answer_time
+        self.seconds_per_byte = 10.0 / baud
+        self._counters = counters
+        self._file = -1
+        self._overtime = OVERTIME
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Opens the port, exclusively."""
+        self.closePort()
+        self.ser = self._make_serial(
+            port=self.port_name,
+            baudrate=cflag_baud,
+            bytesize=serial.EIGHTBITS,
+            timeout=0 if self._posix else _POLL,
+            write_timeout=WRITE_TIMEOUT,
+            exclusive=True if self._posix else None,
+        )
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10_000.0 / cflag_baud  # ms; 8N1 is 10 bits a byte
+        self.seconds_per_byte = 10.0 / cflag_baud
+        self._file = self.ser.fileno() if self._posix else -1
+        return True
+
+    def closePort(self) -> None:
+        """Closes the port; without one, does nothing."""
+        port, self.ser, self.is_open = self.ser, None, False
+        if port is not None:
+            port.close()
+
+    def getCFlagBaud(self, baudrate: int) -> int:
+        """Every rate a servo can be set to; the SDK's own list stops before 4.5 M."""
+        return baudrate if baudrate in BAUD_RATES.values() else -1
+
+    def getCurrentTime(self) -> float:
+        """Milliseconds on a clock that never jumps."""
+        return time.monotonic() * 1000.0
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Until when an answer of so many bytes is waited for, from now."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.answer_time)
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        """So many milliseconds from now."""
+        super().setPacketTimeoutMillis(msec)
+        self._overtime = OVERTIME
+
+    def send(self, data: bytes) -> None:
+        """Writes all of it, or raises."""
+        self.writePort(data)
+
+    def receive(self, deadline: float, expected: float | None = None) -> bytes:
+        """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing.
+
+        Args:
+            deadline: On the monotonic clock, s.  After it there is one look at what is there: who calls again
+                and again looks at the clock himself, for a line may never fall silent.
+            expected: When the answer usually comes, where that is known: shortly before and after it the
+                port is watched without sleeping, for who sleeps notices an answer late.
+        """
+        if not self._posix:
+            while not (data := bytes(self.ser.read(self.ser.in_waiting or 1))):
+                if time.monotonic() > deadline:
+                    break
+        else:
+            if not self._comes(deadline, expected):
+                return b""
+            data = os.read(self._file, 4096)
+            if not data:
+                raise serial.SerialException("the port is ready to read and has nothing: it went away")
+        self._counters.bytes_received += len(data)
+        return data
+
+    def _comes(self, deadline: float, expected: float | None) -> bool:
+        """Whether there is something to read before the deadline."""
+        files, now = [self._file], time.monotonic()
+        if expected is not None:
+            begin, end = min(expected, deadline) - WATCH, min(expected + WATCH, deadline)
+            if now < begin and select.select(files, [], [], begin - now)[0]:
+                return True
+            while (now := time.monotonic()) < end:
+                if select.select(files, [], [], 0.0)[0]:
+                    return True
+        return bool(select.select(files, [], [], max(deadline - now, 0.0))[0])
+
+    def clear(self) -> None:
+        """Throws away what has come in."""
+        if not self._posix:
+            self.ser.reset_input_buffer()
+        else:
+            termios.tcflush(self._file, termios.TCIFLUSH)
+
+    def readPort(self, length: int) -> bytes:
+        """At most ``length`` bytes; sleeps until there are some or the packet's time is over.
+
+        The SDK looks at the clock only where too few bytes came.  So after that time there are ``OVERTIME``
+        bytes at most, then none, whatever comes in.
+        """
+        if self.getTimeSinceStart() > self.packet_timeout:
+            length = min(length, self._overtime)
+            self._overtime -= max(length, 0)
+        if length <= 0:
+            return b""
+        if not self._posix:
+            data = bytes(self.ser.read(length))
+        else:
+            wait = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
+            if not select.select([self.ser.fileno()], [], [], max(wait, 0.0))[0]:
+                return b""
+            data = os.read(self.ser.fileno(), length)
+            if not data:
+                raise serial.SerialException("the port is ready to read and has nothing: it went away")
+        self._counters.bytes_received += len(data)
+        return data
+
+    def writePort(self, packet: Sequence[int] | bytes) -> int:
+        """Number of bytes written: all of them, or an error."""
+        if not self._posix:
+            self.ser.write(bytes(packet))
+        else:
+            # Not pyserial's write: it reports a timeout for bytes that are out if this process was stalled.
+            left = bytes(packet)
+            end = time.monotonic() + WRITE_TIMEOUT + len(left) * self.seconds_per_byte
+            while left := left[self._write(left) :]:
+                wait = end - time.monotonic()
+                if wait <= 0.0 or not select.select([], [self._file], [], wait)[1]:
+                    raise serial.SerialTimeoutException(f"the port takes no bytes for {WRITE_TIMEOUT} s")
+        self._counters.bytes_sent += len(packet)
+        return len(packet)
+
+    def _write(self, data: bytes) -> int:
+        """How many bytes the system takes at once; it rarely takes less than all."""
+        try:
+            return os.write(self._file, data)
+        except BlockingIOError:
+            return 0
+
+    def drain(self, quiet: float, longest: float = LONGEST_DRAIN) -> None:
+        """Throws away what comes in until the line was silent for ``quiet`` s; at most ``longest`` s."""
+        end = time.monotonic() + longest
+        while time.monotonic() < end:
+            self.setPacketTimeoutMillis(1000.0 * quiet)
+            if not self.readPort(1024):
+                return
+
+
+def describe_failure(
+    port: str, error: Exception, ports: Sequence[Any] | None = None, system: str = sys.platform
+) -> BusNotOpenError:
+    """Why ``port`` could not be opened, which ports there are and what to do.
+
+    Args:
+        port: As given by the user.
+        error: What opening it raised.
+        ports: Serial ports of this machine (objects with ``device`` and ``description``); asked for if None.
+        system: As ``sys.platform``.
+    """
+    text, number = str(error), getattr(error, "errno", None)
+    if system == "win32":  # pyserial tells the reason in words only; a port in use is "access denied"
+        words = {
+            "PermissionError": errno.EBUSY,
+            "Access is denied": errno.EBUSY,
+            "FileNotFound": errno.ENOENT,
+        }
+        number = next((value for word, value in words.items() if word in text), number)
+    if "exclusively lock" in text or number in (errno.EBUSY, errno.EWOULDBLOCK):
+        who = holders(port)
+        reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
+        hint = "close the other program first"
+    elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        reason, hint = "there is no such port", ""
+    elif number in (errno.EACCES, errno.EPERM):
+        reason = "this user may not open it"
+        hint = "join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
+        if system == "darwin":
+            hint = "allow the adapter's driver in System Settings, Privacy & Security; use its name /dev/cu.…"
+    elif number == errno.EISDIR or "Inappropriate ioctl" in text or "(25" in text:
+        reason, hint = "it is not a serial port", ""
+    else:
+        reason, hint = text, ""
+    found = list_ports.comports() if ports is None else ports
+    names = [f"{p.device} ({p.description})" for p in found]
+    exist = f"serial ports here: {', '.join(names)}" if names else "there is no serial port on this machine"
+    lines = [hint, exist, "without servos use the bus 'pty' or 'sim'"]
+    return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))
+
+
+def holders(port: str) -> list[str]:
+    """Programs that have a port open, as "name (process 123)"; what this user may see, on Linux only."""
+    return [
+        f"{'this program' if number == os.getpid() else name} (process {number})"
+        for number, name in users_of(port).items()
+    ]
+
+
+# ------------------------------------------------------------------------------------------
+# One serial port as a line of Protocol 2.0 packets: locked, never left busy, nothing decoded unchecked.
+#
+# The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
+# (Ctrl-C, a
+# pulled cable) ends it; every later write, torque off among them, is then refused.  Here the mark is cleared
+# whatever happens, and a line on which answers may still be under way is emptied before the next request.
+
+
+log = logging.getLogger(__name__)
+
+OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
+"""What opening a port raises; ValueError: a name or rate the operating system does not take."""
+
+QUIET = 0.003
+"""s without a byte after which a line is taken to be empty, when nothing worse than a repeat can follow."""
+
+
+class Wire:
+    """A port, and the SDK's packet code for single requests.  One transaction at a time, from any thread.
+
+    Args:
+        port: Its name.
+        baud: bit/s.
+        counters: What happens is added here.
+        answer_time: s a servo is given to answer, beyond the time of the bytes.
+        make_handler: Makes the port handler; takes the four above.
+        now: The clock of ages and deadlines, s.
+
+    Attributes:
+        last_good: Servo id -> when it last answered, on ``now``.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int,
+        counters: Counters,
+        answer_time: float,
+        make_handler: Callable[..., QuietPortHandler] = QuietPortHandler,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.port = port
+        self.baud = baud
+        self.counters = counters
+        self.packet = Protocol2PacketHandler()
+        self.answer_time = answer_time
+        self.last_good: dict[int, float] = {}
+        self.now = now
+        self._make_handler = make_handler
+        self._lock = threading.RLock()
+        self._handler: QuietPortHandler | None = None
+        self._dirty = False  # answers to an earlier request may still be under way …
+        self._asked = ""  # … to this one
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._handler is not None
+
+    def open(self) -> None:
+        """Opens the port for this process alone.
+
+        Raises:
+            BusNotOpenError: Missing, not a serial port, not permitted, in use, or an impossible rate.
+        """
+        with self._lock:
+            if self._handler is not None:
+                return
+            handler = self._make_handler(self.port, self.baud, self.counters, self.answer_time)
+            if handler.getCFlagBaud(self.baud) <= 0:
+                rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
+                raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
+            try:
+                handler.openPort()
+            except OPEN_ERRORS as error:
+                handler.closePort()
+                raise describe_failure(self.port, error) from error
+            self._handler = handler
+            self._dirty, self._asked = True, ""
+
+    def close(self) -> None:
+        """Closes the port; may be called any number of times and never raises."""
+        with self._lock:
+            handler, self._handler = self._handler, None
+            if handler is not None:
+                try:
+                    handler.closePort()
+                except PORT_ERRORS as error:
+                    log.warning("closing %s: %s", self.port, error)
+
+    @contextmanager
+    def transaction(self, asks: str | None) -> Iterator[QuietPortHandler]:
+        """The open port, for one request and its answers.
+
+        Args:
+            asks: What is asked, in a word; None where nobody answers.  A packet does not say which request
+                it answers.  So after an answer was missed, another question waits until that answer cannot
+                come any more; the same question need not: a late answer to it is as good as any.
+
+        Raises:
+            BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
+        """
+        with self._lock:
+            handler = self._handler
+            if handler is None:
+                raise BusNotOpenError(f"the bus on {self.port} is not open", hint="call open() first")
+            clean = False
+            try:
+                handler.is_using = False
+                if asks is not None:
+                    if self._dirty:
+                        handler.drain(QUIET if asks == self._asked else self.answer_time)
+                        self._dirty = False
+                    self._asked = asks
+                yield handler
+                clean = True
+            except PORT_ERRORS as error:
+                self.close()
+                raise BusDisconnectedError(
+                    f"the port {self.port} went away: {error}",
+                    hint="check cable and adapter, then connect again; torque stays as it was until then",
+                ) from error
+            finally:
+                handler.is_using = False
+                self._dirty = self._dirty or not clean
+
+    def missed(self) -> None:
+        """An answer is outstanding: whatever is asked next must not take it for its own."""
+        self._dirty = True
+
+    def receive(self, port: QuietPortHandler) -> Answer | None:
+        """The next status packet within the packet's time; None if there was none or it was damaged."""
+        packet, result = self.packet.rxPacket(port, False)
+        if result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS:
+            end = 5 + (packet[5] | packet[6] << 8)  # of the data; the length field is that after unstuffing
+            if 9 <= end <= len(packet):
+                error = packet[8]
+                alert = bool(error & ALERT_BIT)
+                self.counters.alerts += alert
+                return Answer(packet[4], error & ~ALERT_BIT, alert, bytes(packet[9:end]))
+        if result in (COMM_SUCCESS, COMM_RX_CORRUPT):
+            self.counters.corrupt += 1
+        return None

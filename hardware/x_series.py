@@ -1,0 +1,423 @@
+"""The registers of the X series and the shape of what differs by model: rows only.
+
+Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), control table pages docs/en/dxl/x/*.md and the texts they
+include, _includes/en/dxl/control_table_*.md.  ``control_table_models`` holds the models.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+# ------------------------------------------------------------------------------------------
+# What the motors of the X series can do: the manual's specification tables, as data.
+#
+# Source: ROBOTIS e-manual, _data/dxl_x_info.yml (stall torque, stall current, no load speed, gear ratio and
+# standby current at the recommended voltage), read on 2026-11-22.
+
+
+RPM = 2.0 * math.pi / 60.0
+"""One revolution a minute, rad/s."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor with its gear, seen at the output shaft.
+
+    Attributes:
+        stall_torque: N m, and ``stall_current``, A, at ``volts``.
+        no_load_rpm: rev/min at ``volts``.
+        volts: At which these were measured, V.
+        gear_ratio: Turns of the motor for one of the shaft.
+        standby: Current without torque, A.
+        sensed_at_supply: Present Current is what the supply gives, not what flows through the motor.
+    """
+
+    stall_torque: float
+    stall_current: float
+    no_load_rpm: float
+    volts: float
+    gear_ratio: float
+    standby: float
+    sensed_at_supply: bool = False
+
+    @property
+    def torque_per_ampere(self) -> float:
+        """N m at the shaft for an ampere through the motor; gear friction is in it."""
+        return self.stall_torque / self.stall_current
+
+    @property
+    def no_load_speed(self) -> float:
+        """rad/s at ``volts``."""
+        return self.no_load_rpm * RPM
+
+
+XL330_M077 = Motor(0.215, 1.47, 383.0, 5.0, 77.5, 0.017)
+XL330_M288 = Motor(0.52, 1.47, 103.0, 5.0, 288.4, 0.017)
+XC330_M181 = Motor(0.60, 1.80, 129.0, 5.0, 180.62, 0.017, sensed_at_supply=True)
+XC330_M288 = Motor(0.93, 1.80, 81.0, 5.0, 288.35, 0.017, sensed_at_supply=True)
+XC330_T181 = Motor(0.76, 0.80, 104.0, 11.1, 180.62, 0.017, sensed_at_supply=True)
+XC330_T288 = Motor(0.92, 0.80, 65.0, 11.1, 288.35, 0.017, sensed_at_supply=True)
+XL430_W250 = Motor(1.4, 1.3, 57.0, 11.1, 258.5, 0.052)
+XC430_W150 = Motor(1.6, 1.4, 106.0, 12.0, 159.59, 0.046)
+XC430_W240 = Motor(1.9, 1.4, 70.0, 12.0, 245.22, 0.046)
+XM430_W210 = Motor(3.0, 2.3, 77.0, 12.0, 212.6, 0.040)
+XM430_W350 = Motor(4.1, 2.3, 46.0, 12.0, 353.5, 0.040)
+XM540_W150 = Motor(7.3, 4.4, 53.0, 12.0, 152.3, 0.040)
+XM540_W270 = Motor(10.6, 4.4, 30.0, 12.0, 272.5, 0.040)
+XH540_W150 = Motor(7.1, 4.9, 70.0, 12.0, 152.3, 0.040)
+
+
+# name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.
+# None as initial: depends on the servo's state.  Addresses below 64 are EEPROM.
+Row = tuple[str, int, int, str, str, int | None, int, int]
+SHARED: tuple[Row, ...] = (
+    ("model_number", 0, 2, "r", "", None, 0, 65535),
+    ("model_information", 2, 4, "r", "", 0, 0, 2**32 - 1),
+    ("firmware_version", 6, 1, "r", "", 48, 0, 255),
+    ("id", 7, 1, "", "", 1, 0, 252),
+    ("baud_rate", 8, 1, "", "code", 1, 0, 7),
+    ("return_delay_time", 9, 1, "", "2 us", 250, 0, 254),
+    ("drive_mode", 10, 1, "", "bits", 0, 0, 255),
+    ("operating_mode", 11, 1, "", "code", 3, 0, 16),
+    ("secondary_id", 12, 1, "", "", 255, 0, 255),
+    ("protocol_type", 13, 1, "", "", 2, 1, 2),
+    ("homing_offset", 20, 4, "s", "tick", 0, -1_044_479, 1_044_479),
+    ("moving_threshold", 24, 4, "", "0.229 rev/min", 10, 0, 1023),
+    ("temperature_limit", 31, 1, "", "1 C", 80, 0, 100),
+    ("max_voltage_limit", 32, 2, "", "0.1 V", 160, 31, 160),
+    ("min_voltage_limit", 34, 2, "", "0.1 V", 95, 31, 160),
+    ("pwm_limit", 36, 2, "", "0.113 %", 885, 0, 885),
+    ("current_limit", 38, 2, "", "2.69 mA", 1193, 0, 1193),
+    ("velocity_limit", 44, 4, "", "0.229 rev/min", 200, 0, 2047),
+    ("max_position_limit", 48, 4, "", "tick", 4095, 0, 4095),
+    ("min_position_limit", 52, 4, "", "tick", 0, 0, 4095),
+    ("startup_configuration", 60, 1, "", "bits", 0, 0, 3),
+    ("shutdown", 63, 1, "", "bits", 52, 0, 255),
+    ("torque_enable", 64, 1, "", "", 0, 0, 1),
+    ("led", 65, 1, "", "", 0, 0, 1),
+    ("status_return_level", 68, 1, "", "", 2, 0, 2),
+    ("registered_instruction", 69, 1, "r", "", 0, 0, 1),
+    ("hardware_error_status", 70, 1, "r", "bits", 0, 0, 255),
+    ("velocity_i_gain", 76, 2, "", "", 1920, 0, 16383),
+    ("velocity_p_gain", 78, 2, "", "", 100, 0, 16383),
+    ("position_d_gain", 80, 2, "", "", 0, 0, 16383),
+    ("position_i_gain", 82, 2, "", "", 0, 0, 16383),
+    ("position_p_gain", 84, 2, "", "", 800, 0, 16383),
+    ("feedforward_2nd_gain", 88, 2, "", "", 0, 0, 16383),
+    ("feedforward_1st_gain", 90, 2, "", "", 0, 0, 16383),
+    ("bus_watchdog", 98, 1, "s", "20 ms", 0, 0, 127),
+    ("goal_pwm", 100, 2, "s", "0.113 %", None, -885, 885),
+    ("goal_current", 102, 2, "s", "2.69 mA", None, -1193, 1193),
+    ("goal_velocity", 104, 4, "s", "0.229 rev/min", None, -2047, 2047),
+    ("profile_acceleration", 108, 4, "", "214.577 rev/min^2 or ms", 0, 0, 32767),
+    ("profile_velocity", 112, 4, "", "0.229 rev/min or ms", 0, 0, 32767),
+    ("goal_position", 116, 4, "s", "tick", None, -1_048_575, 1_048_575),
+    ("realtime_tick", 120, 2, "r", "ms", None, 0, 32767),
+    ("moving", 122, 1, "r", "", 0, 0, 1),
+    ("moving_status", 123, 1, "r", "bits", None, 0, 255),
+    ("present_pwm", 124, 2, "rs", "0.113 %", None, -885, 885),
+    ("present_current", 126, 2, "rs", "2.69 mA", None, -32768, 32767),
+    ("present_velocity", 128, 4, "rs", "0.229 rev/min", None, -(2**31), 2**31 - 1),
+    ("present_position", 132, 4, "rs", "tick", None, -(2**31), 2**31 - 1),
+    ("velocity_trajectory", 136, 4, "rs", "0.229 rev/min", None, -(2**31), 2**31 - 1),
+    ("position_trajectory", 140, 4, "rs", "tick", None, -(2**31), 2**31 - 1),
+    ("present_input_voltage", 144, 2, "r", "0.1 V", None, 0, 65535),
+    ("present_temperature", 146, 1, "r", "1 C", None, 0, 255),
+    ("backup_ready", 147, 1, "r", "", 0, 0, 1),
+)
+
+EXTERNAL_PORTS: tuple[Row, ...] = (
+    ("external_port_mode_1", 56, 1, "", "code", 3, 0, 3),
+    ("external_port_mode_2", 57, 1, "", "code", 3, 0, 3),
+    ("external_port_mode_3", 58, 1, "", "code", 3, 0, 3),
+    ("external_port_data_1", 152, 2, "", "", 0, 0, 4095),
+    ("external_port_data_2", 154, 2, "", "", 0, 0, 4095),
+    ("external_port_data_3", 156, 2, "", "", 0, 0, 4095),
+)
+"""The three pins of the 540 class; nothing is connected to those of a virtual servo."""
+
+REVERSE, SLAVE, TIME_BASED, TORQUE_BY_GOAL = 0b0001, 0b0010, 0b0100, 0b1000
+"""Bits of Drive Mode."""
+
+
+@dataclass(frozen=True)
+class Indirect:
+    """One block of indirect registers.
+
+    Attributes:
+        addresses: Of Indirect Address k; ``data``: of Indirect Data k.
+        count: How many.
+        below: The block is there in firmware older than this; ``since``: from this one on.
+    """
+
+    addresses: int
+    data: int
+    count: int
+    since: int = 0
+    below: int = 256
+
+
+@dataclass(frozen=True)
+class Family:
+    """What models of one size have in common.
+
+    Attributes:
+        firmware: Version of the virtual servos; their Firmware Version register.
+        indirect: Blocks of indirect registers.
+        since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
+            ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
+            ``guarded_reset`` (ignores a broadcast factory reset of everything).
+        baud_codes: Values its Baud Rate register takes.
+        notes: What the manual leaves open, and what is assumed.
+    """
+
+    firmware: int
+    indirect: tuple[Indirect, ...]
+    since: Mapping[str, int]
+    baud_codes: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+
+
+FAMILY_430 = Family(
+    firmware=48,
+    indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
+    since={
+        "drive_mode": 38,
+        "bus_watchdog": 38,
+        "reverse": 38,
+        "time_based": 42,
+        "guarded_reset": 42,
+        "torque_by_goal": 45,
+        "startup_configuration": 45,
+        "backup_ready": 45,
+        "backup": 45,
+        "fast_read": 45,
+    },
+    baud_codes=tuple(range(8)),
+    notes=(
+        "Velocity Limit had a larger initial value before firmware 42 (XM430-W350: 350 for 200).",
+        "Model Information has no value in the manual: 0.",
+    ),
+)
+FAMILY_540 = Family(
+    FAMILY_430.firmware,
+    FAMILY_430.indirect,
+    {**FAMILY_430.since, "slave": 38},
+    FAMILY_430.baud_codes,
+    (*FAMILY_430.notes, "External Port Data: the manual gives no initial value and no range: 0, 0..4095."),
+)
+FAMILY_330 = Family(
+    firmware=52,
+    # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
+    indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
+    since={
+        "reverse": 0,
+        "time_based": 0,
+        "guarded_reset": 42,
+        "torque_by_goal": 46,
+        "startup_configuration": 46,
+        "backup_ready": 46,
+        "backup": 46,
+        "fast_read": 46,
+    },
+    baud_codes=tuple(range(7)),
+    notes=(
+        "Indirect Data before firmware 52: that there were 20 of them is assumed.",
+        "Model Information has no value in the manual: 0.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Model:
+    """How a model differs from the shared table.
+
+    Attributes:
+        number: What Model Number reads.
+        family: What it shares with others of its size.
+        modes: Operating modes it has.
+        supply: Nominal supply, V.
+        motor: What it can do.
+        changed: Register name -> fields of ``Register`` that differ; ``added``, ``removed``: whole registers.
+        notes: What the manual leaves open, and what is assumed.
+    """
+
+    number: int
+    family: Family
+    modes: tuple[int, ...]
+    supply: float
+    motor: Motor
+    changed: Mapping[str, Mapping[str, object]]
+    added: tuple[Row, ...] = ()
+    removed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+
+
+# ------------------------------------------------------------------------------------------
+# The models of the X series: what each has otherwise than the shared table.  A new model is one row here.
+#
+# Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), docs/en/dxl/x/<model>.md, one page a model (of XL430-W250,
+# XM540-W150 and XC430-W150 the newer docs/kr/dxl/x/<model>.md); all read on 2026-11-22.  Addresses and sizes
+# agree with a second source: ROBOTIS-GIT/dynamixel_hardware_interface param/dxl_model/<model>.model,
+# db2b9038.
+# Values are those of the firmware that ``Family`` names: before firmware 42 Velocity Limit was larger
+# (_includes/en/dxl/control_table_vellimit.md), and pages of that time have an Acceleration Limit,
+# register 40.
+
+
+# Values of Operating Mode: 0 current, 1 velocity, 3 position, 4 extended, 5 current-based position, 16 PWM.
+_CURRENT_MODES = (0, 1, 3, 4, 5, 16)
+
+Changes = dict[str, Mapping[str, object]]
+
+
+def _voltage(initial: tuple[int, int], lowest: int, highest: int) -> Changes:
+    """Max and Min Voltage Limit, 0.1 V."""
+    span = {"minimum": lowest, "maximum": highest}
+    return {
+        "max_voltage_limit": {"initial": initial[0], **span},
+        "min_voltage_limit": {"initial": initial[1], **span},
+    }
+
+
+def _velocity(initial: int, highest: int) -> Changes:
+    """Velocity Limit and Goal Velocity, 0.229 rev/min."""
+    return {
+        "velocity_limit": {"initial": initial, "maximum": highest},
+        "goal_velocity": {"minimum": -highest, "maximum": highest},
+    }
+
+
+def _current(highest: int, unit: str) -> Changes:
+    """Current Limit (which starts at its maximum), Goal Current and Present Current."""
+    return {
+        "current_limit": {"initial": highest, "maximum": highest, "unit": unit},
+        "goal_current": {"minimum": -highest, "maximum": highest, "unit": unit},
+        "present_current": {"unit": unit},
+    }
+
+
+def _gains(velocity_i: int, velocity_p: int, position_d: int, position_i: int, position_p: int) -> Changes:
+    return {
+        "velocity_i_gain": {"initial": velocity_i},
+        "velocity_p_gain": {"initial": velocity_p},
+        "position_d_gain": {"initial": position_d},
+        "position_i_gain": {"initial": position_i},
+        "position_p_gain": {"initial": position_p},
+    }
+
+
+def _metal(
+    number: int,
+    family: Family,
+    motor: Motor,
+    current: int,
+    velocity: int,
+    added: tuple[Row, ...] = (),
+) -> Model:
+    """XM430, XM540 and XH540."""
+    changed = {
+        **_voltage((160, 95), 95, 160),
+        **_velocity(velocity, 1023),
+        **_current(current, "2.69 mA"),
+        **_gains(1920, 100, 0, 0, 800),
+    }
+    return Model(number, family, _CURRENT_MODES, 12.0, motor, changed, added)
+
+
+def _without_current(
+    number: int, motor: Motor, volts: Changes, velocity: int, gains: Changes, own: Changes | None = None
+) -> Model:
+    """XL430 and XC430: they measure their load, and no current."""
+    changed = {**volts, **_velocity(velocity, 1023), **gains, **(own or {})}
+    load: Row = ("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000)
+    removed = ("current_limit", "goal_current", "present_current")
+    return Model(number, FAMILY_430, (1, 3, 4, 16), 12.0, motor, changed, (load,), removed)
+
+
+def _small(
+    number: int,
+    motor: Motor,
+    supply: float,
+    volts: Changes,
+    current: int,
+    velocity: int,
+    slope: tuple[int, str],
+    shutdown: int,
+    gains: Changes,
+    notes: tuple[str, ...] = (),
+) -> Model:
+    """XL330 and XC330."""
+    changed = {
+        "baud_rate": {"maximum": 6},
+        "protocol_type": {"minimum": 2, "maximum": 22},
+        "temperature_limit": {"initial": 70},
+        "shutdown": {"initial": shutdown},
+        **volts,
+        **_velocity(velocity, 2047),
+        **_current(current, "1 mA"),
+        **gains,
+    }
+    added: tuple[Row, ...] = (("pwm_slope", 62, 1, "", slope[1], slope[0], 1, 255),)
+    return Model(number, FAMILY_330, _CURRENT_MODES, supply, motor, changed, added, notes=notes)
+
+
+_FIVE_VOLTS = _voltage((70, 35), 31, 70)
+_TWELVE_VOLTS = _voltage((140, 55), 55, 140)
+_SLOPE_5, _SLOPE_12 = (140, "1.977 mV/ms"), (255, "3.955 mV/ms")
+
+MODELS: Mapping[str, Model] = {
+    "XL430-W250": _without_current(
+        1060,
+        XL430_W250,
+        _voltage((140, 60), 60, 140),
+        265,
+        _gains(1000, 100, 4000, 0, 640),
+        {"temperature_limit": {"initial": 72}},
+    ),
+    "XC430-W150": _without_current(
+        1070,
+        XC430_W150,
+        _voltage((160, 60), 60, 160),
+        460,
+        _gains(1920, 100, 0, 0, 460),
+        {"moving_threshold": {"initial": 20}},
+    ),
+    "XC430-W240": _without_current(
+        1080, XC430_W240, _voltage((160, 60), 60, 160), 306, _gains(1920, 100, 0, 0, 700)
+    ),
+    "XM430-W210": _metal(1030, FAMILY_430, XM430_W210, 1193, 330),
+    "XM430-W350": _metal(1020, FAMILY_430, XM430_W350, 1193, 200),
+    "XH540-W150": _metal(1110, FAMILY_540, XH540_W150, 2047, 300, EXTERNAL_PORTS),
+    "XM540-W150": _metal(1130, FAMILY_540, XM540_W150, 2047, 230, EXTERNAL_PORTS),
+    "XM540-W270": _metal(1120, FAMILY_540, XM540_W270, 2047, 128, EXTERNAL_PORTS),
+    "XL330-M077": _small(
+        1190,
+        XL330_M077,
+        5.0,
+        _FIVE_VOLTS,
+        1750,
+        1620,
+        _SLOPE_5,
+        53,
+        _gains(400, 40, 0, 400, 400),
+        notes=("Position I Gain 400 is what its page says, alone of all models; it may be a slip.",),
+    ),
+    "XL330-M288": _small(
+        1200, XL330_M288, 5.0, _FIVE_VOLTS, 1750, 445, _SLOPE_5, 53, _gains(1600, 180, 0, 0, 400)
+    ),
+    "XC330-M181": _small(
+        1230, XC330_M181, 5.0, _FIVE_VOLTS, 2352, 545, _SLOPE_5, 52, _gains(1400, 100, 500, 0, 1200)
+    ),
+    "XC330-M288": _small(
+        1240, XC330_M288, 5.0, _FIVE_VOLTS, 2352, 350, _SLOPE_5, 52, _gains(1600, 50, 500, 0, 1100)
+    ),
+    "XC330-T181": _small(
+        1210, XC330_T181, 12.0, _TWELVE_VOLTS, 910, 510, _SLOPE_12, 52, _gains(1200, 40, 0, 0, 900)
+    ),
+    "XC330-T288": _small(
+        1220, XC330_T288, 12.0, _TWELVE_VOLTS, 910, 320, _SLOPE_12, 52, _gains(1200, 40, 0, 0, 900)
+    ),
+}

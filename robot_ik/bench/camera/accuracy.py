@@ -1,0 +1,525 @@
+"""How accurate corners, poses and overlays are: standard sets of pictures with exact truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.bench.camera import Effort, Figure, NotMeasuredError
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.handeye import solve_handeye
+from robot_ik.camera.calibration.intrinsic import calibrate
+from robot_ik.camera.drawing.gl import make_artist
+from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, PainterArtist
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.marker_goals import MarkerGoalSource
+from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
+from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.synthetic.datasets import (
+    STANDARD_CAMERA,
+    STANDARD_DISTANCES,
+    STANDARD_SIZE,
+    MarkerView,
+    handeye_set,
+    pattern_set,
+    random_pose,
+    render_markers,
+    standard_set,
+)
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.geometry import Pose, rotation_exp
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+DICTIONARY = "DICT_4X4_50"
+_MARKER = 7
+# The board of 2×2: 112 mm; of 3×3: 174 mm.
+_GAP = 0.012
+# A pose farther off than this took the wrong one of the two that a square allows, rad.
+_FLIPPED = np.deg2rad(5.0)
+# Position and orientation of one 50 mm marker, by distance: mm, degrees.
+_MARKER_WANTED = {0.3: (0.15, 0.3), 0.6: (0.5, 0.4), 1.0: (1.5, 0.8)}
+_COVERED_DISTANCE, _BOARD_DISTANCE = 0.6, 1.0
+# Clutter: pictures, squares in each, and their cells.
+_CLUTTERED, _SQUARES = 150, 25
+
+
+def frame_of(image: Image, number: int = 0, time: float = 0.0) -> Frame:
+    """A grey picture as a frame without truth."""
+    return Frame(np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2)), time, number)
+
+
+def rms(values: Array | list[float]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _seen(
+    effort: Effort, distance: float, count: int
+) -> Iterator[tuple[MarkerView, MarkerObservation | None]]:
+    # Its number is named, as goals ask for it: a wall's squares now and then have the code of another one.
+    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {_MARKER: STANDARD_SIZE})
+    for number, view in enumerate(
+        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=_MARKER)
+    ):
+        seen = tracker.observe(frame_of(view.image, number))
+        yield view, seen[0] if len(seen) == 1 else None
+
+
+def corners(effort: Effort) -> Iterator[Figure]:
+    """RMS error and bias of the corners, all distances together; the bias outwards is what becomes depth."""
+    errors, outward = [], []
+    for distance in STANDARD_DISTANCES:
+        for view, seen in _seen(effort, distance, 60):
+            if seen is None:
+                continue
+            error = seen.corners - view.corners
+            way = view.corners - view.corners.mean(axis=0)
+            errors.append(error)
+            outward.append((error * way).sum(axis=1) / np.linalg.norm(way, axis=1))
+    every = np.array(errors)
+    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outward))))
+    yield Figure("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
+    yield Figure("corner bias (x, y or outwards)", bias, "px", 0.03)
+
+
+def marker(effort: Effort) -> Iterator[Figure]:
+    """Position, orientation and flips of one 50 mm marker at three distances."""
+    flips = missed = 0
+    for distance in STANDARD_DISTANCES:
+        off = []
+        for view, seen in _seen(effort, distance, 100):
+            missed += seen is None
+            if seen is not None:
+                off.append(seen.pose.distance(view.pose))
+        flips += sum(angle > _FLIPPED for _, angle in off)
+        metres, radians = np.array(off).T
+        wanted = _MARKER_WANTED[distance]
+        yield Figure(f"position at {distance} m, RMS", 1e3 * rms(metres), "mm", wanted[0])
+        yield Figure(f"orientation at {distance} m, RMS", float(np.degrees(rms(radians))), "°", wanted[1])
+    yield Figure("wrong branch (more than 5° off), up to 1 m", flips, "", 0)
+    yield Figure("not found, up to 1 m", missed, "", 0)
+
+
+def _boards(
+    effort: Effort, side: int, distance: float, count: int, *, hidden: bool = False, tilt: float = 60.0
+) -> Iterator[tuple[Pose, BodyObservation | None]]:
+    """True pose and observation of a board of side × side markers, tilted by up to ``tilt`` degrees."""
+    layout = grid_body(side, side, STANDARD_SIZE, _GAP).markers
+    size = side * STANDARD_SIZE + (side - 1) * _GAP
+    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: s for i, (s, _) in layout.items()})
+    rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])
+    for number in range(effort.count(count)):
+        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, tilt))
+        placed = {i: (s, pose.compose(on)) for i, (s, on) in layout.items()}
+        cover = _half(pose, size, rng) if hidden else None
+        image = render_markers(
+            STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=_GAP / STANDARD_SIZE, cover=cover
+        )
+        yield pose, tracker.observe_body(frame_of(image, number), layout)
+
+
+def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
+    """Outline (4, 2) in pixels of what hides half of a board, from a random side."""
+    turn, far = rng.uniform(0.0, 2.0 * np.pi), 1.5 * size
+    along, across = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
+    outline = [far * across, far * across + far * along, far * along - far * across, -far * across]
+    points = pose.apply(np.array(outline))
+    points[:, 2] = np.maximum(points[:, 2], 0.05)
+    return STANDARD_CAMERA.project(points)
+
+
+def _board_figures(
+    pairs: list[tuple[Pose, BodyObservation | None]], wanted: tuple[float, float, float | None], where: str
+) -> Iterator[Figure]:
+    off = np.array([seen.pose_camera_body.distance(pose) for pose, seen in pairs if seen is not None])
+    yield Figure(f"position {where}, RMS", 1e3 * rms(off[:, 0]), "mm", wanted[0])
+    yield Figure(f"orientation {where}, RMS", float(np.degrees(rms(off[:, 1]))), "°", wanted[1])
+    yield Figure(f"orientation {where}, worst", float(np.degrees(off[:, 1].max())), "°", wanted[2])
+    yield Figure(f"not found {where}", sum(seen is None for _, seen in pairs), "", 0)
+
+
+def board(effort: Effort) -> Iterator[Figure]:
+    """A board of 2×2 markers, 112 mm, at 1 m."""
+    yield from _board_figures(list(_boards(effort, 2, _BOARD_DISTANCE, 100)), (0.3, 0.2, 1.0), "at 1 m")
+
+
+def occlusion(effort: Effort) -> Iterator[Figure]:
+    """A board of 3×3 markers at 0.6 m, half of its area hidden."""
+    pairs = list(_boards(effort, 3, _COVERED_DISTANCE, 60, hidden=True))
+    yield from _board_figures(pairs, (1.0, 0.3, None), "at 0.6 m, half hidden")
+
+
+class _Clutter(ClosingSource):
+    """Pictures full of squares of random bits: everything a marker has but the code."""
+
+    live = False
+
+    def __init__(self, seed: int) -> None:
+        self._rng, self._number = np.random.default_rng([seed, 7]), 0
+
+    def read(self) -> Frame:
+        rng = self._rng
+        image = rng.integers(90, 200, (480, 640)).astype(np.uint8)
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8)
+        for _ in range(_SQUARES):
+            cells, cell = int(rng.integers(4, 9)), int(rng.integers(3, 9))
+            bits = np.zeros((cells + 2, cells + 2), np.uint8)
+            bits[1:-1, 1:-1] = 255 * rng.integers(0, 2, (cells, cells))
+            tile = np.pad(np.kron(bits, np.ones((cell, cell), np.uint8)), cell, constant_values=255)
+            height, width = tile.shape
+            y, x = rng.integers(0, 480 - height), rng.integers(0, 640 - width)
+            image[y : y + height, x : x + width] = tile
+        self._number += 1
+        return frame_of(image, self._number, 0.05 * self._number)
+
+
+def clutter(effort: Effort) -> Iterator[Figure]:
+    """Goals, and finds of any id, in 150 cluttered pictures without a marker."""
+    tracker, source = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE), _Clutter(effort.seed)
+    finds, false, count = 0, 0, effort.count(_CLUTTERED)
+    for number in range(count):
+        frame = source.read()
+        seen = tracker.observe(frame)
+        finds += len(seen)
+        for marker_id in {observation.id for observation in seen}:
+            one = MarkerGoalSource(_One(frame), tracker, Pose(), marker_id, Pose())
+            false += one.poll(0.05 * number) is not None
+    yield Figure(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
+    yield Figure("false finds in them (DICT_5X5_50)", finds, "", 0)
+
+
+class _One(ClosingSource):
+    """One frame for ever."""
+
+    live = False
+
+    def __init__(self, frame: Frame) -> None:
+        self._frame = frame
+
+    def read(self) -> Frame:
+        return self._frame
+
+
+# ------------------------------------------------------------------------------------------
+# How well drawings lie on pictures, in pixels: measured against ``cv2.projectPoints`` and exact truth.
+
+
+#: A lens with strong distortion, and the same without any.
+BENT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
+STRAIGHT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
+# Spheres in the picture: radius and room round each, pixels.
+_RADIUS_PX, _ROOM_PX = 8.0, 44
+# Where a robot on the board may be: metres beside it and above it.
+_BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 120
+_DICTIONARY = "DICT_4X4_50"
+_BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, _DICTIONARY)
+
+
+@dataclass(frozen=True)
+class Misses:
+    """Distances between where things are and where they belong, pixels.
+
+    Attributes:
+        rms: Root mean square; ``worst`` the largest; ``bias`` the larger part of the mean.
+        worst: See ``rms``.
+        bias: See ``rms``.
+        count: How many were measured.
+    """
+
+    rms: float
+    worst: float
+    bias: float
+    count: int
+
+    @classmethod
+    def of(cls, offsets: ArrayLike) -> Misses:
+        """From offsets (n, 2)."""
+        off = np.asarray(offsets, dtype=float).reshape(-1, 2)
+        if not len(off):
+            return cls(float("nan"), float("nan"), float("nan"), 0)
+        length = np.linalg.norm(off, axis=1)
+        return cls(
+            float(np.sqrt(np.mean(length**2))),
+            float(length.max()),
+            float(np.abs(off.mean(axis=0)).max()),
+            len(off),
+        )
+
+
+def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, seed: int = 3) -> Misses:
+    """Centres of drawn spheres against those that OpenCV projects.
+
+    Spheres of 8 px radius at random depths all over the picture; the middle of what is drawn of each is
+    compared with the middle of its outline, the circle at which rays of sight touch it, projected by
+    ``cv2.projectPoints``.
+    """
+    rng = np.random.default_rng(seed)
+    spec, spheres = mujoco.MjSpec(), []
+    for x in np.arange(_ROOM_PX / 2, intrinsics.width - _ROOM_PX / 2 + 1, _ROOM_PX):
+        for y in np.arange(_ROOM_PX / 2, intrinsics.height - _ROOM_PX / 2 + 1, _ROOM_PX):
+            depth = rng.uniform(0.4, 2.0)
+            pixel = np.array([[x, y]]) + rng.uniform(-4.0, 4.0, (1, 2))
+            centre = intrinsics.unproject(pixel)[0] * depth
+            radius = _RADIUS_PX * depth / intrinsics.fx
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=centre.tolist()
+            )
+            spheres.append((pixel[0], centre, radius))
+    figure = DrawnRobot(spec.compile(), shadow=False)
+    drawn = artist.draw(figure, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(float)
+    half = _ROOM_PX // 2
+    offsets = []
+    for pixel, centre, radius in spheres:
+        x, y = np.rint(pixel).astype(int)
+        x0, y0 = max(x - half, 0), max(y - half, 0)
+        part = drawn[y0 : y + half, x0 : x + half]
+        alone = _middle(part, (x0, y0))
+        offsets.append(alone - outline_middle(centre, radius, intrinsics))
+    return Misses.of(offsets)
+
+
+def _middle(part: Array, corner: tuple[int, int]) -> Array:
+    """Centroid (2,) of the piece of a mask in the middle of ``part``, in pixels of the picture."""
+    _, labels = cv2.connectedComponents((part > 0).astype(np.uint8))
+    middle = labels[part.shape[0] // 2, part.shape[1] // 2]
+    weight = np.where(labels == middle, part, 0.0) if middle else np.full_like(part, np.nan)
+    rows, columns = np.indices(part.shape)
+    return np.array(
+        [
+            (weight * columns).sum() / weight.sum() + corner[0],
+            (weight * rows).sum() / weight.sum() + corner[1],
+        ]
+    )
+
+
+def outline_middle(centre: Array, radius: float, intrinsics: CameraIntrinsics) -> Array:
+    """Centroid (2,) of a sphere's outline in the picture, by ``cv2.projectPoints``."""
+    distance = np.linalg.norm(centre)
+    axis = centre / distance
+    side = np.cross(axis, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)[:, None]
+    shrink = (radius / distance) ** 2
+    ring = radius * np.sqrt(1 - shrink) * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
+    coefficients = intrinsics.coefficients if len(intrinsics.distortion) else None
+    pixels = np.asarray(
+        cv2.projectPoints(
+            centre * (1 - shrink) + ring, np.zeros(3), np.zeros(3), intrinsics.matrix, coefficients
+        )[0]
+    ).reshape(-1, 2)
+    moments = cv2.moments((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
+    return np.asarray(
+        pixels[0] + [moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]], dtype=float
+    )
+
+
+def robot_points(seed: int = 0) -> Array:
+    """Points (n, 3) where a robot standing on the board may be, board frame, metres."""
+    rng = np.random.default_rng([seed, 46])
+    return rng.uniform((-_BESIDE, -_BESIDE, 0.0), (_BESIDE, _BESIDE, _ABOVE), (_POINTS, 3))
+
+
+def overlay_error(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
+    """From picture to overlay: points of a robot on a 2 x 2 board (112 mm), against exact truth.
+
+    The pictures are those of the standard set (blur, noise, uneven light, tilts up to 60 degrees).
+    """
+    rng = np.random.default_rng([seed, round(1e3 * distance)])
+    watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
+    points, offsets = robot_points(seed), []
+    for number in range(count):
+        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=0.112)
+        seen = watcher.see(_photograph(pose, rng, number, 0.0))
+        if seen is None:
+            continue
+        true, drawn = (STANDARD_CAMERA.project(p.apply(points)) for p in (pose, seen.pose_camera_board))
+        offsets.append((drawn - true)[_in_view(true)])
+    return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
+
+
+def _in_view(pixels: Array) -> NDArray[np.bool_]:
+    return np.asarray(((pixels > 0) & (pixels < np.array(STANDARD_CAMERA.size) - 1)).all(axis=1))
+
+
+def _photograph(pose: Pose, rng: np.random.Generator, number: int, at: float) -> Frame:
+    markers = {id: (side, pose.compose(place)) for id, (side, place) in _BOARD.layout.items()}
+    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=_DICTIONARY, margin=0.12)
+    return Frame(np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2)), at, number)
+
+
+def hand_motion(t: float) -> Pose:
+    """``pose_camera_board`` of a board that a hand moves about 0.8 m away: some 200 mm/s, 40 deg/s."""
+    place = (
+        0.060 * np.sin(2.6 * t) + 0.015 * np.sin(6.1 * t + 1.0),
+        0.035 * np.sin(3.4 * t + 0.7),
+        0.80 + 0.04 * np.sin(1.9 * t),
+    )
+    facing = Pose(wxyz=rotation_exp([np.pi, 0.0, 0.0]))
+    lean = rotation_exp([-0.6 + 0.20 * np.sin(2.2 * t), 0.15 * np.sin(2.9 * t), 0.35 * np.sin(1.7 * t)])
+    return Pose(place, facing.compose(Pose(wxyz=lean)).wxyz)
+
+
+REMEDIES: dict[str, tuple[float, LatencyOptions]] = {
+    "nothing": (1.0, LatencyOptions("latest")),
+    "less delay (half)": (0.5, LatencyOptions("latest")),
+    "image shifting": (1.0, LatencyOptions("latest", shift=True)),
+    "prediction": (1.0, LatencyOptions("latest", predict=True)),
+    "prediction and shifting": (1.0, LatencyOptions("latest", predict=True, shift=True)),
+    "delayed video": (0.0, LatencyOptions("tracked")),
+}
+"""Azuma's remedies: what part of the delay is left, and what is done about it."""
+
+
+def remedy_errors(
+    delay: float = 0.066, seconds: float = 4.0, *, rate_hz: float = 30.0, seed: int = 0
+) -> dict[str, Misses]:
+    """Registration errors of a robot on a moving board when tracking and drawing take ``delay`` seconds.
+
+    Each remedy is measured on the same pictures, with points of a robot on the board.
+    """
+    rng = np.random.default_rng([seed, 5])
+    steps = max(1, round(delay * rate_hz))
+    count = round(seconds * rate_hz)
+    times = np.arange(count) / rate_hz
+    frames = [_photograph(hand_motion(t), rng, k, float(t)) for k, t in enumerate(times)]
+    watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
+    looks = [watcher.see(frame) for frame in frames]
+    return {
+        name: _remedy_error(latency_options, round(share * steps), frames, looks, robot_points(seed))
+        for name, (share, latency_options) in REMEDIES.items()
+    }
+
+
+def _remedy_error(
+    latency_options: LatencyOptions, steps: int, frames: list[Frame], looks: list[Seen | None], points: Array
+) -> Misses:
+    registrar = Registrar(
+        _Remembering(looks),
+        PainterArtist(),
+        DrawnRobot(mujoco.MjSpec().compile()),
+        STANDARD_CAMERA,
+        latency_options,
+    )
+    offsets = []
+    for k in range(len(frames)):
+        if k < steps:
+            continue
+        seen = registrar.track(frames[k - steps])
+        # the first half second is for the filter to find the speed
+        pose, motion = registrar.place(seen, frames[k])
+        if pose is None or frames[k].time < 0.5:
+            continue
+        true = STANDARD_CAMERA.project(hand_motion(frames[k].time).apply(points))
+        drawn = STANDARD_CAMERA.project(pose.apply(points))
+        if motion is not None:
+            drawn = drawn @ motion[:, :2].T + motion[:, 2]
+        offsets.append((drawn - true)[_in_view(true)])
+    return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
+
+
+class _Remembering(BoardWatcher):
+    """Has seen all pictures before."""
+
+    def __init__(self, looks: list[Seen | None]) -> None:
+        self._looks = looks
+
+    def see(self, frame: Frame) -> Seen | None:
+        return self._looks[frame.sequence]
+
+
+# ------------------------------------------------------------------------------------------
+# Optics: a drawing where OpenCV projects it, a calibration and a hand-eye calibration near the truth.
+
+
+# What is wanted of drawn spheres (RMS, worst, px) without and with a lens.
+_WANTED = {"pinhole": (STRAIGHT, 0.05, 0.15), "with distortion": (BENT, 0.08, 0.20)}
+# The boards: squares of 30 mm with markers of 22 mm; 9 × 6 inner corners of squares of 25 mm.
+_PATTERNS: dict[str, Pattern] = {
+    "ChArUco 8×6": CharucoPattern(8, 6, 0.030, 0.022),
+    "chessboard 9×6": ChessboardPattern(9, 6, 0.025),
+}
+_VIEWS, _SETS = 20, 3
+# Hand-eye: how many poses, and the spread of their rotations in degrees.
+_POSES, _SPREAD = 15, 25.0
+
+
+def projection(effort: Effort) -> Iterator[Figure]:
+    """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
+    for name in ("painter", "ray"):
+        yield from _identity(make_artist(name)[0], effort)
+
+
+def gl_projection(effort: Effort) -> Iterator[Figure]:
+    """The same by MuJoCo's renderer.
+
+    Raises:
+        NotMeasuredError: OpenGL does not work here.
+    """
+    artist, notice = make_artist("gl")
+    if notice:
+        raise NotMeasuredError(notice)
+    yield from _identity(artist, effort)
+
+
+def _identity(artist: Artist, effort: Effort) -> Iterator[Figure]:
+    for kind, (lens, wanted, worst) in _WANTED.items():
+        misses = projection_identity(artist, lens, seed=effort.seed)
+        what = f"{artist.name} against projectPoints, {kind}"
+        yield Figure(f"{what}, RMS", misses.rms, "px", wanted)
+        yield Figure(f"{what}, worst", misses.worst, "px", worst)
+
+
+def overlay(effort: Effort) -> Iterator[Figure]:
+    """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
+    for distance in (0.7, 1.0):
+        misses = overlay_error(distance, effort.count(60), seed=effort.seed)
+        what = f"overlay on a 2×2 board at {distance} m"
+        yield Figure(f"{what}, RMS", misses.rms, "px", 0.3)
+        yield Figure(f"{what}, worst", misses.worst, "px", 1.0)
+
+
+def calibration(effort: Effort) -> Iterator[Figure]:
+    """Intrinsics from 20 pictures of a board; worst of the sets tried."""
+    for name, pattern in _PATTERNS.items():
+        focal, centre, error, counted = [], [], [], []
+        for trial in range(1 if effort.quick else _SETS):
+            # Other seeds, other sets: none is measured twice.
+            seed = _SETS * (effort.seed - 1) + trial + 1
+            views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed)
+            found = [seen for view in views if (seen := pattern.find(view.image)) is not None]
+            result = calibrate(found, STANDARD_CAMERA.size)
+            lens, true = result.intrinsics, STANDARD_CAMERA
+            focal.append(max(abs(lens.fx / true.fx - 1.0), abs(lens.fy / true.fy - 1.0)))
+            centre.append(float(np.hypot(lens.cx - true.cx, lens.cy - true.cy)))
+            error.append(result.rms)
+            counted.append(len(found))
+        yield Figure(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
+        yield Figure(f"{name}: optical centre, off by", max(centre), "px", 2.0)
+        yield Figure(f"{name}: reprojection error, RMS", max(error), "px", 0.2)
+        yield Figure(f"{name}: views in which the board was found", min(counted), "", _VIEWS, at_least=True)
+
+
+def handeye(effort: Effort) -> Iterator[Figure]:
+    """Camera on the hand: true error and stated uncertainty, from 15 poses and a single 50 mm marker."""
+    off, stated = [], []
+    for trial in range(effort.count(40)):
+        truth, samples = handeye_set(_POSES, spread_deg=_SPREAD, seed=1000 * effort.seed + trial)
+        found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
+        off.append(found.pose_parent_camera.distance(truth.pose_parent_camera))
+        stated.append((found.sigma_position, found.sigma_angle))
+    error, sigma = np.array(off), np.array(stated)
+    yield Figure("camera on the hand, position, RMS", 1e3 * rms(error[:, 0]), "mm", 1.5)
+    yield Figure("camera on the hand, orientation, RMS", float(np.degrees(rms(error[:, 1]))), "°", 0.25)
+    for k, what in enumerate(("position", "orientation")):
+        ratio = rms(error[:, k]) / rms(sigma[:, k])
+        yield Figure(f"stated {what} off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)

@@ -1,0 +1,264 @@
+"""How long it takes to see, to draw and to answer.
+
+A time stands there twice.  Processor time of one thread, OpenCV's own threads switched off, is what the work
+takes on a core of its own, whatever else the machine does.  Time by the clock, with OpenCV's threads, is what
+a user waits, and depends on what else runs.  Each is the best of three rounds of a picture, and the median
+over pictures.  Delays are by the clock.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.camera import Effort, Figure
+from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.camera.device import DeviceSource
+from robot_ik.camera.drawing.renderers import DrawnRobot as Robot
+from robot_ik.camera.drawing.renderers import PainterArtist
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
+from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.synthetic.camera import look_at
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.ports import RealClock
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot as Arm
+
+
+Array = NDArray[np.float64]
+
+_MARKER, _SIZE, _DICTIONARY, _DISTANCE = 7, 0.05, "DICT_5X5_50", 0.5
+_PERIOD, _ROUNDS = 1.0 / 30.0, 3
+#: 640×480 and 1280×720, both with 800 px and more of focal length.
+CAMERAS = (
+    STANDARD_CAMERA,
+    CameraIntrinsics(1280, 720, 1000.0, 1000.0, 643.0, 357.0, STANDARD_CAMERA.distortion, name="720p"),
+)
+# By width: ROI, whole frame (ms), whole loop (frames/s).
+_TRACK_WANTED = {640: (1.5, 6.0), 1280: (3.0, 15.0)}
+_LOOP_WANTED = {640: 60.0, 1280: 30.0}
+_DELAY_WANTED_MS = 15.0
+# Joint angles at which the tool is in the middle of its room: a robot that is drawn and asked for goals.
+_ARM, _FIGURE = "puma560", "humanoid"
+
+
+def moving_frames(camera: CameraIntrinsics, count: int, seed: int) -> list[Frame]:
+    """Pictures of one marker that goes round in a circle before the camera, 30 a second."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for k in range(count):
+        angle = 2.0 * np.pi * k / 60.0
+        place = (0.06 * np.cos(angle), 0.06 * np.sin(angle), _DISTANCE)
+        pose = Pose(place, Pose(wxyz=(0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, 0.2, angle]))).wxyz)
+        image = render_marker(camera, pose, rng, size=_SIZE, dictionary=_DICTIONARY, marker_id=_MARKER)
+        frames.append(frame_of(image, k, k * _PERIOD))
+    return frames
+
+
+@dataclass(frozen=True)
+class Took:
+    """Median over pictures of the best of three rounds, ms: of one thread's processor time, by the clock."""
+
+    processor: float
+    clock: float
+
+    def figures(self, what: str, wanted: float | None) -> Iterator[Figure]:
+        """Both; the bound is for the processor's."""
+        yield Figure(what, self.processor, "ms", wanted, timed=True)
+        yield Figure(f"{what}, by the clock", self.clock, "ms", timed=True)
+
+
+def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> Took:
+    """How long ``work`` takes for one of the ``items``."""
+    for item in items:  # compiles and warms up
+        work(item)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        processor = _best(work, items, time.thread_time)
+    finally:
+        cv2.setNumThreads(threads)
+    return Took(processor, _best(work, items, time.perf_counter))
+
+
+def _best(work: Callable[[Any], object], items: Sequence[Any], clock: Callable[[], float]) -> float:
+    best = np.full(len(items), np.inf)
+    for _ in range(_ROUNDS):
+        for k, item in enumerate(items):
+            began = clock()
+            work(item)
+            best[k] = min(best[k], clock() - began)
+    return 1e3 * float(np.median(best))
+
+
+def times(effort: Effort) -> Iterator[Figure]:
+    """Detecting, refining and posing one marker: in the window of the last find, and in the whole frame.
+
+    In the whole frame it is found among all ids of its dictionary, and as goals ask for it: by its own.
+    """
+    for camera in CAMERAS:
+        frames = moving_frames(camera, effort.count(60), effort.seed)
+        size, named = f"{camera.width}×{camera.height}", {_MARKER: _SIZE}
+        in_window, whole = _TRACK_WANTED[camera.width]
+        for kind, sizes, window, wanted in (
+            ("window", named, True, in_window),
+            ("whole frame, any id", _SIZE, False, whole),
+            ("whole frame, its id", named, False, whole),
+        ):
+            tracker = MarkerTracker(camera, _DICTIONARY, sizes, window=window)
+            yield from milliseconds(tracker.observe, frames).figures(f"one marker, {size}, {kind}", wanted)
+
+
+def _view_of(robot: Arm) -> Pose:
+    """A camera that has all of a robot in view."""
+    centre, extent = robot.model.stat.center, float(robot.model.stat.extent)
+    return look_at(centre + 1.6 * extent * np.array([0.7, -0.6, 0.4]), centre)
+
+
+def drawing(effort: Effort) -> Iterator[Figure]:
+    """Painting a robot over a picture of 1280×720, without its shadow, which is told apart."""
+    from robot_ik.robot import load_robot
+
+    camera, artist = CAMERAS[1], PainterArtist()
+    picture = np.full((camera.height, camera.width, 3), 120, np.uint8)
+    rng = np.random.default_rng(effort.seed)
+    for name, wanted in ((_ARM, 3.0), (_FIGURE, 8.0)):
+        robot = load_robot(name)
+        pose = _view_of(robot)
+        spots = [robot.qpos(robot.clip(robot.home + rng.uniform(-0.2, 0.2, robot.nq))) for _ in range(20)]
+        for shadow in (False, True):
+            figure = Robot(robot.model, shadow=shadow)
+
+            def draw(qpos: Any, figure: Robot = figure, pose: Pose = pose) -> None:
+                artist.draw(figure, qpos, camera, pose).over(picture)
+
+            what = f"painter, {name}, 1280×720" + (", with its shadow" if shadow else "")
+            yield from milliseconds(draw, spots).figures(what, None if shadow else wanted)
+
+
+class _Prepared(ClosingSource):
+    """Pictures made before, one after the other; their times go on as a camera's do."""
+
+    live = True
+
+    def __init__(self, frames: Sequence[Frame]) -> None:
+        self._frames, self._next = frames, 0
+
+    def read(self) -> Frame:
+        frame = self._frames[self._next % len(self._frames)]
+        self._next += 1
+        return replace(frame, sequence=self._next, time=self._next * _PERIOD)
+
+
+def _goals(source: ClosingSource, camera: CameraIntrinsics, robot: Arm, **options: Any) -> MarkerGoalSource:
+    """The marker's middle is where the tool is at home, so that the robot can go there."""
+    tool = robot.forward(robot.home)
+    marker = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))
+    tracker = MarkerTracker(camera, _DICTIONARY, {_MARKER: _SIZE}, window=True)
+    flip = Pose(wxyz=(0, 1, 0, 0))
+    world_camera = tool.compose(flip.inverse()).compose(marker.inverse())
+    return MarkerGoalSource(source, tracker, world_camera, _MARKER, flip, robot.tool, **options)
+
+
+def loop(effort: Effort) -> Iterator[Figure]:
+    """A picture in; marker, filter, goal, joint angles, and the robot drawn over the picture."""
+    from robot_ik.goals import PoseGoal
+    from robot_ik.problem import Problem
+    from robot_ik.robot import load_robot
+    from robot_ik.solvers import make_solver
+
+    robot, solver, artist = load_robot(_ARM), make_solver("lm"), PainterArtist()
+    view, figure = _view_of(robot), Robot(robot.model)
+    problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
+    for camera in CAMERAS:
+        frames = moving_frames(camera, effort.count(60), effort.seed)
+        goals = _goals(_Prepared(frames), camera, robot)
+        state = _State(robot.home)
+
+        def step(
+            frame: Frame,
+            goals: MarkerGoalSource = goals,
+            camera: CameraIntrinsics = camera,
+            state: _State = state,
+        ) -> None:
+            state.now += _PERIOD
+            goal = goals.poll(state.now)
+            assert goal is not None, "a marker of the bench was not found"
+            problem.retarget(goal.target)
+            state.q = solver.solve(problem, state.q).q
+            artist.draw(figure, robot.qpos(state.q), camera, view).over(frame.image.copy())
+
+        took = milliseconds(step, frames)
+        what = f"whole loop, {camera.width}×{camera.height}"
+        wanted = _LOOP_WANTED[camera.width]
+        yield Figure(what, 1e3 / took.processor, "frames/s", wanted, at_least=True, timed=True)
+        yield Figure(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
+
+
+@dataclass
+class _State:
+    q: Array
+    now: float = 0.0
+
+
+class _Camera:
+    """What ``cv2.VideoCapture`` is to ``DeviceSource``: pictures that come 30 times a second."""
+
+    def __init__(self, frames: Sequence[Frame]) -> None:
+        self._frames, self._next, self._due = frames, 0, time.monotonic()
+        self._open = threading.Event()
+
+    def set(self, *_: Any) -> bool:
+        """Takes any setting."""
+        return True
+
+    def get(self, *_: Any) -> float:
+        """Knows none."""
+        return 0.0
+
+    def isOpened(self) -> bool:
+        """It is."""
+        return True
+
+    def read(self) -> tuple[bool, Any]:
+        """Waits for the next picture."""
+        self._due += _PERIOD
+        self._open.wait(max(0.0, self._due - time.monotonic()))
+        self._next += 1
+        return True, self._frames[self._next % len(self._frames)].image
+
+    def release(self) -> None:
+        """Nothing to let go of."""
+
+
+def delay(effort: Effort) -> Iterator[Figure]:
+    """A camera of 30 Hz with its thread, a thread that looks, and a loop of 100 Hz that asks for goals."""
+    from robot_ik.robot import load_robot
+
+    robot = load_robot(_ARM)
+    for camera in CAMERAS:
+        frames = moving_frames(camera, 30, effort.seed)
+        with DeviceSource("simulated", opener=lambda frames=frames: _Camera(frames)) as source:  # type: ignore[misc]
+            goals = _goals(source, camera, robot, clock=RealClock())
+            with LatestGoals(goals, RealClock()) as latest:
+                end = time.monotonic() + (1.5 if effort.quick else 5.0)
+                while time.monotonic() < end:
+                    latest.poll(time.monotonic())
+                    time.sleep(0.01)
+        made, used = goals.made.figures(), goals.used.figures()
+        size = f"{camera.width}×{camera.height}"
+        wanted = _DELAY_WANTED_MS
+        yield Figure(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted, timed=True)
+        yield Figure(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms", timed=True)
+        yield Figure(f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms", timed=True)

@@ -1,0 +1,424 @@
+"""The figure's motion judged by MuJoCo alone: true shapes, inverse dynamics, contacts of its own.
+
+It knows the model, the frames, their rate and which contact each foot claims; nothing of how they were
+planned.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.actions import bend, reach
+from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
+from robot_ik.figure.decide import Decider
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points
+from robot_ik.figure.gait import (
+    AIR,
+    FLAT,
+    SHUFFLE,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    solve_walk_once,
+    walk,
+    walk_prints,
+)
+from robot_ik.figure.jump import jump
+
+Array = NDArray[np.float64]
+
+NORM_DEG: Mapping[str, tuple[float, ...]] = {
+    "hip": (35.8, 32.8, 22.5, 11.4, 1.6, -5.3, -0.9, 17.9, 32.0, 36.7, 35.5),
+    "knee": (5.6, 18.6, 16.5, 10.1, 6.2, 11.6, 33.9, 58.2, 49.8, 18.7, 5.4),
+    "ankle": (-2.1, -2.1, 5.2, 8.6, 11.1, 10.4, -13.8, -11.2, 1.1, 1.0, -2.3),
+}
+"""Flexion each 10 % of the cycle from heel strike, free speed: Schwartz, Rozumalski & Trost, J. Biomech.
+41:1639, 2008."""
+
+# Shapes within 3 mm of the floor support; a zero-moment point at less force than this share of the weight
+# means nothing.
+_NEAR, _LEAST_FORCE = 0.003, 0.2
+
+
+@dataclass(frozen=True)
+class MotionMeasure:
+    """What MuJoCo says of some frames; lengths in mm, speeds in rad/s, forces in body weights.
+
+    Attributes:
+        frames: How many.
+        slip: Of the touching point of the sole from a frame to the next.
+        drift: Of a foot that stays flat.
+        penetration: Of the feet's shapes in the floor.
+        inside, close: Share of supported frames with the zero-moment point inside, and within 10 mm.
+        worst: Margin of the zero-moment point, negative outside.
+        force: Least and largest vertical force of the floor.
+        outside_limits, too_fast: Frames with a joint beyond its limits, or beyond a speed limit.
+        self_contact: Frames with a self-contact.
+        touching: Bodies that touch, and in how many frames.
+        jump: Largest change of a joint's speed from frame to frame.
+        speed: Fastest of some joints.
+    """
+
+    frames: int
+    slip: float
+    drift: float
+    penetration: float
+    inside: float
+    close: float
+    worst: float
+    force: tuple[float, float]
+    outside_limits: int
+    too_fast: int
+    self_contact: int
+    touching: Mapping[str, int]
+    jump: float
+    speed: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Soles:
+    """Lowest points of both feet in every frame, in the world."""
+
+    height: tuple[Array, Array]  # (n, g) of each side
+    point: tuple[Array, Array]  # (n, g, 3)
+    body: tuple[NDArray[np.int64], NDArray[np.int64]]  # (g,)
+
+
+def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
+    """Lowest points, and (n, nbody, 3) places and (n, nbody, 3, 3) rotations of all bodies."""
+    model, data = figure.model, figure.data
+    place, turn = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
+    for i, row in enumerate(q):
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        place[i], turn[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
+    heights, points, bodies = [], [], []
+    for name in SIDES:
+        h, p, b = [], [], []
+        for body, geoms in figure.feet[name].parts:
+            low, local = lowest_points(model, list(geoms), turn[:, body, 2, :])
+            h.append(low + place[:, body, 2:3])
+            p.append(np.einsum("nij,ngj->ngi", turn[:, body], local) + place[:, None, body])
+            b += [body] * len(geoms)
+        heights.append(np.concatenate(h, axis=1))
+        points.append(np.concatenate(p, axis=1))
+        bodies.append(np.array(b))
+    return _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1])), place, turn
+
+
+def measure_motion(
+    figure: Figure, q: Array, contact: NDArray[np.int64], dt: float = 1.0 / RATE, speeds: str = "daily"
+) -> MotionMeasure:
+    """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
+    soles, place, turn = _soles(figure, q)
+    zmp, force = zero_moment_points(figure, q, dt)
+    weight = force / (figure.mass * GRAVITY)
+    _, _, forward = derivatives(figure, q, dt)
+    margins: list[float] = []
+    for i in range(1, len(q) - 1):
+        near = [
+            points[i][heights[i] < _NEAR, :2]
+            for side, (heights, points) in enumerate(zip(soles.height, soles.point, strict=True))
+            if contact[i, side] != AIR
+        ]
+        under = np.concatenate(near) if near else np.zeros((0, 2))
+        if len(under) and weight[i] > _LEAST_FORCE:
+            margins.append(hull_margin(under, zmp[i]))
+    slip, drift = _slips(soles, place, turn, contact)
+    low = min(float(h.min()) for h in soles.height)
+    hinges = q[:, 7:]
+    lower, upper = figure.robot.lower[6:], figure.robot.upper[6:]
+    limit = figure.speeds[speeds]
+    touching, touched = _contacts(figure, q)
+    shown = ("hip", "knee", "ankle", "shoulder", "elbow", "head")
+    peak = {
+        part: max(
+            float(np.abs(forward[:, figure.place(j)[1]]).max()) for j in figure.robot.joints if part in j
+        )
+        for part in shown
+        if any(part in j for j in figure.robot.joints)
+    }
+    change = np.abs(np.diff(forward[:-1, 6:], axis=0))
+    m = np.array(margins) if margins else np.array([np.inf])
+    return MotionMeasure(
+        frames=len(q), slip=1e3 * slip, drift=1e3 * drift, penetration=1e3 * max(0.0, -low),
+        inside=float((m >= 0).mean()), close=float((m >= -0.01).mean()), worst=1e3 * float(m.min()),
+        force=(float(weight[1:-1].min()), float(weight[1:-1].max())),
+        outside_limits=int(((hinges < lower - 1e-6) | (hinges > upper + 1e-6)).any(axis=1).sum()),
+        too_fast=int((np.abs(forward) > limit * (1 + 1e-6)).any(axis=1).sum()),
+        self_contact=touched, touching=touching, jump=float(change.max()) if change.size else 0.0, speed=peak,
+    )  # fmt: skip
+
+
+def _slips(soles: _Soles, place: Array, turn: Array, contact: NDArray[np.int64]) -> tuple[float, float]:
+    """Largest way of a material point that touches from frame to frame, and of a flat foot."""
+    slip = drift = 0.0
+    for side in (0, 1):
+        since = None
+        for i in range(len(place) - 1):
+            if contact[i, side] == AIR or contact[i + 1, side] == AIR:
+                since = None
+                continue
+            g = int(soles.height[side][i].argmin())
+            body, point = int(soles.body[side][g]), soles.point[side][i, g]
+            local = turn[i, body].T @ (point - place[i, body])
+            after = place[i + 1, body] + turn[i + 1, body] @ local
+            slip = max(slip, float(np.linalg.norm((after - point)[:2])))
+            foot = int(soles.body[side][0])
+            if contact[i, side] != FLAT:
+                since = None
+            elif since is None:
+                since = place[i, foot, :2]
+            else:
+                drift = max(drift, float(np.linalg.norm(place[i, foot, :2] - since)))
+    return slip, drift
+
+
+def _contacts(figure: Figure, q: Array) -> tuple[dict[str, int], int]:
+    model, data = figure.model, mujoco.MjData(figure.model)
+    found: dict[str, int] = {}
+    frames = 0
+    for row in q:
+        data.qpos[:] = row
+        mujoco.mj_forward(model, data)
+        pairs = {
+            " and ".join(sorted(model.body(model.geom_bodyid[g]).name for g in data.contact[c].geom))
+            for c in range(data.ncon)
+            if data.contact[c].dist < 0
+        }
+        frames += bool(pairs)
+        for pair in pairs:
+            found[pair] = found.get(pair, 0) + 1
+    return found, frames
+
+
+@dataclass(frozen=True)
+class GaitMeasure:
+    """A walk beside the norms.
+
+    Attributes:
+        curves_deg: (11,) flexion each 10 % of the cycle, mean of the middle strides, by joint.
+        correlation, rms_deg: With ``NORM_DEG``.
+        step, cadence, speed, stance: m, 1/min, m/s, share of the cycle.
+        vertical, lateral: Range of the pelvis, mm.
+        clearance: Least height of the sole in mid swing, mm.
+    """
+
+    curves_deg: Mapping[str, Array]
+    correlation: Mapping[str, float]
+    rms_deg: Mapping[str, float]
+    step: float
+    cadence: float
+    speed: float
+    stance: float
+    vertical: float
+    lateral: float
+    clearance: float
+
+
+def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeasure:
+    """Joint curves over the middle strides and the numbers of the steps.
+
+    A straight walk along x of 4 m or more.
+    """
+    q, strikes = walk.frames.q, walk.strikes
+    times = np.arange(1, len(q) + 1, dtype=np.float64) * dt
+    strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
+    stance: list[float] = []
+    for side, name in enumerate(SIDES):
+        falls = walk.falls[side]
+        for (_, strike, off), (_, after, ends) in itertools.pairwise(falls):
+            if strike < strikes[1] or not np.isfinite(ends):
+                continue
+            at = strike + np.linspace(0, 1, 11) * (after - strike)
+            stance.append((off - strike) / (after - strike))
+            for joint, rows in strides.items():
+                rows.append(np.interp(at, times, np.degrees(q[:, figure.place(f"{name}_{joint}_pitch")[0]])))
+    curves = {joint: np.mean(rows, axis=0) for joint, rows in strides.items()}
+    norm = {joint: np.array(values) for joint, values in NORM_DEG.items()}
+    middle = (times >= strikes[2]) & (times <= strikes[min(4, len(strikes) - 2)])
+    pelvis = np.array([figure.pose(row, figure.pelvis)[0] for row in q[middle]])
+    center = np.array([figure.center(row) for row in q[middle]])
+    prints = np.array([(p.x, p.y) for p in walk.prints])
+    return GaitMeasure(
+        curves_deg=curves,
+        correlation={j: float(np.corrcoef(c, norm[j])[0, 1]) for j, c in curves.items()},
+        rms_deg={j: float(np.sqrt(np.mean((c - norm[j]) ** 2))) for j, c in curves.items()},
+        step=float(np.linalg.norm(np.diff(prints[3:-2], axis=0), axis=1).mean()),
+        cadence=60.0 / float(np.diff(strikes).mean()),
+        speed=float(np.linalg.norm((center[-1] - center[0])[:2]) / (times[middle][-1] - times[middle][0])),
+        stance=float(np.mean(stance)),
+        vertical=1e3 * float(np.ptp(pelvis[:, 2])),
+        lateral=1e3 * float(np.ptp(pelvis[:, 1])),
+        clearance=1e3 * _clearance(figure, walk, times),
+    )
+
+
+def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
+    """Least height of a swinging sole between 30 and 80 % of the swings of whole steps, m."""
+    low = np.inf
+    for side, falls in enumerate(walk.falls):
+        for (_, _, off), (_, strike, ends) in itertools.pairwise(falls):
+            if not np.isfinite(ends):
+                continue
+            share = (times - off) / (strike - off)
+            swing = np.flatnonzero((share > 0.3) & (share < 0.8))
+            soles, _, _ = _soles(figure, walk.frames.q[swing])
+            low = min(low, float(soles.height[side].min()))
+    return low
+
+
+def describe(measure: MotionMeasure) -> Sequence[str]:
+    """Lines of text."""
+    m = measure
+    fastest = ", ".join(f"{part} {speed:.1f}" for part, speed in m.speed.items())
+    return (
+        f"slip {m.slip:.3f} mm a frame, drift {m.drift:.4f} mm, penetration {m.penetration:.3f} mm",
+        f"zero-moment point inside {100 * m.inside:.1f} %, within 10 mm {100 * m.close:.1f} %, "
+        f"worst {m.worst:.0f} mm",
+        f"force {m.force[0]:.2f} to {m.force[1]:.2f} body weights; beyond limits {m.outside_limits} frames, "
+        f"too fast {m.too_fast}; self-contact in {m.self_contact} of {m.frames}",
+        f"rad/s: {fastest}; a joint's speed changes by {m.jump:.2f} rad/s a frame at most",
+    )
+
+
+@dataclass(frozen=True)
+class FigureRow:
+    """One figure beside its target.
+
+    Attributes:
+        motion, what: Of what, and what of it.
+        value, unit: As measured.
+        least, most: The target; infinite on an open side.
+    """
+
+    motion: str
+    what: str
+    value: float
+    unit: str = ""
+    least: float = -np.inf
+    most: float = np.inf
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within its target."""
+        return self.least <= self.value <= self.most
+
+
+def _motion_rows(name: str, m: MotionMeasure, inside: float, close: float, worst: float) -> list[FigureRow]:
+    return [
+        FigureRow(name, "slip of the touching point per frame", m.slip, "mm", most=0.1),
+        FigureRow(name, "drift of a flat foot", m.drift, "mm", most=0.1),
+        FigureRow(name, "penetration of shapes", m.penetration, "mm", most=0.5),
+        FigureRow(name, "zero-moment point inside", 100 * m.inside, "%", least=inside),
+        FigureRow(name, "zero-moment point within 10 mm", 100 * m.close, "%", least=close),
+        FigureRow(name, "zero-moment point, worst", m.worst, "mm", least=worst),
+        FigureRow(name, "frames beyond joint limits", m.outside_limits, most=0),
+        FigureRow(name, "frames beyond speed limits", m.too_fast, most=0),
+        FigureRow(
+            name, "frames with self-contact", m.self_contact, most=0.01 * m.frames if name == "bend" else 0
+        ),
+    ]
+
+
+def measure_walks(figure: Figure) -> Iterator[FigureRow]:
+    """Straight on, along a curve, to the side, and on the spot."""
+    start = prints_of(figure, figure.home)
+    straight = walk(figure, figure.home, walk_prints(figure, start, np.array([5.0, 0.0, 0.0])))
+    m = measure_motion(figure, straight.frames.q, straight.contact)
+    yield from _motion_rows("walk", m, 95, 98, -60)
+    yield FigureRow("walk", "least vertical force", m.force[0], "body weights", least=0.7)
+    yield FigureRow("walk", "largest vertical force", m.force[1], "body weights", most=1.3)
+    yield FigureRow("walk", "fastest knee", m.speed["knee"], "rad/s", most=7.0)
+    g = measure_gait(figure, straight)
+    for joint, least, most in (("hip", 0.97, 6.0), ("knee", 0.96, 8.0), ("ankle", 0.94, 7.0)):
+        yield FigureRow("walk", f"{joint}: correlation with the norm", g.correlation[joint], least=least)
+        yield FigureRow("walk", f"{joint}: RMS from the norm", g.rms_deg[joint], "deg", most=most)
+    yield FigureRow("walk", "speed", g.speed, "m/s", 1.1, 1.25)
+    yield FigureRow("walk", "step", g.step, "m", 0.62, 0.72)
+    yield FigureRow("walk", "cadence", g.cadence, "1/min", 100, 113)
+    yield FigureRow("walk", "stance", 100 * g.stance, "%", 58, 65)
+    yield FigureRow("walk", "pelvis up and down", g.vertical, "mm", 25, 50)
+    yield FigureRow("walk", "pelvis to the sides", g.lateral, "mm", 30, 65)
+    yield FigureRow("walk", "least height of the sole in mid swing", g.clearance, "mm", 10, 25)
+    curve = walk(figure, figure.home, walk_prints(figure, start, np.array([3.0, 2.0, np.pi / 3])))
+    small = {"side steps": (0.0, 0.6, 0.0), "turn on the spot": (0.0, 0.0, np.pi)}
+    walks = {"curve": curve} | {
+        name: walk(figure, figure.home, shuffle_prints(figure, start, np.array(goal)), SHUFFLE)
+        for name, goal in small.items()
+    }
+    for name, found in walks.items():
+        yield from _motion_rows(name, measure_motion(figure, found.frames.q, found.contact), 95, 98, -60)
+
+
+def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[FigureRow]:
+    """Seeded balls that are reached, bent or jumped for; the worst of each."""
+    figure, decider, rng = abilities.figure, Decider(abilities), np.random.default_rng(seed)
+    found: dict[str, list[tuple[MotionMeasure, float]]] = {"reach": [], "bend": [], "jump": []}
+    for _ in range(60 * count):
+        if all(len(rows) >= count for rows in found.values()):
+            break
+        ball = rng.uniform([0.15, -0.5, 0.1], [0.6, 0.5, 2.5])
+        told = decider.decide(ball)
+        if told.action not in found or told.arm is None or len(found[told.action]) >= count:
+            continue
+        if told.action == "jump":
+            motion = jump(figure, figure.home, ball, told.arm, told.speed or 0.0)
+        else:
+            motion = (reach if told.action == "reach" else bend)(figure, figure.home, ball, told.arm)
+        hand = figure.hands[told.arm]
+        miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
+        speeds = "jump" if told.action == "jump" else "daily"
+        measure = measure_motion(figure, motion.q, motion.contact, speeds=speeds)
+        found[told.action].append((measure, min(miss) if told.action == "jump" else miss[-1]))
+    for name, rows in found.items():
+        ms = [m for m, _ in rows]
+        yield FigureRow(name, "balls", len(ms), least=count)
+        yield FigureRow(
+            name, "hand from the ball, worst", 1e3 * max(miss for _, miss in rows), "mm", most=5.0
+        )
+        least = 90.0 if name == "jump" else 100.0
+        inside = 100 * float(np.mean([m.inside for m in ms]))
+        yield FigureRow(name, "zero-moment point inside", inside, "%", least=least)
+        yield FigureRow(name, "slip of the touching point per frame", max(m.slip for m in ms), "mm", most=0.1)
+        yield FigureRow(name, "penetration of shapes", max(m.penetration for m in ms), "mm", most=0.5)
+        beyond = sum(m.outside_limits + m.too_fast for m in ms)
+        yield FigureRow(name, "frames beyond joint or speed limits", beyond, most=0)
+        share = 100 * sum(m.self_contact for m in ms) / sum(m.frames for m in ms)
+        yield FigureRow(name, "frames with self-contact", share, "%", most=1.0 if name == "bend" else 0.0)
+
+
+def measure_times(abilities: Abilities) -> Iterator[FigureRow]:
+    """Processor time of a frame of the walk's rows, and of a decision."""
+    figure = abilities.figure
+    prints = walk_prints(figure, prints_of(figure, figure.home), np.array([4.0, 0.0, 0.0]))
+    walk(figure, figure.home, prints)
+    began = time.thread_time()
+    frames = solve_walk_once(figure, prints)
+    yield FigureRow(
+        "time", "a frame of a walk, with posture", 1e6 * (time.thread_time() - began) / frames, "us", most=200
+    )
+    decider, rng = Decider(abilities), np.random.default_rng(0)
+    near = rng.uniform([0.3, -0.4, 0.9], [0.5, 0.4, 1.5], (40, 3))
+    decider.decide(near[0])
+    began = time.thread_time()
+    for ball in near:
+        decider.decide(ball)
+    yield FigureRow(
+        "time", "a decision with its solve", 1e3 * (time.thread_time() - began) / len(near), "ms", most=3.0
+    )
+
+
+def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iterator[FigureRow]:
+    """All rows, one after the other."""
+    yield from measure_walks(abilities.figure)
+    yield from measure_hands(abilities, count, seed)
+    yield from measure_times(abilities)

@@ -1,0 +1,1 @@
+"""Solvers x robots: accuracy, time, growth."""

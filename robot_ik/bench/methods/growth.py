@@ -1,0 +1,178 @@
+"""Cost of the kinematics alone, and how the cost of a step grows with joints and with goals."""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.methods.problems import make_set
+from robot_ik.bench.methods.results import Batch, Floor, Growth
+from robot_ik.errors import GoalError, UnsupportedJointError
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.inverse_kinematics import solve_batch, usable_cores
+from robot_ik.kernels import jit
+from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
+from robot_ik.kernels.tree import open_tree
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot, robot_from_model
+from robot_ik.solvers.base import Solver
+
+Array = NDArray[np.float64]
+
+#: Joints of the chains, and goals on the figure, for which a step is timed.
+JOINTS = (6, 12, 25, 50, 100, 200)
+#: Frames of the figure that get a position goal, in this order.
+FIGURE = "humanoid"
+FIGURE_FRAMES = (
+    "left_hand", "right_hand", "left_foot", "right_foot", "head", "pelvis", "left_toe", "right_toe",
+)  # fmt: skip
+
+_LOOP, _ROUNDS = 2000, 15  # calls in a compiled loop, and loops of which the best counts
+_PROBLEMS, _STEPS = 20, 40  # of a measurement of growth …
+_SECONDS = 0.1  # … and longest time of one solve
+_CHAIN_LENGTH, _CHAIN_LIMIT = 2.0, 2.6  # metres in all; rad either way
+
+
+@kernel
+def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
+    """Forward kinematics of one frame for each row of ``qs`` (n, nq)."""
+    tree = open_tree(tree)
+    for row in range(qs.shape[0]):
+        for i in range(q.shape[0]):
+            q[i] = qs[row, i]
+        forward(tree, nodes, q, world, scratch)
+        frame_pose(world, node, local, 0, out)
+
+
+@kernel
+def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian):
+    """Forward kinematics and Jacobian of one frame for each row of ``qs`` (n, nq)."""
+    tree = open_tree(tree)
+    for row in range(qs.shape[0]):
+        for i in range(q.shape[0]):
+            q[i] = qs[row, i]
+        frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian)
+
+
+def floor(robot: Robot, seed: int = 0) -> Floor:
+    """µs per forward pass, and per forward pass with Jacobian, of the tool; the best of some loops."""
+    jit.announce(loop_jacobian, "the loops of the benchmark")
+    rng = np.random.default_rng(seed)
+    qs = np.array([robot.sample(rng) for _ in range(_LOOP)])
+    node, local = robot.attachment()
+    nodes = np.array(robot.tree.ancestors(node), dtype=np.int64)
+    world, scratch, out = np.empty((robot.tree.size, 12)), np.empty((2, 12)), np.empty((1, 12))
+    common = (robot.tree.handle, nodes, node, local[None, :], qs, np.empty(robot.nq), world, scratch, out)
+    jacobian = np.empty((6, robot.nv))
+    forward_us = _best(lambda: loop_forward(*common)) / _LOOP
+    jacobian_us = _best(lambda: loop_jacobian(*common, jacobian)) / _LOOP
+    return Floor(
+        robot=robot.name,
+        joints=len(nodes),
+        forward_us=round(forward_us, 4),
+        jacobian_us=round(jacobian_us, 4),
+    )
+
+
+def _best(call: Callable[[], None]) -> float:
+    """Microseconds of the fastest of some calls; the first, which compiles, does not count."""
+    call()
+    times = []
+    for _ in range(_ROUNDS):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return 1e6 * min(times)
+
+
+def hinge_chain(n: int) -> Robot:
+    """A chain of ``n`` hinges about x, y and z in turn, two metres in all, each ±149°."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    body, length = spec.worldbody, _CHAIN_LENGTH / n
+    for i in range(n):
+        body = body.add_body(name=f"link{i + 1}", pos=[0.0, 0.0, length if i else 0.0])
+        axis = [float(i % 3 == k) for k in range(3)]
+        body.add_joint(
+            name=f"joint{i + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis,
+            range=[-_CHAIN_LIMIT, _CHAIN_LIMIT], limited=True,
+        )  # fmt: skip
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0])
+    body.add_site(name="tip", pos=[0.0, 0.0, length])
+    return robot_from_model(spec.compile(), name=f"hinges{n}", tool="tip")
+
+
+def growth_with_joints(solver: Solver, seed: int = 0) -> Iterator[Growth]:
+    """A step towards a pose at the end of chains of more and more hinges."""
+    for n in JOINTS:
+        robot = hinge_chain(n)
+        goal: Goal = PoseGoal("tip", (0.0, 0.0, 0.0))
+        goal = goal if solver.supports(goal) else PositionGoal("tip", (0.0, 0.0, 0.0))
+        yield from _growth(solver, robot, [goal], "joints", n, seed)
+
+
+def growth_with_goals(solver: Solver, robot: Robot, seed: int = 0) -> Iterator[Growth]:
+    """A step towards one to eight positions of the figure's hands, feet, head, … at once."""
+    for n in range(1, len(FIGURE_FRAMES) + 1):
+        goals: list[Goal] = [PositionGoal(frame, (0.0, 0.0, 0.0)) for frame in FIGURE_FRAMES[:n]]
+        yield from _growth(solver, robot, goals, "goals", n, seed)
+
+
+def _growth(
+    solver: Solver,
+    robot: Robot,
+    goals: list[Goal],
+    across: Literal["joints", "goals"],
+    size: int,
+    seed: int,
+) -> Iterator[Growth]:
+    """Nothing where the method does not serve these goals on this robot."""
+    rng = np.random.default_rng([seed, size])
+    # Nothing is ever this near, so every solve takes all its steps.
+    never = Tolerance(1e-300, 1e-300)
+    try:
+        endless = Problem(robot, goals, tolerance=never, budget=Budget(iterations=_STEPS), seed=seed)
+        normal = Problem(robot, goals, seed=seed, budget=Budget(seconds=_SECONDS))
+        solver.solve(normal)
+        solver.solve(endless)
+    except (GoalError, UnsupportedJointError):
+        return
+    steps, calls, good = [], [], 0
+    for _ in range(_PROBLEMS):
+        q = robot.sample(rng)
+        # Half way from home, so that a figure's limbs meet their goals with the base where it stands.
+        q = robot.clip(robot.home + 0.5 * (q - robot.home)) if across == "goals" else q
+        for problem in (endless, normal):
+            for index, goal in enumerate(goals):
+                problem.retarget(robot.forward(q, goal.frame), index)
+        solution = solver.solve(endless)
+        if not solution.iterations:
+            return  # a closed form takes no steps
+        steps.append(solution.seconds / solution.iterations)
+        began = time.perf_counter()
+        good += solver.solve(normal).converged
+        calls.append(time.perf_counter() - began)
+    yield Growth(
+        solver=solver.name, across=across, size=size, step_us=round(1e6 * float(np.median(steps)), 3),
+        call_us=round(1e6 * float(np.median(calls)), 1), converged=good / _PROBLEMS,
+    )  # fmt: skip
+
+
+def batches(robot: Robot, solver: Solver, poses: int, seed: int = 0) -> Iterator[Batch]:
+    """Cold poses by one call of ``solve_batch``: on one core, then on all; the fastest of three calls."""
+    targets = make_set("cold", robot, poses, seed).targets
+    solve_batch(robot, targets[:1000], solver=solver)
+    for threads in sorted({1, usable_cores()}):
+        calls = [solve_batch(robot, targets, solver=solver, threads=threads) for _ in range(3)]
+        found = min(calls, key=lambda call: call.seconds)
+        yield Batch(
+            solver=solver.name, robot=robot.name, poses=poses, threads=threads,
+            per_second=round(poses / found.seconds), success=float(found.converged.mean()),
+        )  # fmt: skip

@@ -1,0 +1,393 @@
+"""Seeded problem sets: poses of a robot's frame, each made from joint angles that meet it.
+
+The same robot, count and seed give the same numbers.  ``cold`` and ``warm`` are made as the well-known
+comparisons of libraries make them: uniform joint samples from home, and a smooth path in small steps.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import UnsupportedJointError
+from robot_ik.geometry import Pose
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.robot import Robot
+
+# ------------------------------------------------------------------------------------------
+# A robot written out in the plainest MJCF: one hinge a body, turning about the body's own origin.
+#
+# Other libraries' readers and converters ask for that form; a body of ours may carry several hinges with
+# anchors of their own.  The kinematics are the same, which a test holds to MuJoCo.
+
+
+_HINGE, _FREE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def plain_mjcf(robot: Robot, sites: Mapping[str, str]) -> str:
+    """MJCF text of a robot of hinges, on a free base or none, without geometry.
+
+    Args:
+        robot: Whose model; all of its joints stay active, in their order, so ``qpos`` means the same.
+        sites: New name -> frame of the robot; only these are written.
+
+    Raises:
+        UnsupportedJointError: A joint that is neither a hinge nor the base's free joint.
+    """
+    return _Writer(robot, sites).text()
+
+
+class _Writer:
+    def __init__(self, robot: Robot, sites: Mapping[str, str]) -> None:
+        self.robot, self.sites, self.model = robot, sites, robot.model
+        self.root = ElementTree.Element("mujoco", model=robot.name)
+        ElementTree.SubElement(self.root, "compiler", angle="radian", autolimits="true")
+        world = ElementTree.SubElement(self.root, "worldbody")
+        # For each body of the model: the written body that carries it, and where it sits on that one.
+        self.carriers: list[tuple[ElementTree.Element, Pose]] = [(world, Pose())]
+
+    def text(self) -> str:
+        for body in range(1, self.model.nbody):
+            self.carriers.append(self.body(body))
+        for name, frame in self.sites.items():
+            at = self.robot.frame(frame)
+            carrier, local = self.carriers[at.body]
+            ElementTree.SubElement(carrier, "site", {"name": name} | _place(local.compose(at.local)))
+        keys = ElementTree.SubElement(self.root, "keyframe")
+        ElementTree.SubElement(keys, "key", name="home", qpos=_numbers(self.robot.qpos(self.robot.home)))
+        ElementTree.indent(self.root)
+        return ElementTree.tostring(self.root, encoding="unicode") + "\n"
+
+    def body(self, body: int) -> tuple[ElementTree.Element, Pose]:
+        model = self.model
+        carrier, at = self.carriers[int(model.body_parentid[body])]
+        at = at.compose(Pose(model.body_pos[body], model.body_quat[body]))
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            name, kind = model.joint(joint).name, int(model.jnt_type[joint])
+            if kind not in (_HINGE, _FREE) or (kind == _HINGE and model.qpos0[model.jnt_qposadr[joint]]):
+                raise UnsupportedJointError(
+                    f"joint {name!r} of {self.robot.name} is no hinge with its zero at its reference",
+                    path=self.robot.path,
+                )
+            anchor = Pose(model.jnt_pos[joint] if kind == _HINGE else np.zeros(3))
+            carrier = ElementTree.SubElement(
+                carrier, "body", {"name": f"at_{name}"} | _place(at.compose(anchor))
+            )
+            ElementTree.SubElement(carrier, "inertial", pos="0 0 0", mass="1", diaginertia="0.01 0.01 0.01")
+            if kind == _FREE:
+                ElementTree.SubElement(carrier, "freejoint", name=name)
+            else:
+                about = {"name": name, "type": "hinge", "axis": _numbers(model.jnt_axis[joint])}
+                if model.jnt_limited[joint]:
+                    about["range"] = _numbers(model.jnt_range[joint])
+                ElementTree.SubElement(carrier, "joint", about)
+            at = anchor.inverse()
+        return carrier, at
+
+
+def _place(pose: Pose) -> dict[str, str]:
+    place = {"pos": _numbers(pose.position)}
+    if not np.array_equal(np.abs(pose.wxyz), (1.0, 0.0, 0.0, 0.0)):
+        place["quat"] = _numbers(pose.wxyz)
+    return place
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+# ------------------------------------------------------------------------------------------
+# Who says whether a solve succeeded: MuJoCo's forward pass and the model's own joint ranges.
+
+
+#: Beyond a limit or a tolerance by so little is rounding, not a miss (rad, m, or share of the tolerance).
+SLACK = 1e-9
+
+
+class Judge:
+    """Measures answers for one frame of a robot; nothing of the solvers' own code is asked."""
+
+    def __init__(self, robot: Robot, frame: str | None = None) -> None:
+        self._robot, self._at = robot, robot.frame(frame)
+        self._data = mujoco.MjData(robot.model)
+        self._local = self._at.local.matrix
+
+    def pose(self, q: Array) -> Array:
+        """(4, 4) pose of the frame in the world at ``q`` (nq,)."""
+        self._data.qpos[:] = self._robot.qpos(q)
+        mujoco.mj_kinematics(self._robot.model, self._data)
+        body = np.eye(4)
+        body[:3, :3] = self._data.xmat[self._at.body].reshape(3, 3)
+        body[:3, 3] = self._data.xpos[self._at.body]
+        return np.asarray(body @ self._local)
+
+    def jacobian(self, q: Array) -> Array:
+        """(6, nv) of the whole model: linear over angular velocity of the frame, by ``mj_jac``."""
+        model, pose = self._robot.model, self.pose(q)
+        mujoco.mj_comPos(model, self._data)
+        found = np.zeros((6, model.nv))
+        mujoco.mj_jac(model, self._data, found[:3], found[3:], pose[:3, 3], self._at.body)
+        return found
+
+    def miss(self, q: Array, target: Array) -> tuple[float, float]:
+        """Metres and radians between the frame at ``q`` (nq,) and a target (4, 4)."""
+        here = self.pose(q)
+        # The chord between the rotations: exact near zero, where an arc cosine is not.
+        chord = float(np.linalg.norm(here[:3, :3] - target[:3, :3])) / (2.0 * math.sqrt(2.0))
+        return float(np.linalg.norm(here[:3, 3] - target[:3, 3])), 2.0 * math.asin(min(1.0, chord))
+
+    def inside(self, q: Array) -> bool:
+        """Whether every active joint is inside the range that the model gives it."""
+        model, qpos = self._robot.model, self._robot.qpos(q)
+        for joint in self._robot.tree.joint_ids:
+            if not model.jnt_limited[joint]:
+                continue
+            low, high = model.jnt_range[joint]
+            start = int(model.jnt_qposadr[joint])
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
+                turn = 2.0 * math.atan2(float(np.linalg.norm(qpos[start + 1 : start + 4])), abs(qpos[start]))
+                outside = turn > high + SLACK
+            else:
+                outside = not low - SLACK <= qpos[start] <= high + SLACK
+            if outside:
+                return False
+        return True
+
+
+Array = NDArray[np.float64]
+
+#: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
+WARM_METRES, WARM_RADIANS = 0.005, math.radians(0.5)
+#: A joint of the set ``limits`` is within this share of its range from an end of it.
+NEAR_LIMIT = 0.01
+#: A Jacobian counts as singular when its smallest singular value is below this share of the largest.
+SINGULAR = 1e-9
+#: How far outside the ball that holds all reachable points the targets of ``unreachable`` lie, in radii.
+BEYOND = (1.05, 3.0)
+
+_AMPLITUDE = {HINGE: 0.5, SLIDE: 0.5, BALL: 0.3, FREE: 0.1}  # of a warm path: rad or m
+_NEWTON_STEPS = 40
+_TRIES = 20  # samples that may fail for each one kept …
+_GIVE_UP = 6  # … and in a row at the beginning: such a robot is hardly ever singular
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemSet:
+    """Targets for one frame, with the joint angles they were made from.
+
+    Attributes:
+        name: Its key in ``SETS``.
+        frame: What shall get there.
+        targets: (n, 4, 4) poses in the world.
+        witnesses: (n, nq) joint angles inside the limits that meet them; (0, nq) if nothing can.
+        first: (nq,) where the first solve starts.
+        tracking: Whether each solve starts at the answer before it; otherwise all start at ``first``.
+        reason: Why there are no problems, if there are none.
+    """
+
+    name: str
+    frame: str
+    targets: Array
+    witnesses: Array
+    first: Array
+    tracking: bool = False
+    reason: str = ""
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+
+def make_set(name: str, robot: Robot, count: int, seed: int = 0, frame: str | None = None) -> ProblemSet:
+    """``count`` problems of one kind.
+
+    Args:
+        name: A key of ``SETS``.
+        robot: From ``load_robot``.
+        count: How many.
+        seed: The same seed gives the same numbers.
+        frame: Default: the tool.
+
+    Returns:
+        The set; empty, with a reason, where the robot cannot have such problems.
+    """
+    # A stream of its own for each kind: asking for one set more changes no other.
+    rng = np.random.default_rng([seed, *name.encode()])
+    return SETS[name](robot, count, rng, robot.tool if frame is None else frame)
+
+
+def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reason: str = "") -> ProblemSet:
+    judge = Judge(robot, frame)
+    targets = np.array([judge.pose(q) for q in witnesses]).reshape(-1, 4, 4)
+    return ProblemSet(
+        name,
+        frame,
+        targets,
+        np.array(witnesses).reshape(-1, robot.nq),
+        robot.home,
+        reason="" if witnesses else reason,
+    )
+
+
+def cold(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses of uniform joint samples; every solve starts at home."""
+    return _reachable("cold", robot, frame, [robot.sample(rng) for _ in range(count)])
+
+
+def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """As ``cold``, but half of the limited joints, or one, stand within 1 % of their range from its end."""
+    tree = robot.tree
+    limited = [k for k in range(tree.size) if tree.kind[k] != FREE and np.isfinite(robot.upper[tree.vadr[k]])]
+    if not limited:
+        return _reachable("limits", robot, frame, [], "no joint has limits")
+    found = []
+    for _ in range(count):
+        q = robot.sample(rng)
+        chosen = [k for k in limited if rng.random() < 0.5] or [limited[int(rng.integers(len(limited)))]]
+        for k in chosen:
+            a, v, share = int(tree.qadr[k]), int(tree.vadr[k]), NEAR_LIMIT * rng.random()
+            low, high = float(robot.lower[v]), float(robot.upper[v])
+            if tree.kind[k] == BALL:
+                half = 0.5 * high * (1.0 - share)
+                axis = q[a + 1 : a + 4] / np.linalg.norm(q[a + 1 : a + 4])
+                q[a], q[a + 1 : a + 4] = math.cos(half), math.sin(half) * axis
+            else:
+                inward = share * (high - low)
+                q[a] = low + inward if rng.random() < 0.5 else high - inward
+        found.append(q)
+    return _reachable("limits", robot, frame, found)
+
+
+def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses outside the ball that the frame cannot leave: nothing can reach them."""
+    ball = robot.reach(frame)
+    judge = Judge(robot, frame)
+    targets = []
+    for _ in range(count if ball is not None else 0):
+        assert ball is not None
+        centre, radius = ball
+        pose = judge.pose(robot.sample(rng))
+        way = pose[:3, 3] - centre
+        pose[:3, 3] = centre + way / np.linalg.norm(way) * radius * rng.uniform(*BEYOND)
+        targets.append(pose)
+    reason = "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
+    empty = np.empty((0, robot.nq))
+    return ProblemSet(
+        "unreachable", frame, np.array(targets).reshape(-1, 4, 4), empty, robot.home, reason=reason
+    )
+
+
+# ------------------------------------------------------------------------------------- singular
+
+
+def singular(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses whose joint angles make the Jacobian of the frame lose a rank; every solve starts at home."""
+    chain = robot.tree.ancestors(robot.attachment(frame)[0])
+    if robot.tree.kind[chain[0]] == FREE:
+        return _reachable("singular", robot, frame, [], "a floating base is never singular")
+    rank = max(
+        int(np.linalg.matrix_rank(robot.jacobian(robot.sample(rng), frame), tol=1e-6)) for _ in range(5)
+    )
+    found: list[Array] = []
+    for tried in range(_TRIES * count):
+        if len(found) == count or (tried == _GIVE_UP and not found):
+            break
+        q = _to_singular(robot, robot.sample(rng), frame, rank)
+        if q is not None:
+            found.append(q)
+    return _reachable(
+        "singular", robot, frame, found, "no singular joint angles were found inside the limits"
+    )
+
+
+def _to_singular(robot: Robot, q: Array, frame: str, rank: int) -> Array | None:
+    """The singular joint angles near ``q``, by Newton's method on the smallest singular value, or None."""
+    for _ in range(_NEWTON_STEPS):
+        left, sigma, right = np.linalg.svd(robot.jacobian(q, frame), full_matrices=False)
+        if sigma[rank - 1] < SINGULAR * sigma[0]:
+            return q if not robot.outside(q) else None
+        slope = _slope(robot, q, frame, left[:, rank - 1], right[rank - 1])
+        length = float(slope @ slope)
+        if length < 1e-12:
+            return None
+        step = -sigma[rank - 1] / length * slope
+        # A long step leaves the neighbourhood in which the slope means anything.
+        step *= min(1.0, 0.5 / float(np.linalg.norm(step)))
+        q = robot.clip(robot.integrate(q, step))
+    return None
+
+
+def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
+    """(nv,) change of the singular value u·J·v per unit of each dof, by central differences."""
+    h, slope = 1e-5, np.zeros(robot.nv)
+    for i in range(robot.nv):
+        dq = np.zeros(robot.nv)
+        dq[i] = h
+        ahead = robot.jacobian(robot.integrate(q, dq), frame)
+        back = robot.jacobian(robot.integrate(q, -dq), frame)
+        slope[i] = u @ (ahead - back) @ v / (2.0 * h)
+    return slope
+
+
+# ----------------------------------------------------------------------------------------- warm
+
+
+def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+    """Poses along a smooth joint path about home, each at most 5 mm and 0.5° from the one before it."""
+    path, judge = _path(robot, rng), Judge(robot, frame)
+    t, dt = 0.0, 0.02
+    pose, first = judge.pose(path(0.0)), path(0.0)
+    targets: list[Array] = []
+    witnesses: list[Array] = []
+    while len(targets) < count:
+        for _ in range(60):  # until the step is just as long as it may be
+            there = judge.pose(path(t + dt))
+            ratio = _step(pose, there)
+            if 0.98 < ratio <= 1.0:
+                break
+            dt *= min(1.5, 0.99 / ratio) if ratio > 0.0 else 1.5
+        t, pose = t + dt, there
+        targets.append(there)
+        witnesses.append(path(t))
+    return ProblemSet(
+        "warm", frame, np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True
+    )
+
+
+def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
+    tree = robot.tree
+    amplitude = np.array([_AMPLITUDE[int(tree.kind[k])] for k in tree.dof_node])
+    middle = robot.home.copy()
+    for k in range(tree.size):
+        a, v = int(tree.qadr[k]), int(tree.vadr[k])
+        room = robot.upper[v] - robot.lower[v]
+        if tree.kind[k] in (HINGE, SLIDE) and np.isfinite(room):
+            amplitude[v] = min(amplitude[v], 0.45 * room)
+            margin = amplitude[v] + 1e-3 * room
+            middle[a] = np.clip(middle[a], robot.lower[v] + margin, robot.upper[v] - margin)
+    index = np.arange(robot.nv)
+    pace, phase = 1.0 + 0.37 * np.sqrt(index + 1.0), 0.9 * index + rng.uniform(0.0, 2.0 * math.pi)
+    return lambda t: robot.clip(robot.integrate(middle, amplitude * np.sin(pace * t + phase)))
+
+
+def _step(a: Array, b: Array) -> float:
+    """Length of the step between two poses (4, 4), as a share of the longest that is allowed."""
+    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
+    turn = 2.0 * math.asin(min(1.0, chord))
+    return max(float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / WARM_METRES, turn / WARM_RADIANS)
+
+
+#: Every kind of problem set, by name.
+SETS: dict[str, Callable[[Robot, int, np.random.Generator, str], ProblemSet]] = {
+    "cold": cold,
+    "warm": warm,
+    "singular": singular,
+    "limits": limits,
+    "unreachable": unreachable,
+}

@@ -1,0 +1,166 @@
+"""Runs solvers on problem sets: times the call and nothing else, and lets MuJoCo judge the answer."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.methods.problems import SLACK, Judge, ProblemSet
+from robot_ik.bench.methods.results import JUMP, Cell, Curve, Settings
+from robot_ik.errors import GoalError, UnsupportedJointError
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot
+from robot_ik.solution import Solution, Status
+from robot_ik.solvers.base import Solver
+
+Array = NDArray[np.float64]
+
+#: Untimed solves before the first timed one: loads the kernel, fills the caches.
+WARM_UP = 5
+#: Problems and steps of a convergence curve.
+CURVE_PROBLEMS, CURVE_STEPS = 25, 200
+
+_ORIGIN = (0.0, 0.0, 0.0)
+
+
+@dataclass(eq=False)
+class Bench:
+    """One solver on one problem set, ready to run.
+
+    Attributes:
+        cell: Where the figures go, problem by problem: an interrupted run keeps what is in it.
+    """
+
+    solver: Solver
+    robot: Robot
+    problems: ProblemSet
+    cell: Cell
+    problem: Problem | None = None
+
+    def run(self, settings: Settings, tell: Callable[[float], None] = lambda share: None) -> None:
+        """Solves all problems, or as many as there is time for (at least ten).
+
+        Args:
+            settings: Tolerances and seconds.
+            tell: Called with the share done, 0 … 1.
+        """
+        problem = self.problem
+        if problem is None:
+            return
+        judge = Judge(self.robot, self.problems.frame)
+        previous, deadline = self.problems.first, time.perf_counter() + settings.seconds
+        with _no_garbage():
+            for index, target in enumerate(self.problems.targets):
+                start = previous if self.problems.tracking else self.problems.first
+                target, start = target.copy(), start.copy()
+                began = time.perf_counter_ns()
+                problem.retarget(target)
+                solution = self.solver.solve(problem, start)
+                q = solution.q
+                took = (time.perf_counter_ns() - began) / 1e3
+                good = self._keep(judge, settings, took, solution, target)
+                if self.problems.tracking:
+                    step = float(np.abs(q - previous).max())
+                    if good:
+                        self.cell.largest_step = max(self.cell.largest_step, step)
+                        self.cell.jumps += step > JUMP
+                    # Lost: put back on the path, so that one miss is one miss.
+                    previous = q if good else self.problems.witnesses[index]
+                tell((index + 1) / len(self.problems))
+                if time.perf_counter() > deadline and index >= 9:
+                    break
+
+    def _keep(self, judge: Judge, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
+        metres, radians = judge.miss(solution.q, target)
+        if self.cell.goal == "position":
+            radians = 0.0
+        slack = 1.0 + SLACK
+        good = (
+            metres <= settings.position_tolerance * slack
+            and radians <= settings.angle_tolerance * slack
+            and judge.inside(solution.q)
+        )
+        cell = self.cell
+        cell.position_miss.append(metres)
+        cell.angle_miss.append(radians)
+        cell.iterations.append(solution.iterations)
+        cell.restarts.append(solution.restarts)
+        cell.status.append(Status(solution.status).name)
+        cell.success.append(good)
+        cell.microseconds.append(round(took, 2))
+        return good
+
+
+@contextmanager
+def _no_garbage() -> Iterator[None]:
+    """No collection of garbage while the clock runs."""
+    gc.collect()
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settings) -> Bench:
+    """Loads the kernels and warms up: what is slow happens here, where no clock runs.
+
+    A method that serves no poses gets positions; one that cannot serve this robot is skipped, and says why.
+    """
+    cell = Cell(solver=solver.name, robot=robot.name, set=problems.name, asked=len(problems))
+    bench = Bench(solver, robot, problems, cell)
+    if not len(problems):
+        cell.skipped = problems.reason
+        return bench
+    goals: Sequence[Goal] = (PoseGoal(problems.frame, _ORIGIN), PositionGoal(problems.frame, _ORIGIN))
+    goal = next((g for g in goals if solver.supports(g)), goals[0])
+    cell.goal = goal.name.removesuffix(" goal")
+    tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
+    try:
+        problem = Problem(robot, goal, tolerance=tolerance, seed=settings.seed)
+        for target in problems.targets[:WARM_UP]:
+            problem.retarget(target)
+            solver.solve(problem, problems.first)
+    except (GoalError, UnsupportedJointError) as error:
+        cell.skipped = str(error.args[0])
+        return bench
+    bench.problem = problem
+    return bench
+
+
+def curve(bench: Bench, settings: Settings) -> Curve | None:
+    """How the method closes in on the first problems of its set; None for a method without steps."""
+    if bench.problem is None:
+        return None
+    tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
+    problem = Problem(
+        bench.robot, bench.problem.goals, tolerance=tolerance, budget=Budget(iterations=CURVE_STEPS),
+        seed=settings.seed, trace=True,
+    )  # fmt: skip
+    rows, longest = np.full((CURVE_PROBLEMS, CURVE_STEPS), np.nan), 0
+    for k, target in enumerate(bench.problems.targets[:CURVE_PROBLEMS]):
+        problem.retarget(target)
+        steps = bench.solver.solve(problem, bench.problems.first).trace
+        best, miss, longest = np.inf, np.nan, max(longest, len(steps))
+        for step in steps:
+            if step.cost < best:
+                best, miss = step.cost, step.position
+            rows[k, min(step.iteration, CURVE_STEPS) - 1] = miss
+        rows[k, len(steps) :] = miss
+    if longest <= 1:  # a formula
+        return None
+    return Curve(
+        solver=bench.cell.solver,
+        robot=bench.cell.robot,
+        goal=bench.cell.goal,
+        miss=np.nanmedian(rows, axis=0).tolist(),
+    )

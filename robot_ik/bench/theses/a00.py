@@ -1,0 +1,377 @@
+"""A00's tests 1-13 run by the methods of today: which frames each meets, and where it loses the goal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
+from robot_ik.errors import ConfigError
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Problem
+from robot_ik.robot import Robot, make_chain
+from robot_ik.solvers import SOLVERS, make_solver
+
+# ------------------------------------------------------------------------------------------
+# Witnesses: joint angles of a ball-joint chain that meet a goal, made by drawing the chain, not by solving.
+#
+# All links but those that an orientation fixes are laid on one circular arc from the base to where they
+# have to end; each joint then turns its link from the direction of the one before.
+
+
+_UP = np.array([0.0, 0.0, 1.0])
+# Nearer than this (metres) a point is the base itself and has no direction.
+_AT_BASE = 1e-9
+
+
+def chain_witness(links: int, target: Pose, *, oriented: bool) -> Array:
+    """q (4 · links,) of a chain of links of 1 m whose tip is at ``target``.
+
+    Args:
+        links: How many.
+        target: Pose of the tip, world; of its orientation nothing is heeded unless ``oriented``.
+        oriented: Whether the last link has to be turned as ``target`` says.
+
+    Raises:
+        ValueError: The links cannot get there.
+    """
+    if not oriented:
+        return chain_from_world([_turn_up_to(d) for d in _arc(links, target.position)])
+    wrist = target.position - target.rotation @ _UP
+    turns = [_turn_up_to(d) for d in _arc(links - 1, wrist)]
+    return chain_from_world([*turns, target.wxyz])
+
+
+def chain_from_world(turns: Sequence[Array]) -> Array:
+    """q of the chain whose links are turned in the world as the unit quaternions ``turns`` (4,) say."""
+    q, before = [], np.array([1.0, 0.0, 0.0, 0.0])
+    for turn in turns:
+        q.append(quat_multiply(before * [1.0, -1.0, -1.0, -1.0], turn))
+        before = turn
+    return np.concatenate(q)
+
+
+def _arc(links: int, end: Array) -> list[Array]:
+    """Directions (3,) of links of 1 m on a circular arc from the origin to ``end`` (3,)."""
+    chord = float(np.linalg.norm(end))
+    bend = arc_bend(links, chord)
+    along = end / chord if chord > _AT_BASE else np.array([1.0, 0.0, 0.0])
+    # The arc lies in the upright plane through its end; where that end is right above, in the xz plane.
+    aside = np.cross(np.cross(along, _UP), along)
+    if float(np.linalg.norm(aside)) < 1e-6:
+        aside = np.array([1.0, 0.0, 0.0])
+    aside = aside - along * (aside @ along)
+    aside /= np.linalg.norm(aside)
+    angles = [0.5 * bend * (links - 1 - 2 * k) for k in range(links)]
+    return [math.cos(a) * along + math.sin(a) * aside for a in angles]
+
+
+def arc_bend(links: int, chord: float) -> float:
+    """Angle from one link to the next, rad, for which the arc's ends are ``chord`` metres apart."""
+    if links == 1:
+        if abs(chord - 1.0) > _AT_BASE:
+            raise ValueError(f"one link of 1 m cannot span {chord:.6g} m")
+        return 0.0
+    if chord > links + _AT_BASE:
+        raise ValueError(f"{links} links of 1 m cannot span {chord:.6g} m")
+    low, high = 0.0, 2.0 * math.pi / links  # straight … closed to a polygon
+    for _ in range(54):  # as many halvings as a double has bits, and one
+        middle = 0.5 * (low + high)
+        spanned = math.sin(0.5 * links * middle) / math.sin(0.5 * middle) if middle > 0.0 else float(links)
+        low, high = (middle, high) if spanned > chord else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _turn_up_to(direction: Array) -> Array:
+    """Shortest turn, wxyz, of the z axis to a unit vector (3,)."""
+    w = 1.0 + float(direction[2])
+    if w < 1e-12:
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    turn = np.array([w, -direction[1], direction[0], 0.0])
+    return np.asarray(turn / np.linalg.norm(turn))
+
+
+# ------------------------------------------------------------------------------------------
+# A00's thirteen courses: what he states of each, and what is chosen here where he states nothing.
+#
+# M. Aho, *Implementation of articulated mechanisms in computer animation*, University of Helsinki 2000,
+# tests 1-13.  The base is at the origin of the world; at home the links lie along z.
+
+
+Array = NDArray[np.float64]
+
+DIAGONAL = np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)
+SKEW = np.array([1.0, -1.0, 1.0]) / math.sqrt(3.0)
+X, Y, Z = np.eye(3)
+
+CIRCLE_STEP = 1.0  # degrees a frame
+SMALL_STEP, LARGE_STEP = 0.1, 5.0  # tests 6, 7 and 9
+SLOWNESS = 4.0  # test 3: the orientation turns this many times slower than the goal
+SIDE = 2.0 * X  # test 10: middle of its circle of 1 m
+POINTS, LINE_STEP = 10, 0.02  # tests 11, 12: random points; metres a frame
+BEND = 75.0  # test 13: the elbow bends to twice this, degrees
+
+SHARED = (
+    "links 1 m, base at the origin, every course begun from the straight chain along z (as his links lie, "
+    "and singular), each next frame from the last answer",
+    "radius of the circles: half of what the chain spans (1.5 m for 3 joints, 2.5 m for 5)",
+    f"steps: {CIRCLE_STEP:g}° where he states none; a whole turn each",
+)
+"""What is chosen for all courses alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """One of the thirteen: goals that move a little each frame, each with joint angles that meet it.
+
+    Attributes:
+        number: A00's.
+        robot: The chain.
+        goal: The kind of goal, with the first target.
+        moves: What the goal does; what A00 states first, then what is chosen.
+        unit: Of ``at``: ``"°"`` of the goal's turn, or ``"m"`` along its path.
+        at: (frames,) how far the goal has gone.
+        targets: One pose a frame.
+        witnesses: (frames, nq) joint angles that meet them.
+    """
+
+    number: int
+    robot: Robot
+    goal: Goal
+    moves: str
+    unit: str
+    at: Array
+    targets: tuple[Pose, ...]
+    witnesses: Array
+
+    def witness_miss(self) -> tuple[float, float]:
+        """Farthest that a witness is from its goal by MuJoCo's forward pass: metres, radians."""
+        judge = Judge(self.robot, self.goal)
+        metres, radians = np.max(list(map(judge.miss, self.witnesses, self.targets)), axis=0)
+        return float(metres), float(radians)
+
+
+def _turned(axis: Array, degrees: float, point: Array) -> Array:
+    return Pose((0.0, 0.0, 0.0), rotation_exp(axis * math.radians(degrees))).apply(point)
+
+
+def _about(axis: Array, degrees: float, wxyz: Array | None = None) -> Array:
+    turn = rotation_exp(axis * math.radians(degrees))
+    return turn if wxyz is None else quat_multiply(turn, wxyz)
+
+
+TO_X = rotation_exp(Y * math.pi / 2.0)  # the last link along x
+
+
+def _circle(axis: Array, start: Array, at: float) -> Pose:
+    return Pose(_turned(axis, at, start))
+
+
+def _slow(at: float) -> Pose:
+    return Pose(_turned(Z, at, 2.5 * X), _about(Z, at / SLOWNESS, TO_X))
+
+
+def _along(at: float) -> Pose:
+    return Pose(_turned(DIAGONAL, at, 2.5 * Z), _about(DIAGONAL, at))
+
+
+def _in_place(at: float) -> Pose:
+    return Pose(2.5 * Z, _about(DIAGONAL, at))
+
+
+def _one_side(at: float) -> Pose:
+    return Pose(SIDE + _turned(DIAGONAL, at, Z), _about(SKEW, at, TO_X))
+
+
+def _make(
+    number: int, joints: int, oriented: bool, moves: str, at: Array, pose: Callable[[float], Pose]
+) -> Course:
+    targets = tuple(pose(float(a)) for a in at)
+    witnesses = np.array([chain_witness(joints, target, oriented=oriented) for target in targets])
+    return _with_goal(number, joints, oriented, moves, "°", at, targets, witnesses)
+
+
+def _with_goal(
+    number: int, joints: int, oriented: bool, moves: str, unit: str,
+    at: Array, targets: tuple[Pose, ...], witnesses: Array,
+) -> Course:  # fmt: skip
+    first = targets[0]
+    goal = PoseGoal.at("tip", first) if oriented else PositionGoal("tip", first.position)
+    return Course(number, make_chain(joints), goal, moves, unit, at, targets, witnesses)
+
+
+def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
+    """Straight lines through the tips of random configurations, at an even pace."""
+    robot, rng = make_chain(joints), np.random.default_rng([seed, number])
+    corners = np.array([robot.forward(robot.sample(rng)).position for _ in range(POINTS)])
+    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.arange(0.0, far[-1], LINE_STEP)[:frames]
+    path = np.column_stack([np.interp(at, far, corners[:, k]) for k in range(3)])
+    targets = tuple(Pose(point) for point in path)
+    witnesses = np.array([chain_witness(joints, target, oriented=False) for target in targets])
+    moves = (
+        f"straight lines to random points: {POINTS} points where random joint angles put the tip, "
+        f"{100 * LINE_STEP:g} cm a frame"
+    )
+    return _with_goal(number, joints, False, moves, "m", at, targets, witnesses)
+
+
+def _square(number: int, frames: int | None) -> Course:
+    """Two balls: six freedoms and six numbers wanted; goals can only be made from joint angles."""
+    robot, at = make_chain(2), _turns(CIRCLE_STEP)[:frames]
+    witnesses = np.array([_two_balls(a) for a in at])
+    targets = tuple(robot.measure(q) for q in witnesses)
+    moves = (
+        "not stated: the tip of joint angles that turn about (1,1,0) while the elbow bends from straight "
+        f"to {2 * BEND:g}° and back, its axis turning twice as fast; the first and last goal can be met "
+        "by the straight chain alone"
+    )
+    return _with_goal(number, 2, True, moves, "°", at, targets, witnesses)
+
+
+def _two_balls(at: float) -> Array:
+    bend = math.radians(BEND * (1.0 - math.cos(math.radians(at))))
+    axis = _turned(Z, 2.0 * at, X)
+    return np.concatenate([_about(DIAGONAL, at), rotation_exp(bend * axis)])
+
+
+def _turns(step: float) -> Array:
+    return np.arange(0.0, 360.0 + 0.5 * step, step)
+
+
+def _circles(number: int, frames: int | None) -> Course:
+    degrees, small = _turns(CIRCLE_STEP), _turns(SMALL_STEP)
+    diagonal = "about (1,1,0) from the z axis"
+    rows: dict[int, tuple[int, bool, str, Array, Callable[[float], Pose]]] = {
+        1: (3, False, "circle about the origin in XY", degrees, lambda a: _circle(Z, 1.5 * X, a)),
+        2: (5, False, "circle in XY", degrees, lambda a: _circle(Z, 2.5 * X, a)),
+        3: (5, True, f"circle in XY, the orientation turning {SLOWNESS:g} times slower about z, from the "
+            "last link pointing outwards", degrees, _slow),
+        4: (5, False, "circle in XZ", degrees, lambda a: _circle(Y, 2.5 * X, a)),
+        5: (5, False, "circle in YZ", degrees, lambda a: _circle(X, 2.5 * Y, a)),
+        6: (5, False, f"{diagonal} in {SMALL_STEP:g}° steps", small, lambda a: _circle(DIAGONAL, 2.5 * Z, a)),
+        7: (5, True, f"{diagonal} in {SMALL_STEP:g}° steps, the orientation turning as much, from the "
+            "last link pointing outwards", small, _along),
+        8: (5, True, "fixed at (0, 0, 2.5) m, the orientation turning about (1,1,0)", degrees, _in_place),
+        9: (5, False, f"{diagonal} in {LARGE_STEP:g}° steps", _turns(LARGE_STEP),
+            lambda a: _circle(DIAGONAL, 2.5 * Z, a)),
+        10: (5, True, "on one side of the origin: circle of 1 m about (2, 0, 0) m and the axis (1,1,0), the "
+             "orientation turning about (1,-1,1)", degrees, _one_side),
+    }  # fmt: skip
+    joints, oriented, moves, at, pose = rows[number]
+    return _make(number, joints, oriented, moves, at[:frames], pose)
+
+
+NUMBERS = tuple(range(1, 14))
+
+
+def make_course(number: int, seed: int = 0, frames: int | None = None) -> Course:
+    """A00's test ``number`` (1 … 13).
+
+    Args:
+        number: His.
+        seed: Draws the points of 11 and 12.
+        frames: No more than so many; None: the whole course.
+    """
+    if number in (11, 12):
+        return _lines(number, 3 if number == 11 else 5, seed, frames)
+    return _square(number, frames) if number == 13 else _circles(number, frames)
+
+
+TOLERANCE = Tolerance(position=1e-4, angle=1e-3)
+MUST_PASS = ("lm", "dls", "bfgs", "auto")
+"""Methods that have to meet every frame; the others are reported."""
+
+# A witness is exact but for rounding: a circular arc is found by halving, rotations are multiplied.
+WITNESS_MISS = 1e-9
+
+HIS = {
+    1: "ok", 2: "ok", 3: "ok", 4: "ok", 5: "ok",
+    6: "lost after some 20°, cause never found", 7: "failed sooner than 6", 8: "drifts off", 9: "not stated",
+    10: "failed", 11: "sometimes", 12: "as 11", 13: "unsolved: J is square and singular",
+}  # fmt: skip
+"""What A00 reports of his own solver."""
+
+
+@dataclass(eq=False)
+class A00Report:
+    """What there is so far; filled while the job runs, so that an interruption loses nothing.
+
+    Attributes:
+        numbers, solvers, frames, seed: What was asked; ``frames`` is None for whole courses.
+        courses: The courses begun, by number.
+        tracks: How a method fared on a course, by (solver, number).
+        complete: All that was asked has been run.
+    """
+
+    numbers: tuple[int, ...]
+    solvers: tuple[str, ...]
+    frames: int | None
+    seed: int
+    courses: dict[int, Course] = field(default_factory=dict)
+    witness_miss: dict[int, tuple[float, float]] = field(default_factory=dict)
+    tracks: dict[tuple[str, int], Track] = field(default_factory=dict)
+    complete: bool = False
+
+    @property
+    def failures(self) -> list[tuple[str, int]]:
+        """(solver, test) that had to pass and did not."""
+        return [
+            key for key, track in self.tracks.items() if key[0] in MUST_PASS and not track.passed
+        ]  # a refusal is no pass either
+
+    @property
+    def passed(self) -> bool:
+        """All that had to pass did, and every goal can be met."""
+        return (
+            self.complete and not self.failures and max(map(max, self.witness_miss.values())) <= WITNESS_MISS
+        )
+
+    def lost_at(self, solver: str, number: int) -> str:
+        """Where a method first lost the goal, such as ``"20.1°"``; empty where it never did."""
+        lost = self.tracks[solver, number].lost
+        if lost is None:
+            return ""
+        course = self.courses[number]
+        return f"{course.at[lost]:.4g}{course.unit}"
+
+
+def ask_a00(
+    numbers: Sequence[int] = (), solvers: Sequence[str] = (), frames: int | None = None, seed: int = 0
+) -> A00Report:
+    """An empty report for what is wanted; nothing named means all.
+
+    Raises:
+        ConfigError: No such test, or less than one frame.
+        UnknownSolverError: No such method.
+    """
+    for number in numbers:
+        if number not in NUMBERS:
+            raise ConfigError(f"{number}", file="command line", key="--tests", allowed="1 … 13")
+    for name in solvers:
+        SOLVERS[name]  # says which are close where there is none
+    return A00Report(
+        tuple(sorted(set(numbers))) or NUMBERS, tuple(dict.fromkeys(solvers)) or tuple(SOLVERS), frames, seed
+    )
+
+
+def run_a00(report: A00Report, progress: Progress = lambda stage, share: None) -> A00Report:
+    """Runs what the report asks for and has not yet, and fills it in."""
+    gauge = Gauge(progress, len(report.numbers) * len(report.solvers))
+    for number in report.numbers:
+        course = make_course(number, report.seed, report.frames)
+        # In this order: whoever is interrupted in between has no course without its witnesses' miss.
+        report.witness_miss[number] = course.witness_miss()
+        report.courses[number] = course
+        for name in report.solvers:
+            gauge.begin(f"test {number}: {name}", len(course.at))
+            problem = Problem(course.robot, course.goal, tolerance=TOLERANCE, seed=report.seed)
+            solver, start = make_solver(name), course.robot.home
+            report.tracks[name, number] = track(problem, solver, course.targets, start, gauge.tick)
+    report.complete = True
+    return report

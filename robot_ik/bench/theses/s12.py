@@ -1,0 +1,266 @@
+"""S12's table 4.1 on an arm of seven segments: his numbers, ours with his parameters, ours with our own.
+
+K. Šimunić, *Interactive inverse kinematic model*, FER Zagreb 2012.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
+from robot_ik.errors import MissingExtraError
+from robot_ik.geometry import Pose
+from robot_ik.goals import PositionGoal, Tolerance
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.base import Solver
+
+Array = NDArray[np.float64]
+
+TOLERANCE = Tolerance(position=0.05, angle=1e-3)
+SEGMENTS = 7
+FRAMES = 1000
+LAP = 1000  # frames for once round the curve
+BEND, WAVE, WAVES = 20.0, 10.0, 3  # of joints 2 … 7 along the curve, degrees
+LIMIT = 45.0  # degrees, about x and z
+
+ITERATIONS, ALPHA, LAMBDA, MAX_STEP = 100, 0.01, 1.1, math.pi / 16.0
+IN_DEGREES = ALPHA * 180.0 / math.pi
+"""α as a share of a step if his steps come out in radians and are turned into degrees nowhere else."""
+
+MUST_PASS = ("lm", "auto")
+METHODS = ("ccd", "transpose", "pseudoinverse", "dls")
+BEST_METHODS = (*METHODS, *MUST_PASS)
+
+HIS: dict[str, tuple[tuple[float, int, int], ...]] = {
+    "ccd": ((1.1, 20, 99), (5.0, 210, 75), (5.0, 83, 92), (16.7, 232, 74)),
+    "transpose": ((5.0, 28, 78), (15.4, 92, 15), (45.6, 93, 8), (47.8, 99, 3)),
+    "pseudoinverse": ((7.0, 25, 96), (21.8, 79, 47), (23.8, 40, 81), (51.9, 88, 29)),
+    "dls": ((3.5, 18, 100), (19.0, 100, 0), (27.8, 55, 69), (50.0, 99, 2)),
+}
+"""Table 4.1: (t in ms, N, η in %) of cases 1 … 4."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One of the four: where the targets come from, and whether joints are limited."""
+
+    number: int
+    curve: bool
+    limited: bool
+
+    @property
+    def title(self) -> str:
+        """Such as ``curve, ±45°``."""
+        return f"{'curve' if self.curve else 'random'}, {f'±{LIMIT:g}°' if self.limited else 'no limits'}"
+
+
+CASES = (Case(1, True, False), Case(2, False, False), Case(3, True, True), Case(4, False, True))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of choosing the parameters: a column of the table."""
+
+    name: str
+    title: str
+    methods: tuple[str, ...]
+
+
+VARIANTS = (
+    Variant("same", "his parameters", METHODS),
+    Variant("degrees", "the same, α in degrees", METHODS[1:]),
+    Variant("best", "our parameters", BEST_METHODS),
+)
+
+
+@dataclass(eq=False)
+class S12Report:
+    """What there is so far; filled while the job runs.
+
+    Attributes:
+        frames, seed: What was asked.
+        tracks: How a method fared, by (variant, method, case number).
+        witness_miss: Farthest that a witness is from its target in a case, metres.
+        complete: All has been run.
+    """
+
+    frames: int = FRAMES
+    seed: int = 0
+    tracks: dict[tuple[str, str, int], Track] = field(default_factory=dict)
+    witness_miss: dict[int, float] = field(default_factory=dict)
+    complete: bool = False
+
+    @property
+    def failures(self) -> list[tuple[str, int]]:
+        """(solver, case) that had to reach every target and did not."""
+        return [
+            (name, case)
+            for (variant, name, case), track in self.tracks.items()
+            if variant == "best" and name in MUST_PASS and not track.passed
+        ]
+
+    @property
+    def passed(self) -> bool:
+        """``lm`` and ``auto`` reached every target of every case with our parameters."""
+        return self.complete and not self.failures
+
+
+def make_arm(limited: bool) -> Robot:
+    """The arm, with his limits or without: ±45° about x and z, the twist free."""
+    arm = load_robot("seven_segment")
+    if not limited:
+        return arm
+    bend = np.array([np.inf if name.endswith("twist") else math.radians(LIMIT) for name in arm.joints])
+    return arm.with_limits(-bend, bend)
+
+
+def make_witnesses(arm: Robot, case: Case, frames: int, seed: int) -> Array:
+    """(frames, nq) joint angles inside the limits of ±45°; where they put the tip are the targets."""
+    if case.curve:
+        return np.array([_curve(arm, k / LAP) for k in range(frames)])
+    rng = np.random.default_rng([seed, case.number])
+    return np.array([arm.sample(rng) for _ in range(frames)])
+
+
+def _curve(arm: Robot, lap: float) -> Array:
+    """Segment 1 upright and twisted once round in a lap; the six others bent alike, in waves."""
+    q = dict.fromkeys(arm.joints, 0.0)
+    q["joint1_twist"] = math.remainder(2.0 * math.pi * lap, 2.0 * math.pi)
+    for k in range(2, SEGMENTS + 1):
+        q[f"joint{k}_x"] = math.radians(BEND + WAVE * math.sin(2.0 * math.pi * WAVES * lap))
+    return np.array([q[name] for name in arm.joints])
+
+
+def make_method(variant: str, name: str, problem: Problem) -> Solver:
+    """A method with the parameters of a variant (``VARIANTS``)."""
+    if variant == "best":
+        return make_solver(name)
+    options: dict[str, Any] = {
+        "restarts": 0,
+        "patience": 1000,
+        "progress": 0.0,
+    }  # 100 steps, whatever they do
+    if name != "ccd":
+        free = 1e6  # no clamping, no longest step: he states none
+        gain = ALPHA if variant == "same" else IN_DEGREES
+        options |= {"gain": gain, "alternative": True, "clamp": free, "max_step": free}
+    if name == "dls":
+        # Our rows are lengths over ``problem.length``, so that λ, which is a length here, is too.
+        options |= {"damping": LAMBDA / problem.length(problem.goals[0]), "max_step": MAX_STEP}
+    return make_solver(name, **options)
+
+
+def steps_of(name: str, track: Track) -> float:
+    """N as he counts: iterations, but of ``ccd`` turns of single bones, of which a sweep has seven."""
+    return track.iterations * (SEGMENTS if name == "ccd" else 1)
+
+
+def run_s12(report: S12Report, progress: Progress = lambda stage, share: None) -> S12Report:
+    """Runs all cases and fills the report in."""
+    gauge = Gauge(progress, len(CASES) * sum(len(v.methods) for v in VARIANTS))
+    for case in CASES:
+        arm = make_arm(case.limited)
+        witnesses = make_witnesses(arm, case, report.frames, report.seed)
+        targets = [arm.forward(q) for q in witnesses]
+        report.witness_miss[case.number] = _witness_miss(arm, witnesses, targets)
+        for variant in VARIANTS:
+            budget = None if variant.name == "best" else Budget(iterations=ITERATIONS, restarts=0)
+            for name in variant.methods:
+                gauge.begin(f"case {case.number}: {name}, {variant.title}", report.frames)
+                goal = PositionGoal("tip", targets[0].position)
+                problem = Problem(arm, goal, tolerance=TOLERANCE, budget=budget, seed=report.seed)
+                solver = make_method(variant.name, name, problem)
+                found = track(problem, solver, targets, witnesses[0], gauge.tick)
+                report.tracks[variant.name, name, case.number] = found
+    report.complete = True
+    return report
+
+
+def _witness_miss(arm: Robot, witnesses: Array, targets: list[Pose]) -> float:
+    """Farthest that a witness is from its target by MuJoCo's forward pass, metres; all are inside limits."""
+    judge = Judge(arm, PositionGoal("tip", targets[0].position))
+    assert not any(arm.outside(q) for q in witnesses)
+    return max(judge.miss(q, target)[0] for q, target in zip(witnesses, targets, strict=True))
+
+
+# ------------------------------------------------------------------------------------------
+# S12's table as a picture (needs the extra ``plots``).
+
+
+# Grey for what is quoted, two blues for what is measured.
+_COLOURS = {"S12": "#9a9a9a", "same": "#9ecae1", "best": "#08519c"}
+_TITLES = {"S12": "S12, 2012", "same": "his parameters, here", "best": "our parameters"}
+_DPI = 110
+
+
+def require_plots() -> None:
+    """Raises ``MissingExtraError`` unless matplotlib is installed; asked before any long work."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", "plots", "drawing the table")
+
+
+def s12_picture(report: S12Report) -> bytes:
+    """PNG: share solved and time per solve, for each case and method, his and ours.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    require_plots()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.0, 6.4), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(CASES), sharex=True, sharey="row")
+    for column, case in enumerate(CASES):
+        _draw(axes[:, column], report, case)
+    axes[0, 0].set_ylabel("solved, %")
+    axes[1, 0].set_ylabel("time per solve, ms")
+    figure.suptitle(f"S12, table 4.1: {report.frames} frames, within {100 * TOLERANCE.position:g} cm")
+    handles, names = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _draw(axes: Any, report: S12Report, case: Case) -> None:
+    """One case: the upper axes get η, the lower t."""
+    methods = BEST_METHODS
+    for place, kind in enumerate(("S12", "same", "best")):
+        at, solved, times = [], [], []
+        for k, name in enumerate(methods):
+            cell = _cell(report, kind, name, case)
+            if cell is not None:
+                at.append(k + 0.27 * (place - 1) if name in HIS else k)  # one bar alone: in the middle
+                solved.append(cell[1])
+                times.append(cell[0])
+        style = {"width": 0.25, "color": _COLOURS[kind], "label": _TITLES[kind]}
+        # A bar of nothing would look like a missing one: 0 % gets a sliver.
+        axes[0].bar(at, np.maximum(solved, 0.7), **style)
+        axes[1].bar(at, times, **style)
+    axes[0].set_title(f"{case.number}: {case.title}")
+    axes[0].set_ylim(0.0, 105.0)
+    axes[1].set_yscale("log")
+    axes[1].set_xticks(range(len(methods)), methods, rotation=35, ha="right", rotation_mode="anchor")
+    for axis in axes:
+        axis.grid(axis="y", alpha=0.3)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+
+
+def _cell(report: S12Report, kind: str, name: str, case: Case) -> tuple[float, float] | None:
+    """(ms, %) of a method, or None where there is no such number."""
+    if kind == "S12":
+        return (HIS[name][case.number - 1][0], HIS[name][case.number - 1][2]) if name in HIS else None
+    track = report.tracks.get((kind, name, case.number))
+    return None if track is None else (track.milliseconds, 100.0 * track.share)

@@ -1,0 +1,303 @@
+"""Where a camera is: seen from the world or from the robot frame that carries it, with what is known of it.
+
+The file is TOML.  It names its frames and units, and the calibration it was made with: with another one the
+numbers mean nothing, so it is refused.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.handeye import (
+    HandEyeSample,
+    Mount,
+    cauchy_weight,
+    robust_mean_pose,
+    view_derivatives,
+)
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.errors import CalibrationError, CameraError, ConfigError
+from robot_ik.files import config_error, read_toml, write_atomically
+from robot_ik.geometry import Pose
+
+Array = NDArray[np.float64]
+
+_SCHEMA = 1
+_ROUNDS, _DONE = 30, 1e-10
+# The stated standard deviation of a pixel weighs as much as so many measured ones.
+_PRIOR = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class CameraExtrinsics:
+    """A camera's pose and how it was found.
+
+    Attributes:
+        pose_parent_camera: OpenCV camera axes (x right, y down, z forward) seen from the parent.
+        parent: ``world``, or the robot frame that carries the camera.
+        covariance: (6, 6) translation (m) over rotation (rad), along the parent's axes, rotation about the
+            camera's origin.
+        residual_px: RMS distance of the corners from where this pose puts them, px.
+        residual_mm: The same at the board, millimetres; from hand-eye: of each view by all the others.
+        date: Day, ISO 8601.
+        intrinsics_hash: ``CameraIntrinsics.digest`` of the calibration it was found with.
+        method: How it was found.
+        views: Pictures used.
+    """
+
+    pose_parent_camera: Pose
+    parent: str
+    covariance: Array
+    residual_px: float
+    residual_mm: float
+    date: str
+    intrinsics_hash: str
+    method: str = "board"
+    views: int = 1
+    sigma_position: float = field(init=False)
+    sigma_angle: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        covariance = np.array(self.covariance, dtype=float)
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            raise CalibrationError(f"a covariance is (6, 6) and finite, not {covariance.shape}")
+        object.__setattr__(self, "covariance", covariance)
+        # Standard deviations of the whole distance (m) and angle (rad), for people.
+        object.__setattr__(self, "sigma_position", float(np.sqrt(max(np.trace(covariance[:3, :3]), 0.0))))
+        object.__setattr__(self, "sigma_angle", float(np.sqrt(max(np.trace(covariance[3:, 3:]), 0.0))))
+
+    def require_intrinsics(self, intrinsics: CameraIntrinsics) -> None:
+        """Checks that this place was found with these intrinsics.
+
+        Raises:
+            CalibrationError: It was found with others.
+        """
+        if intrinsics.digest != self.intrinsics_hash:
+            raise CalibrationError(
+                f"this place of the camera was found with another calibration ({self.intrinsics_hash}) than "
+                f"the one given ({intrinsics.digest})",
+                hint="give that calibration, or find the place again: robot-ik camera locate or handeye",
+            )
+
+    def require_parent(self, parent: str) -> None:
+        """Checks whose camera this is.
+
+        Raises:
+            CalibrationError: Another frame carries it.
+        """
+        if self.parent != parent:
+            raise CalibrationError(
+                f"the place is of a camera seen from {self.parent!r}; wanted is one seen from {parent!r}",
+                hint="a camera beside the arm is seen from 'world', a carried one from what carries it",
+            )
+
+    def save(self, path: Path | str) -> None:
+        """Writes the file, whole or not at all.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        write_atomically(Path(path), _text(self))
+
+    @classmethod
+    def load(cls, path: Path | str, intrinsics: CameraIntrinsics | None = None) -> CameraExtrinsics:
+        """Reads the file; with ``intrinsics``, only if it was found with them.
+
+        Raises:
+            CalibrationError: Missing, no such file, a key is missing or wrong, or other intrinsics.
+        """
+        try:
+            data = read_toml(Path(path), "the place of the camera", "make it with: robot-ik camera locate")
+            place = _from_data(data, Path(path))
+        except ConfigError as error:
+            raise CalibrationError(error.args[0], hint=error.hint) from error
+        if intrinsics is not None:
+            place.require_intrinsics(intrinsics)
+        return place
+
+
+def today() -> str:
+    """The date in UTC, ISO 8601."""
+    return datetime.datetime.now(datetime.UTC).date().isoformat()
+
+
+def locate_camera(
+    views: Sequence[BoardView],
+    pose_world_board: Pose,
+    intrinsics: CameraIntrinsics,
+    *,
+    parent: str = "world",
+) -> CameraExtrinsics:
+    """Where a camera stands that sees a board at a known place; camera and board rest.
+
+    The frames are averaged point by point (median, then Cauchy weights), then one pose is fitted to all
+    points.  Averaging takes away noise, not what is wrong in each frame alike (print, lens), so the
+    covariance is of the misses of the averaged points: it does not shrink with the number of frames.
+
+    Args:
+        views: Of one or more frames.
+        pose_world_board: Where the board is in the parent frame.
+        intrinsics: Of the frames' size.
+        parent: Name of that frame.
+
+    Raises:
+        CameraError: No view, or a fit that leads nowhere.
+    """
+    if not views:
+        raise CameraError("the board was seen in no picture, so the camera's place is not known")
+    start, _ = robust_mean_pose([view.pose_camera_board for view in views])
+    view = _averaged(views, start)
+    sample = HandEyeSample(Pose(), view)
+    mount, weights = _fitted(
+        Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand"), sample, intrinsics
+    )
+    miss, shared, _ = view_derivatives(mount, sample, intrinsics)
+    w, rows = np.repeat(weights, 2), shared[:, :6]
+    squares, freedom = float(w @ miss**2), max(float(w.sum()) - 6.0, 0.0)
+    variance = (_PRIOR * view.sigma**2 + squares) / (_PRIOR + freedom)
+    normal = rows.T @ (w[:, None] * rows)
+    covariance = np.asarray(variance * np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=float)
+    pixels = float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
+    depth = float(np.median(mount.pose_camera_board(sample).apply(view.points)[:, 2]))
+    if not (np.isfinite(pixels) and depth > 0.0):
+        raise CameraError(
+            "no pose of the camera explains what was seen of the board",
+            hint="check the sizes of the board and that the whole of it is flat and in the picture",
+        )
+    millimetres = 1e3 * pixels * depth / (0.5 * (intrinsics.fx + intrinsics.fy))
+    return CameraExtrinsics(
+        mount.pose_parent_camera, parent, covariance, pixels, millimetres, today(), intrinsics.digest,
+        views=len(views),
+    )  # fmt: skip
+
+
+def _fitted(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> tuple[Mount, Array]:
+    """The camera's pose that fits the points best, and the weights (n,) of the points."""
+    view = sample.view
+    weights = np.ones(len(view.points))
+    for _ in range(_ROUNDS):
+        miss, shared, _ = view_derivatives(mount, sample, intrinsics)
+        w, rows = np.repeat(weights, 2), shared[:, :6]
+        normal = rows.T @ (w[:, None] * rows)
+        step = -np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (rows.T @ (w * miss))
+        mount = mount.moved(np.concatenate([step, np.zeros(6)]))
+        far = np.linalg.norm(miss.reshape(-1, 2), axis=1)
+        weights = cauchy_weight(far / np.sqrt(2.0) / max(float(np.median(far)) / 1.1774, view.sigma))
+        if np.abs(step).max() < _DONE:
+            break
+    return mount, weights
+
+
+def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
+    """One view whose pixels are robust means of all frames, point by point."""
+    seen: dict[tuple[float, ...], list[Array]] = {}
+    for view in views:
+        for point, pixel in zip(view.points, view.pixels, strict=True):
+            seen.setdefault(tuple(np.round(point, 7)), []).append(pixel)
+    # A point that is seen in few frames only is where something passed by.
+    enough = [point for point, pixels in seen.items() if 2 * len(pixels) >= len(views)]
+    points = enough if len(enough) >= 4 else list(seen)
+    means = []
+    for point in points:
+        pixels = np.array(seen[point])
+        far = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
+        weights = cauchy_weight(far / max(float(np.median(far)), 0.01))
+        means.append(np.average(pixels, axis=0, weights=weights))
+    sigma = float(np.median([view.sigma for view in views]))
+    return BoardView(np.array(points), np.array(means), start, sigma)
+
+
+# --------------------------------------------------------------------------------------- file
+
+
+def _numbers(values: Any) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
+
+
+def _words(text: str) -> str:
+    """A TOML string: JSON's, which leaves one control character as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _text(place: CameraExtrinsics) -> str:
+    pose, covariance = place.pose_parent_camera, place.covariance
+    rows = "".join(f"  {_numbers(row)},\n" for row in covariance)
+    return (
+        "# Where a camera is.  Lengths in m, angles in rad, quaternions w x y z; camera axes are OpenCV's:\n"
+        "# x right, y down, z forward.\n"
+        f"schema = {_SCHEMA}\n"
+        f"parent = {_words(place.parent)}\n"
+        f"position = {_numbers(pose.position)}\n"
+        f"wxyz = {_numbers(pose.wxyz)}\n"
+        "# translation over rotation, along the parent's axes, rotation about the camera's origin\n"
+        f"covariance = [\n{rows}]\n"
+        f"sigma_position = {place.sigma_position!r}\n"
+        f"sigma_angle = {place.sigma_angle!r}\n"
+        f"residual_px = {float(place.residual_px)!r}\n"
+        f"residual_mm = {float(place.residual_mm)!r}\n"
+        f"method = {_words(place.method)}\n"
+        f"views = {int(place.views)}\n"
+        f"date = {_words(place.date)}\n"
+        f"intrinsics = {_words(place.intrinsics_hash)}\n"
+    )
+
+
+_KEYS = (
+    "parent", "position", "wxyz", "covariance", "residual_px", "residual_mm", "date", "intrinsics",
+)  # fmt: skip
+
+
+_Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    parent: str
+    position: Annotated[list[float], Field(min_length=3, max_length=3)]
+    wxyz: Annotated[list[float], Field(min_length=4, max_length=4)]
+    covariance: Annotated[list[_Six], Field(min_length=6, max_length=6)]
+    residual_px: float
+    residual_mm: float
+    date: str
+    intrinsics: str
+    method: str = ""
+    views: int = 1
+
+
+def _from_data(data: Mapping[str, Any], path: Path) -> CameraExtrinsics:
+    missing = [key for key in _KEYS if key not in data]
+    if missing:
+        raise CalibrationError(
+            f"{path} is no place of a camera: it lacks {', '.join(missing)}",
+            hint="such files are made by: robot-ik camera locate, robot-ik camera handeye",
+        )
+    if data.get("schema", _SCHEMA) != _SCHEMA:
+        raise CalibrationError(f"{path} is of schema {data['schema']}; this version reads {_SCHEMA}")
+    try:
+        found = _File.model_validate(data)
+        return CameraExtrinsics(
+            Pose(found.position, found.wxyz),
+            found.parent,
+            np.array(found.covariance, dtype=float),
+            found.residual_px,
+            found.residual_mm,
+            found.date,
+            found.intrinsics,
+            method=found.method,
+            views=found.views,
+        )
+    except ValidationError as error:
+        raise config_error(error, path) from error
+    except (CalibrationError, ValueError) as error:
+        raise CalibrationError(f"{path}: {error.args[0]}") from error

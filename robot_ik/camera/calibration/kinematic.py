@@ -1,0 +1,527 @@
+"""How far a camera sees a carried board from where the joints say it is: the error map of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.boards.board import BoardView, cross_matrices
+from robot_ik.camera.calibration.handeye import (
+    MOUNTINGS,
+    Compressed,
+    HandEyeSample,
+    Mount,
+    Mounting,
+    cauchy_weight,
+    compress,
+    pixel_scale,
+)
+from robot_ik.camera.calibration.least_squares import (
+    JointNoise,
+    Mixture,
+    Normal,
+    cost,
+    estimate_joint_noise,
+    find_mixture,
+    inverse,
+    joint_information,
+    normal_equations,
+)
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.errors import CalibrationError, UnknownJointError
+from robot_ik.geometry import Pose, quat_multiply, rotation_log
+from robot_ik.robot import Robot
+
+# ------------------------------------------------------------------------------------------
+# What self-calibration sees: an arm whose joints may be off by constants, a camera and a board.
+#
+# Each view is boiled down to the twist of the hand that its picture asks for (``handeye_model.compress``); a
+# change of the joints' offsets moves the hand too, so all unknowns enter those six numbers linearly.
+
+
+#: Numbers of the two poses: the camera's twist, then the board's.
+POSES = 12
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPose:
+    """A pose and how well it is known.
+
+    Attributes:
+        pose: Best guess.
+        covariance: (6, 6) translation (m) over rotation (rad), along the axes it is seen from, rotation about
+            its own origin; as ``CameraExtrinsics.covariance``.
+
+    Raises:
+        CalibrationError: The covariance is no positive definite (6, 6).
+    """
+
+    pose: Pose
+    covariance: Array
+
+    def __init__(self, pose: Pose, covariance: ArrayLike) -> None:
+        c = np.array(covariance, dtype=float)
+        if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.eigvalsh(c)[0] <= 0.0:
+            raise CalibrationError(
+                "how well a pose is known is a positive definite (6, 6) covariance",
+                hint="a pose known exactly: give a small standard deviation, not 0",
+            )
+        object.__setattr__(self, "pose", pose)
+        object.__setattr__(self, "covariance", c)
+
+    @classmethod
+    def within(cls, pose: Pose, position: float, angle: float) -> KnownPose:
+        """Known to these standard deviations of each axis, metres and rad."""
+        return cls(pose, np.diag([position**2] * 3 + [angle**2] * 3))
+
+    def off(self, pose: Pose) -> Array:
+        """Twist (6,) from this pose to another: ``moved(self.pose, twist)`` is that one."""
+        inverse = self.pose.wxyz * (1.0, -1.0, -1.0, -1.0)
+        turn = rotation_log(quat_multiply(pose.wxyz, inverse))
+        return np.concatenate([pose.position - self.pose.position, turn])
+
+
+@dataclass(frozen=True, eq=False)
+class ArmView:
+    """The arm stood still, its joints were read, a picture was taken.
+
+    Attributes:
+        q: (nq,) as the servos say.
+        view: The board in the picture.
+    """
+
+    q: Array
+    view: BoardView
+
+
+@dataclass(frozen=True, eq=False)
+class ArmState:
+    """The unknowns.
+
+    Attributes:
+        offsets: (nv,) to be added to what the servos say, rad (m for slides).
+        mount: Camera and board.
+    """
+
+    offsets: Array
+    mount: Mount
+
+    def moved(self, step: Array) -> ArmState:
+        """Moved by offsets (nv,) and the two twists (12,)."""
+        n = len(self.offsets)
+        return ArmState(self.offsets + step[:n], self.mount.moved(step[n:]))
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """All views, linear at one state, and what is known of the poses beforehand.
+
+    Attributes:
+        pseudo_measurement: (n, 6) twist of the hand, in its axes, that each picture asks for.
+        pixels: (n, 6, 6) covariance of it from the corners alone.
+        rows: (n, 6, nv + 12) by how much the unknowns change it.
+        arm: (n, 6, 6) covariance that one rad of error in each joint would give it.
+        prior: (nv + 12, nv + 12) information on the poses; ``off``: (nv + 12,) from where they were thought.
+        data: What ``compress`` gave.
+    """
+
+    pseudo_measurement: Array
+    pixels: Array
+    rows: Array
+    arm: Array
+    prior: Array
+    off: Array
+    data: Compressed
+
+    def scaled(self, pixel_scale: float) -> Linear:
+        """The same with corners that are worse by a factor."""
+        return replace(self, pixels=self.pixels * pixel_scale**2)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmModel:
+    """What does not change while the unknowns are sought.
+
+    Attributes:
+        robot: All its joints are in ``q`` (nq = nv).
+        frame: What carries board (eye to hand) or camera (eye in hand).
+        intrinsics: Of the camera.
+        views: The measurements.
+        camera, board: What is known beforehand.
+        mounting: Who is carried.
+    """
+
+    robot: Robot
+    frame: str
+    intrinsics: CameraIntrinsics
+    views: Sequence[ArmView]
+    camera: KnownPose
+    board: KnownPose
+    mounting: Mounting
+
+    def start(self) -> ArmState:
+        """No offsets, the poses as they are thought to be."""
+        mount = Mount(self.camera.pose, self.board.pose, self.mounting)
+        return ArmState(np.zeros(self.robot.nv), mount)
+
+    def hand(self, state: ArmState, view: ArmView) -> Pose:
+        """``pose_world_hand`` with the offsets."""
+        return self.robot.forward(view.q + state.offsets, self.frame)
+
+    def samples(self, state: ArmState) -> list[HandEyeSample]:
+        """The views, with the hand where the offsets put it."""
+        return [HandEyeSample(self.hand(state, one), one.view) for one in self.views]
+
+    def linear(self, state: ArmState, weights: Sequence[Array] | None = None) -> Linear:
+        """All views at ``state``; ``weights`` of their corners as for ``compress``."""
+        samples = self.samples(state)
+        data = compress(state.mount, samples, self.intrinsics, weights)
+        by_joint = np.array([self._hand_jacobian(state, one) for one in self.views])
+        rows = np.concatenate([-by_joint, data.by_shared], axis=2)
+        n = self.robot.nv
+        prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
+        prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
+        prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
+        off[n : n + 6] = self.camera.off(state.mount.pose_parent_camera)
+        off[n + 6 :] = self.board.off(state.mount.pose_other_board)
+        arm = by_joint @ by_joint.transpose(0, 2, 1)
+        return Linear(data.pseudo_measurement, data.covariance, rows, arm, prior, off, data)
+
+    def _hand_jacobian(self, state: ArmState, view: ArmView) -> Array:
+        """(6, nv) twist of the hand, in its own axes, by the joints."""
+        q = view.q + state.offsets
+        turn = self.robot.forward(q, self.frame).rotation.T
+        jacobian = self.robot.jacobian(q, self.frame)
+        return np.concatenate([turn @ jacobian[:3], turn @ jacobian[3:]])
+
+    def apart(self, state: ArmState, view: ArmView) -> tuple[Array, float]:
+        """Where the picture shows the carried thing less where the joints put it: world, metres (3,), rad.
+
+        Eye to hand it is the board; eye in hand, the camera.
+        """
+        mount, hand = state.mount, self.hand(state, view)
+        seen = view.view.pose_camera_board
+        if self.mounting == "eye_to_hand":
+            found, expected = mount.pose_parent_camera.compose(seen), hand.compose(mount.pose_other_board)
+        else:
+            found = mount.pose_other_board.compose(seen.inverse())
+            expected = hand.compose(mount.pose_parent_camera)
+        return found.position - expected.position, found.distance(expected)[1]
+
+
+Array = NDArray[np.float64]
+
+# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
+# and by more than this distance: below, print and lens are as good a reason.
+_OUTLIER, _OUTLIER_DISTANCE = 6.4, 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class PoseError:
+    """How far the board is from where the joints put it, in one view.
+
+    Attributes:
+        place: (3,) where the joints put the board (eye in hand: the camera), world, metres.
+        vector: (3,) from there to where the picture shows it, world, metres.
+        angle: The same of the orientation, rad.
+        sigma, sigma_angle: Standard deviation of the measurement (square root of the sum over the axes).
+        sigmas: How far the view contradicts all others, in standard deviations; 0 where that is not asked.
+        outlier: It contradicts them, and counts for almost nothing.
+    """
+
+    place: Array
+    vector: Array
+    angle: float
+    sigma: float
+    sigma_angle: float
+    sigmas: float
+    outlier: bool
+
+    @property
+    def distance(self) -> float:
+        """Length of ``vector``."""
+        return float(np.linalg.norm(self.vector))
+
+
+def pose_error(
+    model: ArmModel, state: ArmState, view: int, covariance: Array, sigmas: float = 0.0
+) -> PoseError:
+    """One view at a state.
+
+    Args:
+        model: Of all views.
+        state: Offsets, camera and board.
+        view: Which.
+        covariance: (6, 6) of the twist of the hand, in its axes, that separates picture and joints.
+        sigmas: As in ``PoseError``.
+    """
+    one, mount = model.views[view], state.mount
+    carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
+    vector, angle = model.apart(state, one)
+    at_point = np.concatenate([np.eye(3), -cross_matrices(carried.position[None])[0]], axis=1)
+    return PoseError(
+        place=np.asarray(model.hand(state, one).apply(carried.position)),
+        vector=vector,
+        angle=angle,
+        sigma=float(np.sqrt(np.trace(at_point @ covariance @ at_point.T))),
+        sigma_angle=float(np.sqrt(np.trace(covariance[3:, 3:]))),
+        sigmas=sigmas,
+        outlier=sigmas > _OUTLIER and float(np.linalg.norm(vector)) > _OUTLIER_DISTANCE,
+    )
+
+
+def measure_errors(
+    views: Sequence[ArmView],
+    robot: Robot,
+    frame: str,
+    intrinsics: CameraIntrinsics,
+    *,
+    camera: KnownPose,
+    board: KnownPose,
+) -> tuple[PoseError, ...]:
+    """The errors of an arm that carries a board before a standing camera; nothing is fitted.
+
+    Args:
+        views: What was measured.
+        robot: Its joints are those of ``q``.
+        frame: What carries the board.
+        intrinsics: Of the pictures' size.
+        camera: Where it is in the world, and how well that is known.
+        board: Where the board is on ``frame``, and how well that is known.
+    """
+    model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, "eye_to_hand")
+    state = model.start()
+    mount = state.mount
+    # The hand as the picture has it: what the corners and the two poses are worth is linear there.
+    hands = [_seen_hand(one, mount.pose_parent_camera, mount.pose_other_board) for one in views]
+    samples = [HandEyeSample(hand, one.view) for hand, one in zip(hands, views, strict=True)]
+    data = compress(mount, samples, intrinsics)
+    known = np.zeros((12, 12))
+    known[:6, :6], known[6:, 6:] = camera.covariance, board.covariance
+    rows = data.by_shared
+    covariances = data.covariance * pixel_scale(data) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
+    return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(views)))
+
+
+def _seen_hand(one: ArmView, pose_world_camera: Pose, pose_hand_board: Pose) -> Pose:
+    return pose_world_camera.compose(one.view.pose_camera_board).compose(pose_hand_board.inverse())
+
+
+# ------------------------------------------------------------------------------------------
+# Kinematic self-calibration: joint zero offsets from pictures of a board that the arm carries.
+#
+# All corners of all pictures are fitted together, over the joints' offsets and the poses of camera and board,
+# by Levenberg and Marquardt's method with robust weights.  What is known of the two poses beforehand enters
+# with its covariance.  Offsets that the views cannot tell from other unknowns are held at 0 and named.
+#
+# Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
+# Int. J. Robotics Research 15(6), 1996.
+
+
+#: Fewer views than this are refused.
+LEAST_VIEWS = 4
+#: Offsets known worse than this count as not told apart, rad.
+UNCLEAR = float(np.deg2rad(0.25))
+_ROUNDS, _TRIES = 30, 8
+# Steps smaller than this (rad, metres) end the iteration; so small that nothing is bent: not tried first.
+_DONE, _SMALL = 1e-6, 1e-3
+_FIRST_DAMPING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroOffsets:
+    """Result of ``fit_zero_offsets``.
+
+    Attributes:
+        joints: Names, in the order of the rest.
+        offsets: (nv,) to be added to the angles that the servos say, rad; 0 for those held.
+        covariance: (nv, nv); zeros for those held, given which the others are known so well.
+        mixtures: What could not be told apart, and which joint is held for it.
+        pose_parent_camera, pose_other_board: The poses, refined.
+        pose_covariance: (12, 12) of their twists.
+        errors: Of each view, as the fit to all *other* views has it.
+        residual_px: RMS distance of the corners, px, of views that are no outliers.
+        joint_noise: Standard deviation of a joint from view to view, rad.
+        pixel_scale: Standard deviation of the pixels in units of the stated one.
+        singular_values: Of the information on the free offsets, 1/rad.
+    """
+
+    joints: tuple[str, ...]
+    offsets: Array
+    covariance: Array
+    mixtures: tuple[Mixture, ...]
+    pose_parent_camera: Pose
+    pose_other_board: Pose
+    pose_covariance: Array
+    errors: tuple[PoseError, ...]
+    residual_px: float
+    joint_noise: float
+    pixel_scale: float
+    singular_values: Array
+
+    @property
+    def sigma(self) -> Array:
+        """(nv,) standard deviations, rad; 0 for those held."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def found(self) -> tuple[str, ...]:
+        """Joints whose offset was determined."""
+        return tuple(name for name, s in zip(self.joints, self.sigma, strict=True) if s > 0.0)
+
+    @property
+    def outliers(self) -> tuple[int, ...]:
+        """Indices of the views that contradict the others."""
+        return tuple(k for k, one in enumerate(self.errors) if one.outlier)
+
+
+def fit_zero_offsets(
+    views: Sequence[ArmView],
+    robot: Robot,
+    frame: str,
+    intrinsics: CameraIntrinsics,
+    *,
+    camera: KnownPose,
+    board: KnownPose,
+    mounting: Mounting = "eye_to_hand",
+    hold: Sequence[str] = (),
+    unclear: float = UNCLEAR,
+) -> ZeroOffsets:
+    """By how much the joints are ahead of what their servos say.
+
+    Args:
+        views: At least 4; 30 that bend every joint are good.
+        robot: Its joints are those of ``q``.
+        frame: What carries the board (eye to hand) or the camera (eye in hand).
+        intrinsics: Of the pictures' size.
+        camera: Where it is, seen from the world or the frame, and how well that is known.
+        board: The same of the board, seen from the other of the two.
+        mounting: Who is carried.
+        hold: Joints whose offset is 0 for sure.
+        unclear: A combination of offsets with a larger standard deviation, rad, is not determined.
+
+    Raises:
+        CalibrationError: Too few views, an unknown mounting, or joints that are no vector.
+        UnknownJointError: ``hold`` names a joint that is not there.
+    """
+    _check(views, robot, mounting, hold)
+    model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, mounting)
+    held = set(hold)
+    mixtures: list[Mixture] = []
+    parent, other = (frame, "the world") if mounting == "eye_in_hand" else ("the world", frame)
+    state = model.start()
+    while True:
+        free = [k for k, name in enumerate(robot.joints) if name not in held]
+        fitted = _fit(model, state, np.array([*free, *range(robot.nv, robot.nv + 12)]))
+        mixture = find_mixture(fitted.normal, robot.joints, unclear, parent, other)
+        if mixture is None:
+            return _result(model, fitted, mixtures)
+        mixtures.append(mixture)
+        held.add(mixture.joint)
+        # From the start again: an offset that nothing determines may have gone anywhere.
+        state = model.start()
+
+
+def _check(views: Sequence[ArmView], robot: Robot, mounting: str, hold: Sequence[str]) -> None:
+    if mounting not in MOUNTINGS:
+        raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
+    if len(views) < LEAST_VIEWS:
+        raise CalibrationError(
+            f"{len(views)} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
+            hint="take 30 that bend every joint",
+        )
+    if robot.nq != robot.nv:
+        raise CalibrationError("zero offsets are for hinges and slides; this robot has ball or free joints")
+    for name in hold:
+        if name not in robot.joints:
+            raise UnknownJointError(name, robot.joints)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """The end of an iteration: where, the views linear there, and what they are worth."""
+
+    state: ArmState
+    linear: Linear
+    noise: JointNoise
+    normal: Normal
+    scale: float
+
+
+def _fit(model: ArmModel, state: ArmState, free: NDArray[np.int64]) -> _Fitted:
+    corners: list[Array] | None = None
+    noise: JointNoise | None = None
+    damping = _FIRST_DAMPING
+    for _ in range(_ROUNDS):
+        raw = model.linear(state, corners)
+        scale = pixel_scale(raw.data)
+        linear = raw.scaled(scale)
+        noise = estimate_joint_noise(linear, free, noise)
+        normal = normal_equations(linear, noise, free)
+        step, damping = _downhill(model, state, corners, (linear, noise, normal), damping)
+        state = state.moved(step)
+        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in raw.data.left]
+        if np.abs(step).max() < _DONE:
+            break
+    assert noise is not None  # there was a round
+    return _Fitted(state, linear, noise, normal, scale)
+
+
+def _downhill(
+    model: ArmModel,
+    state: ArmState,
+    corners: list[Array] | None,
+    equations: tuple[Linear, JointNoise, Normal],
+    damping: float,
+) -> tuple[Array, float]:
+    """A step that lowers the cost, and the damping for the next one; zeros where none does."""
+    linear, noise, normal = equations
+    now = cost(linear, noise)
+    for _ in range(_TRIES):
+        step = normal.step(damping)
+        if np.abs(step).max() < _SMALL:
+            return step, damping
+        there = model.linear(state.moved(step), corners)
+        if cost(there, noise) < now:
+            return step, max(0.1 * damping, 1e-9)
+        damping = 10.0 * max(damping, 1e-6)
+    return np.zeros_like(step), damping
+
+
+def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture]) -> ZeroOffsets:
+    n = model.robot.nv
+    covariance = fitted.normal.spread_out(inverse(fitted.normal.matrix))
+    errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
+    mount = fitted.state.mount
+    squares = [
+        np.sum(np.nan_to_num(mount.miss(one, model.intrinsics), nan=np.inf) ** 2, axis=1)
+        for one, error in zip(model.samples(fitted.state), errors, strict=True)
+        if not error.outlier
+    ]
+    return ZeroOffsets(
+        joints=model.robot.joints,
+        offsets=fitted.state.offsets,
+        covariance=covariance[:n, :n],
+        mixtures=tuple(mixtures),
+        pose_parent_camera=mount.pose_parent_camera,
+        pose_other_board=mount.pose_other_board,
+        pose_covariance=covariance[n:, n:],
+        errors=errors,
+        residual_px=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan"),
+        joint_noise=fitted.noise.size,
+        pixel_scale=fitted.scale,
+        singular_values=np.sqrt(joint_information(fitted.normal, n)[0]),
+    )
+
+
+def _left_out(model: ArmModel, fitted: _Fitted, view: int) -> PoseError:
+    """How one view fits what all others say."""
+    step, covariance = fitted.normal.without(view)
+    rows = fitted.linear.rows[view]
+    pseudo_measurement = fitted.linear.pseudo_measurement[view] + rows @ step
+    expected = fitted.noise.covariances[view] + rows @ covariance @ rows.T
+    sigmas = float(np.sqrt(max(pseudo_measurement @ np.linalg.solve(expected, pseudo_measurement), 0.0)))
+    return pose_error(model, fitted.state.moved(step), view, expected, sigmas)

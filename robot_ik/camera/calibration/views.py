@@ -1,0 +1,242 @@
+"""Gathers the views of a calibration: all pictures of a folder, the still and new ones of a moving source."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.patterns import (
+    CharucoPattern,
+    ChessboardPattern,
+    FoundPattern,
+    Pattern,
+    describe,
+    fitting_pattern,
+    larger_chessboard,
+)
+from robot_ik.camera.calibration.coverage import Coverage, cover
+from robot_ik.camera.calibration.intrinsic import View
+from robot_ik.camera.detection import guess_dictionary
+from robot_ik.camera.sources import Frame
+from robot_ik.errors import CalibrationError, FrameSizeError
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+# Corners of a board held still move less from picture to picture: 1 px where the picture has 640.
+_STILL = 1.0 / 640.0
+# What makes a view a new one: place in parts of the picture, scale as a ratio, lean in degrees.
+_NEW_PLACE, _NEW_SCALE, _NEW_LEAN = 0.12, 1.2, 9.0
+# Pictures without the pattern after which it is asked whether another one is meant; then after four times as
+# many, and so on: asking takes a second, and a live board is often just not yet there.
+_MISSES, _PATIENCE = 12, 4
+# Pictures to ask about while more are to come.
+_ASKED = 3
+# Markers that make a ChArUco board; fewer may be chance finds among the squares of a chessboard.
+_BOARD_MARKERS = 4
+# Pictures without the pattern that are named.
+_NAMED = 5
+
+
+class ViewGatherer:
+    """Takes views one by one.
+
+    Args:
+        pattern: What is shown; replaced when only its old layout is found.
+
+    Attributes:
+        pattern: The pattern that is found.
+        views: The views so far.
+        notices: What is to be told, once.
+    """
+
+    def __init__(self, pattern: Pattern) -> None:
+        self.pattern = pattern
+        self.views: list[View] = []
+        self.notices: list[str] = []
+        self.size: tuple[int, int] | None = None
+        self._before: FoundPattern | None = None
+        self._kinds: list[Array] = []
+        self._misses: deque[Image] = deque(maxlen=_MISSES)
+        self._missed, self._ask_at = 0, _MISSES
+        self._found_any = False
+        self._without: list[str] = []
+        self._first: list[Image] = []
+
+    @property
+    def in_view(self) -> bool:
+        """Whether the last picture showed the pattern."""
+        return self._before is not None
+
+    def offer(self, frame: Frame, name: str, *, choosy: bool) -> bool:
+        """Looks at a picture; True when it became a view.
+
+        Args:
+            frame: The picture.
+            name: What it is called in the report.
+            choosy: Take it only when the board is held still and in a new way (moving sources).
+
+        Raises:
+            FrameSizeError: It has another size than the others.
+            CalibrationError: Another pattern than the wished one is in the pictures.
+        """
+        self._check_size(frame, name)
+        found = self.pattern.find(frame.image)
+        if found is None:
+            self._before = None
+            if not choosy:
+                self._without.append(name)
+            self._miss(frame.image)
+            return False
+        self._found_any = True
+        still, self._before = self._is_still(found, frame.size), found
+        kind = self._kind(found, frame.size)
+        if choosy and not (still and self._is_new(kind)):
+            return False
+        self._kinds.append(kind)
+        self.views.append(View(name, found))
+        if len(self._first) < _ASKED:
+            self._first.append(frame.image)
+        return True
+
+    def finish(self) -> None:
+        """Says what is wrong when the pattern was in none of the pictures, or only a part of one.
+
+        Raises:
+            CalibrationError: It was not; the hint says what was.
+        """
+        if not self._found_any and self._misses:
+            self._ask_what_it_is(last=True)
+        self._doubt_the_count()
+        if self._without and self._found_any:
+            names = ", ".join(self._without[:_NAMED]) + (", …" if len(self._without) > _NAMED else "")
+            self.notices.append(f"not seen well enough in {len(self._without)} of the pictures: {names}")
+
+    @property
+    def coverage(self) -> Coverage:
+        """What the views so far have shown, with leans by a guessed focal length."""
+        found = [v.found for v in self.views]
+        size = self.size or (1, 1)
+        return cover(found, [_pose_guess(f, size)[0] for f in found], size)
+
+    # ---------------------------------------------------------------------------------- parts
+
+    def _check_size(self, frame: Frame, name: str) -> None:
+        if self.size is None:
+            self.size = frame.size
+        if frame.size != self.size:
+            raise FrameSizeError(
+                f"{name} has {frame.size[0]}x{frame.size[1]} px, the pictures before it "
+                f"{self.size[0]}x{self.size[1]} px",
+                hint="a calibration is for one picture size: calibrate each size by itself",
+            )
+
+    def _miss(self, image: Image) -> None:
+        self._misses.append(image)
+        self._missed += 1
+        if not self._found_any and self._missed == self._ask_at:
+            self._ask_at *= _PATIENCE
+            self._ask_what_it_is(last=False)
+
+    def _ask_what_it_is(self, *, last: bool) -> None:
+        images = list(self._misses) if last else list(self._misses)[-_ASKED:]
+        other = fitting_pattern(self.pattern, images)
+        if isinstance(other, CharucoPattern) and other.legacy and _same_counts(other, self.pattern):
+            self.pattern = other
+            self.notices.append(
+                "the board has the layout of OpenCV before 4.6 (legacy pattern): taken as such"
+            )
+            self._without.clear()
+            for number, image in enumerate(images):
+                self.offer(Frame(image, 0.0, number), f"picture {number + 1}", choosy=False)
+        elif other is not None:
+            raise CalibrationError(
+                f"there is no {describe(self.pattern)} in the pictures, but a {describe(other)}",
+                hint=f"--columns {other.columns} --rows {other.rows}" + _counted(other),
+            )
+        elif last:
+            raise CalibrationError(
+                f"there is no {describe(self.pattern)} in any of the pictures",
+                hint=_other_kind(self.pattern, images),
+            )
+
+    def _doubt_the_count(self) -> None:
+        """Tells a chessboard that was counted wrongly although it was found: in part, or by chance."""
+        larger = larger_chessboard(self.pattern, self._first)
+        if larger is not None:
+            self.notices.append(
+                f"only a part of the board is used: it is a {describe(larger)}{_asked(larger)}"
+            )
+        elif 0 < len(self.views) < len(self._without):
+            other = fitting_pattern(self.pattern, list(self._misses)[-_ASKED:])
+            if other is not None and other != self.pattern:
+                self.notices.append(f"most of the pictures show a {describe(other)}{_asked(other)}")
+
+    def _is_still(self, found: FoundPattern, size: tuple[int, int]) -> bool:
+        before = self._before
+        if before is None:
+            return False
+        _, new, old = np.intersect1d(found.ids, before.ids, return_indices=True)
+        if len(new) < 4:
+            return False
+        moved = np.linalg.norm(found.pixels[new] - before.pixels[old], axis=1)
+        return bool(np.median(moved) < _STILL * size[0])
+
+    def _kind(self, found: FoundPattern, size: tuple[int, int]) -> Array:
+        """How the board is held, in units in which 1 makes a difference: place (2), scale, lean (2)."""
+        rotation, depth = _pose_guess(found, size)
+        place = found.pixels.mean(axis=0) / size / _NEW_PLACE
+        lean = cover([found], [rotation], size).leans[0] / _NEW_LEAN
+        return np.array([*place, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *lean])
+
+    def _is_new(self, kind: Array) -> bool:
+        return all(np.linalg.norm(kind - other) > 1.0 for other in self._kinds)
+
+
+def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
+    """What to look at when the pattern and all that is nearly the same were not found."""
+    if not isinstance(pattern, CharucoPattern):
+        return (
+            "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
+        )
+    seen = guess_dictionary(images[-_ASKED:], least=_BOARD_MARKERS)
+    if seen is None:
+        return "there are no markers at all: is it a chessboard (--pattern chessboard)? Check light and focus"
+    if seen != pattern.dictionary:
+        return f"there are markers of {seen}: --dictionary {seen}, and --columns, --rows as on the print"
+    return "there are markers of its dictionary: check --columns, --rows and the two sizes against the print"
+
+
+def _asked(pattern: Pattern) -> str:
+    return f": --columns {pattern.columns} --rows {pattern.rows}"
+
+
+def _counted(pattern: Pattern) -> str:
+    return " (inner corners, not squares)" if isinstance(pattern, ChessboardPattern) else " (squares)"
+
+
+def _same_counts(a: CharucoPattern, b: Pattern) -> bool:
+    return isinstance(b, CharucoPattern) and (a.columns, a.rows) == (b.columns, b.rows)
+
+
+def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, float]:
+    """Rotation and distance of the board before anything is known of the camera: f = 1 width."""
+    f = float(max(size))
+    k = np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1.0]])
+    good, turn, shift = cv2.solvePnP(found.points_board, found.pixels, k, np.zeros(5))
+    if not good:
+        return np.eye(3), 1.0
+    rotation = np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float).reshape(3))[0], dtype=float)
+    return rotation, float(np.asarray(shift, dtype=float).reshape(3)[2])
+
+
+def missing_words(missing: Sequence[str], most: int = 3) -> str:
+    """What is still to be shown, shortly."""
+    if not missing:
+        return "nothing is missing"
+    rest = f" and {len(missing) - most} more" if len(missing) > most else ""
+    return "still to show: " + "; ".join(missing[:most]) + rest

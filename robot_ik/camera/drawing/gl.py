@@ -1,0 +1,262 @@
+"""The pretty back end: MuJoCo's OpenGL renderer behind a calibrated lens, where the machine has one.
+
+Whether OpenGL works is tried in a child process with a time limit, because a driver that fails may abort the
+process that asks; the answer is kept for this machine.  ``MUJOCO_GL`` is never set: MuJoCo reads it once, on
+import, and a renderer is given the context that was tried instead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
+from robot_ik.camera.drawing.painter import EMPTY, Layer
+from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.drawing.renderers import ARTISTS, Artist, Drawing, DrawnRobot, seen_faces, shadow_sheet
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.environment import GL_OFF, probe_gl
+from robot_ik.errors import CameraError
+from robot_ik.files import read_json
+from robot_ik.geometry import Pose
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+#: Back ends in the order in which they are tried; what the user has chosen comes first.
+TRIED = ("egl", "osmesa")
+_PROBE_LIMIT = 20.0
+_NEAR, _FAR = 0.02, 60.0
+# The pinhole picture that is warped through the lens is drawn this much finer.
+_FINER = 1.5
+_LARGEST = 3000
+
+
+@dataclass(frozen=True)
+class GlChoice:
+    """Which OpenGL draws here: a value of ``MUJOCO_GL``, empty for none, and why."""
+
+    backend: str
+    reason: str
+
+
+def choose_gl() -> GlChoice:
+    """The first back end that draws a picture in a child process; asked once on a machine.
+
+    A failure is not kept longer than the process: the library may be installed in the meantime.
+    """
+    asked = os.environ.get("MUJOCO_GL", "").lower()
+    if asked in GL_OFF and asked:
+        return GlChoice("", f"MUJOCO_GL={asked} forbids it")
+    cache = _cache_file(asked)
+    try:
+        kept = read_json(cache, "what worked before")
+        return GlChoice(str(kept["backend"]), "worked before")
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    reasons = []
+    for backend in (asked,) if asked else TRIED:
+        probe = probe_gl(backend, timeout=_PROBE_LIMIT)
+        if probe.ok:
+            with contextlib.suppress(OSError):  # then it is asked again
+                cache.write_text(json.dumps({"backend": backend}))
+            return GlChoice(backend, probe.text)
+        reasons.append(f"{backend}: {probe.text}")
+    return GlChoice("", "; ".join(reasons))
+
+
+def _cache_file(asked: str) -> Path:
+    # another Python, MuJoCo or display may find another driver
+    key = f"{sys.executable} {mujoco.__version__} {asked} {os.environ.get('DISPLAY', '')}"
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robot-ik"
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        base = Path(tempfile.gettempdir())
+    return base / f"gl-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
+
+
+def make_artist(name: str) -> tuple[Artist, str]:
+    """The back end of that name, and one line where it is another one than asked.
+
+    Raises:
+        CameraError: Unknown name.
+    """
+    if name in ARTISTS:
+        return ARTISTS[name](), ""
+    if name != "gl":
+        raise CameraError(f"unknown back end {name!r}", hint=f"known: {', '.join(ARTISTS)}, gl")
+    choice = choose_gl()
+    if not choice.backend:
+        return ARTISTS["painter"](), f"no OpenGL here ({choice.reason}): the painter draws instead"
+    return GlArtist(choice.backend), ""
+
+
+@contextlib.contextmanager
+def _context_of(backend: str) -> Iterator[None]:
+    """MuJoCo's renderer makes its context with what this back end has, whatever was chosen on import."""
+    chooser: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+    own = chooser.GLContext
+    made: Any = importlib.import_module(f"mujoco.{backend}")
+    chooser.GLContext = made.GLContext
+    try:
+        yield
+    finally:
+        chooser.GLContext = own
+
+
+def pinhole_for(intrinsics: CameraIntrinsics, finer: float) -> CameraIntrinsics:
+    """A camera without distortion that sees all that this one sees, drawn ``finer`` in its middle."""
+    field = ray_field(intrinsics)
+    w, h = intrinsics.size
+    x, y = np.linspace(-0.5, w - 0.5, 65), np.linspace(-0.5, h - 0.5, 65)
+    edges = [np.stack([x, 0 * x + v], axis=1) for v in (-0.5, h - 0.5)]
+    edges += [np.stack([0 * y + v, y], axis=1) for v in (-0.5, w - 0.5)]
+    border = field.points(np.concatenate(edges))
+    low, high = border.min(axis=0), border.max(axis=0)
+    fx, fy = finer * intrinsics.fx, finer * intrinsics.fy
+    shrink = min(1.0, _LARGEST / max(fx * (high[0] - low[0]), fy * (high[1] - low[1])))
+    fx, fy = fx * shrink, fy * shrink
+    width = int(np.ceil(fx * (high[0] - low[0]))) + 4
+    height = int(np.ceil(fy * (high[1] - low[1]))) + 4
+    return CameraIntrinsics(width, height, fx, fy, 2.0 - fx * low[0], 2.0 - fy * low[1])
+
+
+def write_frustum(camera: Any, intrinsics: CameraIntrinsics, near: float = _NEAR, far: float = _FAR) -> None:
+    """Gives a ``MjvGLCamera`` the frustum of a camera without distortion, principal point included.
+
+    OpenCV's picture spans -0.5 to W - 0.5, OpenGL's 0 to W, hence the halves; ``frustum_width`` is the *half*
+    width, whatever its comment says (MuJoCo 4.0).
+    """
+    w, h = intrinsics.size
+    camera.frustum_near, camera.frustum_far = near, far
+    camera.frustum_top = (intrinsics.cy + 0.5) * near / intrinsics.fy
+    camera.frustum_bottom = -(h - intrinsics.cy - 0.5) * near / intrinsics.fy
+    camera.frustum_center = (w - 2.0 * intrinsics.cx - 1.0) * near / (2.0 * intrinsics.fx)
+    camera.frustum_width = w * near / (2.0 * intrinsics.fx)
+
+
+class GlArtist:
+    """Renders with MuJoCo's OpenGL renderer: materials, lights and shadows of the model itself.
+
+    Args:
+        backend: A value of ``MUJOCO_GL`` that has drawn in a child process.
+        finer: How much larger than the camera's the picture is rendered before it goes through the lens.
+    """
+
+    name = "gl"
+
+    def __init__(self, backend: str, finer: float = _FINER) -> None:
+        self._backend, self._finer = backend, finer
+        self._renderers: dict[tuple[int, int, int], tuple[Any, mujoco.MjModel, mujoco.MjData]] = {}
+        self._maps: dict[CameraIntrinsics, tuple[CameraIntrinsics, Any]] = {}
+
+    def close(self) -> None:
+        """Lets go of the contexts."""
+        for renderer, _, _ in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+
+    def draw(
+        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    ) -> Drawing:
+        """See ``Artist``."""
+        faces, things, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        if box == EMPTY:
+            return Drawing()
+        pinhole, (map_x, map_y) = self._lens(intrinsics)
+        colour, mask = self._render(figure, qpos, pinhole, pose_board_camera)
+        x0, y0, x1, y1 = box
+        crop = (slice(y0, y1), slice(x0, x1))
+        # the finer picture is averaged over a pixel before it is sampled
+        blur = max(0.3, 0.35 * pinhole.fx / intrinsics.fx)
+        sheet = np.dstack([np.where(mask[..., None] > 0, colour, 0), mask]).astype(np.uint8)
+        sheet = np.asarray(cv2.GaussianBlur(sheet, (0, 0), blur), dtype=np.uint8)
+        seen = np.asarray(cv2.remap(sheet, map_x[crop], map_y[crop], cv2.INTER_LINEAR), dtype=np.uint8)
+        robot = Layer(box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
+        if not figure.shadow:
+            return Drawing(((robot, 1.0),))
+        return Drawing((shadow_sheet(faces, things, intrinsics, pose_board_camera), (robot, 1.0)))
+
+    def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
+        if intrinsics not in self._maps:
+            pinhole = pinhole_for(intrinsics, self._finer)
+            normalized = ray_field(intrinsics).box(0, 0, *intrinsics.size)
+            maps = pinhole.fx * normalized[..., 0] + pinhole.cx, pinhole.fy * normalized[..., 1] + pinhole.cy
+            self._maps[intrinsics] = pinhole, tuple(part.astype(np.float32) for part in maps)
+        return self._maps[intrinsics]
+
+    def _render(
+        self, figure: DrawnRobot, qpos: ArrayLike, pinhole: CameraIntrinsics, pose_board_camera: Pose
+    ) -> tuple[Image, Image]:
+        """Colour (h, w, 3) BGR and mask (h, w) of the robot through a pinhole, phantoms taken away."""
+        camera = figure.camera(pose_board_camera)
+        pictures = self._pictures(figure.model, qpos, pinhole, camera)
+        colour, geom, depth = pictures
+        hidden = geom < 0
+        if figure.phantom_geoms is not None:
+            hidden |= (geom >= 0) & figure.phantom_geoms[geom]
+        if figure.phantoms is not None:
+            things = figure.phantoms
+            _, other, before = self._pictures(things, things.qpos0, pinhole, pose_board_camera)
+            hidden |= (other >= 0) & (before < depth * figure.scale)
+        return colour, np.where(hidden, 0, 255).astype(np.uint8)
+
+    def _pictures(
+        self, model: mujoco.MjModel, qpos: ArrayLike, pinhole: CameraIntrinsics, pose: Pose
+    ) -> tuple[Image, NDArray[np.int32], Array]:
+        renderer, data = self._renderer(model, *pinhole.size)
+        data.qpos[:] = np.asarray(qpos, dtype=float)
+        mujoco.mj_forward(model, data)
+
+        def render() -> Any:
+            option = mujoco.MjvOption()
+            option.geomgroup[:] = VISIBLE_GROUPS
+            renderer.update_scene(data, scene_option=option)
+            for eye in renderer.scene.camera:
+                write_frustum(eye, pinhole)
+                eye.pos[:] = pose.position
+                eye.forward[:] = pose.rotation[:, 2]
+                eye.up[:] = -pose.rotation[:, 1]
+            return renderer.render()
+
+        # no shadows from the model's own lamps: the sheet below has one
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
+        colour = np.ascontiguousarray(render()[..., ::-1])
+        renderer.enable_segmentation_rendering()
+        labels = render()
+        renderer.disable_segmentation_rendering()
+        renderer.enable_depth_rendering()
+        depth = np.asarray(render(), dtype=float)
+        renderer.disable_depth_rendering()
+        geom = np.where(labels[..., 1] == int(mujoco.mjtObj.mjOBJ_GEOM), labels[..., 0], -1)
+        flat = np.asarray(model.geom_type) == int(mujoco.mjtGeom.mjGEOM_PLANE)
+        geom[(geom >= 0) & flat[geom]] = -1
+        return colour, geom.astype(np.int32), depth
+
+    def _renderer(self, model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjData]:
+        key = (id(model), width, height)
+        if key not in self._renderers:
+            model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
+            model.vis.global_.offheight = max(model.vis.global_.offheight, height)
+            with _context_of(self._backend):
+                renderer = mujoco.Renderer(model, height, width)
+            self._renderers[key] = renderer, model, mujoco.MjData(model)
+        renderer, _, data = self._renderers[key]
+        return renderer, data

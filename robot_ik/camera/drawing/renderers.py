@@ -1,0 +1,358 @@
+"""Back ends that draw a robot on a board: ``painter`` (default) and ``ray``; ``gl`` is in ``gl_draw.py``.
+
+All of them give the same sheets for the same robot, camera and light, and none but ``gl`` needs OpenGL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.drawing import painter
+from robot_ik.camera.drawing.painter import EMPTY, Box, Layer
+from robot_ik.camera.drawing.raycast import Caster, ray_field
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.errors import ConfigError, ModelError
+from robot_ik.files import read_toml, shown
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.model import read_model
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Shadows fall from the light that the robot is drawn with, at least so steeply (cosine to the vertical); they
+# are softened over so much of the robot's height in the picture, and take so much of the light.
+_STEEP, _SOFT, _DARK = 0.6, 0.012, 0.42
+# They are drawn so many times coarser than the picture: nobody can tell.
+_COARSE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnRobot:
+    """A robot beside a board, with the real things that may hide it.
+
+    Attributes:
+        model: The robot.
+        pose_board_base: Where its world frame is, seen from the board (x right, y up, z out of the print).
+        scale: Drawn size over true size.
+        phantoms: Real things, their world is the board's frame; drawn to depth only.
+        phantom_geoms: (ngeom,) geoms of the robot's own model that are such things.
+        tint: One colour for all of it, BGR 0..255.
+        shadow: Whether it throws a shadow on the board's plane.
+    """
+
+    model: mujoco.MjModel
+    pose_board_base: Pose = field(default_factory=Pose)
+    scale: float = 1.0
+    phantoms: mujoco.MjModel | None = None
+    phantom_geoms: Mask | None = None
+    tint: tuple[float, float, float] | None = None
+    shadow: bool = True
+
+    def camera(self, pose_board_camera: Pose) -> Pose:
+        """Where a robot of true size must be seen from, so that it looks like this one."""
+        seen = self.pose_board_base.inverse().compose(pose_board_camera)
+        # a scene and its camera in one scale give one picture
+        return Pose(seen.position / self.scale, seen.wxyz)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Sheets to be laid over a picture one after the other, each with its strength."""
+
+    sheets: tuple[tuple[Layer, float], ...] = ()
+
+    def over(self, image: NDArray[np.uint8], alpha: float = 1.0) -> None:
+        """Lays them over ``image``, in place."""
+        for sheet, strength in self.sheets:
+            sheet.over(image, alpha * strength)
+
+    def shifted(self, motion: Array, width: int, height: int) -> Drawing:
+        """All of them moved in the picture; see ``Layer.shifted``."""
+        return Drawing(tuple((sheet.shifted(motion, width, height), s) for sheet, s in self.sheets))
+
+    @property
+    def robot(self) -> Layer:
+        """The robot itself; empty when nothing was drawn."""
+        return self.sheets[-1][0] if self.sheets else Layer.empty()
+
+
+class Artist(Protocol):
+    """Draws a figure where a camera sees it."""
+
+    name: str
+
+    def draw(
+        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    ) -> Drawing:
+        """The sheets of one picture; ``qpos`` is (model.nq,)."""
+        ...
+
+
+def seen_faces(
+    figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+) -> tuple[painter.Faces, painter.Faces | None, Box]:
+    """Faces of robot and phantoms with depths of one scale, and the pixels the robot touches."""
+    faces = painter.faces_in_picture(figure.model, qpos, intrinsics, figure.camera(pose_board_camera))
+    faces = replace(faces, inverse=faces.inverse / figure.scale, points=faces.points * figure.scale)
+    box = painter.bounding_box(faces, *intrinsics.size)
+    things = None
+    if figure.phantoms is not None and box != EMPTY:
+        model = figure.phantoms
+        things = painter.faces_in_picture(model, model.qpos0, intrinsics, pose_board_camera, planes=True)
+    return faces, things, box
+
+
+def shadow_sheet(
+    faces: painter.Faces, things: painter.Faces | None, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+) -> tuple[Layer, float]:
+    """The shadow that ``faces`` throw on the board's plane, and its strength; phantoms hide it."""
+    inverse = pose_board_camera.inverse()
+    normal, origin = inverse.rotation[:, 2], inverse.position
+    fall = -painter.LIGHT
+    fall = fall - normal * max(_STEEP + float(fall @ normal), 0.0)
+    lift = np.maximum((faces.points - origin) @ normal, 0.0) / (fall @ normal)
+    points = faces.points - lift[:, None] * fall
+    pixels, depths, good = painter.project(points, intrinsics)
+    good &= faces.within
+    whole = np.ones(len(faces.faces), dtype=bool)
+    if not good.all():
+        whole = np.logical_and.reduce(good[faces.faces], axis=1)
+    # what is beside the lens is projected anywhere
+    rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
+    soft = max(1.0, _SOFT * _extent(rows) / _COARSE)
+    flat = replace(
+        faces,
+        pixels=(pixels + 0.5) / _COARSE - 0.5,
+        inverse=depths,
+        chosen=faces.chosen[whole[faces.chosen]],
+        within=good,
+    )
+    width, height = intrinsics.size
+    box = painter.bounding_box(flat, width // _COARSE, height // _COARSE, margin=3 + round(3 * soft))
+    if box == EMPTY:
+        return Layer.empty(), 0.0
+    samples = painter.Samples(box, 1)
+    samples.fill(flat)
+    dark = (samples.depth[..., 0] > 0).astype(np.uint8) * 255
+    dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
+    dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
+    x0, y0, x1, y1 = (_COARSE * v for v in box)
+    if things is not None:
+        behind = painter.Samples((x0, y0, x1, y1), 1)
+        behind.fill(things)
+        # what stands on the plane does not hide the plane where it stands
+        hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
+        dark[hidden] = 0
+    return Layer((x0, y0, x1, y1), np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
+
+
+def _extent(values: Array) -> float:
+    return float(values.max() - values.min()) if len(values) else 0.0
+
+
+def _plane_inverse(box: Box, intrinsics: CameraIntrinsics, pose_camera_board: Pose) -> Array:
+    """One over the depth (h, w) at which pixels of the box see the board's plane; 0 where they do not."""
+    normalized = ray_field(intrinsics).box(*box)
+    normal = pose_camera_board.rotation[:, 2]
+    return np.maximum((normalized @ normal[:2] + normal[2]) / (pose_camera_board.position @ normal), 0.0)
+
+
+class PainterArtist:
+    """Faces filled with a depth buffer: quick, smooth, nothing but NumPy and compiled code.
+
+    Args:
+        samples: Places in each pixel at which it is asked what is nearest: 1, 4, 8 or 16.
+    """
+
+    name = "painter"
+
+    def __init__(self, samples: int = 4) -> None:
+        self._samples = samples
+
+    def draw(
+        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    ) -> Drawing:
+        """See ``Artist``."""
+        faces, things, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        if box == EMPTY:
+            return Drawing()
+        samples = painter.Samples(box, self._samples)
+        if things is not None:
+            samples.fill(things, phantoms=True)
+        samples.fill(faces, phantoms=False if figure.phantom_geoms is None else figure.phantom_geoms)
+        robot = (samples.layer(painter.base_colours(figure.model, figure.tint)), 1.0)
+        if not figure.shadow:
+            return Drawing((robot,))
+        return Drawing((shadow_sheet(faces, things, intrinsics, pose_board_camera), robot))
+
+
+@dataclass(frozen=True)
+class RayPicture:
+    """What rays through the middles of pixels meet.
+
+    Attributes:
+        box: The pixels, half open; ``depth`` (h, w) metres along the optical axis, inf where nothing is.
+        depth: See ``box``.
+        geom: (h, w) geom of the robot that is seen; -1 for none, a phantom among them.
+    """
+
+    box: Box
+    depth: Array
+    geom: NDArray[np.int32]
+
+
+class RayArtist:
+    """MuJoCo's own rays (``mj_multiRay``), analytic for primitives: exact outlines, slower."""
+
+    name = "ray"
+
+    def __init__(self, samples: int = 4) -> None:
+        self._places = painter.SAMPLES[samples]
+        self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
+
+    def draw(
+        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    ) -> Drawing:
+        """See ``Artist``."""
+        faces, things, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        if box == EMPTY:
+            return Drawing()
+        size = (box[3] - box[1], box[2] - box[0])
+        near = cv2.dilate(painter.paint_mask(size, faces, box[:2]), np.ones((5, 5), np.uint8)) > 0
+        base = painter.base_colours(figure.model, figure.tint)
+        rows, columns = np.nonzero(near)
+        total = np.zeros((len(rows), 4))
+        for place in self._places:
+            pixels = np.stack([columns + box[0], rows + box[1]], axis=1) + place
+            geom, _, normal = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
+            on = geom >= 0
+            total[on, :3] += painter.lit_colours(base[geom[on]], normal[on])
+            total[on, 3] += 255.0
+        total /= len(self._places)
+        sheet = np.zeros((*size, 4), dtype=np.uint8)
+        sheet[rows, columns] = np.rint(total)
+        robot = Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
+        if not figure.shadow:
+            return Drawing(((robot, 1.0),))
+        return Drawing((shadow_sheet(faces, things, intrinsics, pose_board_camera), (robot, 1.0)))
+
+    def look(
+        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    ) -> RayPicture:
+        """Depth and geom of each pixel that the robot can touch."""
+        _, _, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        x, y = np.meshgrid(np.arange(box[0], box[2]), np.arange(box[1], box[3]))
+        pixels = np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
+        geom, depth, _ = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
+        return RayPicture(box, depth.reshape(x.shape), geom.reshape(x.shape))
+
+    def _caster(self, model: mujoco.MjModel) -> Caster:
+        if id(model) not in self._casters:  # the model is kept, so the id stays its own
+            self._casters[id(model)] = model, Caster(model)
+        return self._casters[id(model)][1]
+
+    def _cast(
+        self,
+        figure: DrawnRobot,
+        qpos: ArrayLike,
+        intrinsics: CameraIntrinsics,
+        pose_board_camera: Pose,
+        pixels: Array,
+    ) -> tuple[NDArray[np.int32], Array, Array]:
+        """Geoms (n,), depths (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
+        normalized = ray_field(intrinsics).points(pixels)
+        rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
+        caster = self._caster(figure.model)
+        caster.place(qpos)
+        camera = figure.camera(pose_board_camera)
+        hits = caster.cast(camera.position, rays @ camera.rotation.T)
+        geom, depth = hits.geom.copy(), hits.depth * figure.scale
+        if figure.phantom_geoms is not None:
+            geom[(geom >= 0) & figure.phantom_geoms[geom]] = -1
+        if figure.phantoms is not None:
+            real = self._caster(figure.phantoms)
+            real.place(figure.phantoms.qpos0)
+            before = real.cast(
+                pose_board_camera.position, rays @ pose_board_camera.rotation.T, normals=False
+            ).depth
+            geom[before < depth] = -1
+            depth = np.minimum(depth, before)
+        return geom, depth, hits.normal @ camera.rotation
+
+
+ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": RayArtist}
+"""Back ends that every machine has, by name."""
+
+
+# ------------------------------------------------------------------------------------------
+# Real things that hide the drawn robot: geoms that are drawn to depth only.
+#
+# They come from a MuJoCo model, or from a TOML file of boxes::
+#
+#     [[box]]
+#     position = [0.10, 0.05, 0.04]   # its middle, metres, in the frame of the board
+#     size = [0.06, 0.06, 0.08]       # its edges, metres
+#     yaw_deg = 20.0                  # about the vertical, 0 when not given
+
+
+_KEYS = {"position": 3, "size": 3, "yaw_deg": 1}
+
+
+def load_phantoms(path: Path | str) -> mujoco.MjModel:
+    """The things in a file, as a model whose world is the frame of the board.
+
+    Raises:
+        ConfigError: The file is missing, is no such file, or a box cannot be.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise ConfigError("there is no such file", file=file, allowed="boxes in TOML, or a MuJoCo model")
+    if file.suffix.lower() != ".toml":
+        try:
+            return read_model(file, file)[0]
+        except ModelError as error:
+            raise ConfigError(f"is not a MuJoCo model: {error.reason or error}", file=file) from error
+    data = read_toml(file, "the file of boxes")
+    boxes = data.get("box")
+    if not isinstance(boxes, list) or not boxes or set(data) != {"box"}:
+        raise ConfigError("holds no boxes", file=file, key="box", allowed="[[box]] with position and size")
+    return phantom_boxes([_box(box, file, k) for k, box in enumerate(boxes)])
+
+
+def phantom_boxes(boxes: list[dict[str, list[float]]]) -> mujoco.MjModel:
+    """A model of boxes, each with ``position``, ``size`` and ``yaw_deg`` as in the file."""
+    spec = mujoco.MjSpec()
+    for box in boxes:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=box["position"],
+            size=[0.5 * edge for edge in box["size"]],
+            quat=rotation_exp([0.0, 0.0, np.deg2rad(box.get("yaw_deg", [0.0])[0])]).tolist(),
+        )
+    return spec.compile()
+
+
+def _box(box: Any, file: Path, number: int) -> dict[str, list[float]]:
+    key = f"box {number + 1}"
+    if not isinstance(box, Mapping) or not {"position", "size"} <= set(box) <= set(_KEYS):
+        raise ConfigError("is no box", file=file, key=key, allowed=", ".join(_KEYS))
+    found = {}
+    for name, value in box.items():
+        numbers = value if isinstance(value, list) else [value]
+        good = all(isinstance(v, (int, float)) and np.isfinite(v) for v in numbers)
+        if not good or len(numbers) != _KEYS[name]:
+            raise ConfigError(
+                f"{shown(value)} is no {name}", file=file, key=key, allowed=f"{_KEYS[name]} finite numbers"
+            )
+        found[name] = [float(v) for v in numbers]
+    if min(found["size"]) <= 0:
+        raise ConfigError(f"{found['size']} is no size", file=file, key=key, allowed="edges above 0, metres")
+    return found

@@ -1,0 +1,250 @@
+"""The one place that knows how OpenCV 4.8+ and 5.x differ, and that keeps OpenCV quiet.
+
+OpenCV 5 returns (N, 2) and (N,) where 4.x returned (N, 1, 2) and (N, 1); subtracting one from the other
+broadcasts silently to N x N.  Everything that comes out of OpenCV is therefore reshaped here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import CameraError, CameraNotFoundError, OutputError, unknown_name_text
+from robot_ik.files import write_atomically
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+VERSION: tuple[int, int] = tuple(int(v) for v in re.findall(r"\d+", cv2.__version__)[:2])  # type: ignore[assignment]
+
+# FFMPEG inside OpenCV has a log level of its own, read once, before the first film is opened; -8 is silence.
+# Whoever has set it keeps what he set.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+_SILENT = 0
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """OpenCV's own messages on stderr off for a while: failures are told by our errors."""
+    # Releases before 4.11 have the same two functions under another name.
+    log = getattr(cv2.utils, "logging", cv2)
+    before = log.getLogLevel()
+    log.setLogLevel(_SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(before)
+
+
+def dictionary_names() -> tuple[str, ...]:
+    """Names of the predefined marker dictionaries of the installed OpenCV."""
+    # Upper case throughout: OpenCV has some names twice, as 36h11 and 36H11.
+    return tuple(sorted({name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}))
+
+
+def marker_dictionary(name: str) -> Any:
+    """The predefined dictionary ``name``, for example ``DICT_5X5_50``.
+
+    Raises:
+        CameraError: No such dictionary; the close names are listed.
+    """
+    names = dictionary_names()
+    wanted = name.strip().upper()
+    if wanted not in names and f"DICT_{wanted}" in names:
+        wanted = f"DICT_{wanted}"
+    if wanted not in names:
+        raise CameraError(unknown_name_text("marker dictionary", name, names))
+    number = next(getattr(cv2.aruco, name) for name in dir(cv2.aruco) if name.upper() == wanted)
+    return cv2.aruco.getPredefinedDictionary(number)
+
+
+def dictionary_size(name: str) -> int:
+    """Number of markers in the dictionary ``name``; ids run from 0 to one less."""
+    return int(marker_dictionary(name).bytesList.shape[0])
+
+
+def marker_bits(name: str, marker_id: int) -> Image:
+    """Cells (n, n) of a marker with its one-cell black border, 0 black and 255 white.
+
+    Raises:
+        CameraError: Unknown dictionary, or an id beyond it.
+    """
+    dictionary = marker_dictionary(name)
+    count = dictionary_size(name)
+    if not 0 <= marker_id < count:
+        raise CameraError(f"marker id {marker_id} is not in {name}", hint=f"its ids are 0 to {count - 1}")
+    side = int(dictionary.markerSize) + 2
+    return np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side), dtype=np.uint8)
+
+
+def detect_markers(detector: Any, gray: Image) -> list[tuple[int, Array]]:
+    """Runs a ``cv2.aruco.ArucoDetector``: pairs of id and corners (4, 2), float64 pixels."""
+    corners, ids, _ = detector.detectMarkers(gray)
+    if ids is None or len(corners) == 0:
+        return []
+    numbers = np.asarray(ids).reshape(-1)
+    return [(int(i), np.asarray(c, dtype=float).reshape(4, 2)) for i, c in zip(numbers, corners, strict=True)]
+
+
+def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], list[float]]]:
+    """Both poses of a square seen in undistorted normalised coordinates (IPPE_SQUARE).
+
+    Args:
+        points: (4, 3) metres, in the order (-,+) (+,+) (+,-) (-,-), z = 0.
+        normalized: (4, 2) undistorted normalised coordinates.
+
+    Returns:
+        Up to two pairs of rotation vector (3,) and translation (3,), best first; empty when the four corners
+        are degenerate.
+    """
+    try:
+        found, rotations, translations, _ = cv2.solvePnPGeneric(
+            points, np.ascontiguousarray(normalized), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+    except cv2.error:
+        return []
+    if not found:
+        return []
+    poses = []
+    for vector, shift in zip(rotations, translations, strict=True):
+        turn, translation = np.ravel(vector).tolist(), np.ravel(shift).tolist()
+        if all(map(math.isfinite, turn + translation)):
+            poses.append((turn, translation))
+    return poses
+
+
+# ------------------------------------------------------------------------------------------
+# Pictures in a whole part of their size: a large or soft picture is searched there, and loses nothing.
+#
+# A reduced pixel is the mean of ``times`` x ``times`` pixels, so that noise and the place of edges are kept.
+
+
+# Detectors look at so many pixels round a pixel as suits pictures of up to this longer side, px.
+LARGE = 3000
+_WANTED = 2000
+
+
+def reduction_for(image: Image) -> int:
+    """How many times smaller a picture (h, w, …) is to be searched; 1: as it is."""
+    longer = max(image.shape[:2])
+    return 1 if longer <= LARGE else -(-longer // _WANTED)
+
+
+def reduced(gray: Image, times: int) -> Image:
+    """The picture (h, w) so many times smaller, without the last columns and rows that fill no pixel."""
+    if times == 1:
+        return gray
+    height, width = (n // times for n in gray.shape)
+    whole = gray[: height * times, : width * times]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def to_reduced(pixels: Array, times: float) -> Array:
+    """Places (…, 2) of a picture in the one that is so many times smaller, pixel centres being whole."""
+    return (pixels + 0.5) / times - 0.5
+
+
+def from_reduced(pixels: Array, times: float) -> Array:
+    """The way back."""
+    return (pixels + 0.5) * times - 0.5
+
+
+# ------------------------------------------------------------------------------------------
+# Picture files: read as the sensor saw them, written whole; and what lies beside a wrong name.
+
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".ogv")
+
+
+def read_image(path: Path | str) -> Image:
+    """A picture file as BGR (height, width, 3) uint8, in the sensor's own orientation.
+
+    The orientation mark of cameras (EXIF) is ignored: lens distortion belongs to the sensor's axes.
+
+    Raises:
+        CameraNotFoundError: The file is missing or no picture.
+    """
+    path = Path(path)
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise CameraNotFoundError(
+            f"cannot read the picture {path}: {error.strerror}", hint=neighbours(path)
+        ) from None
+    image = None
+    if data.size:
+        # It raises where the header of a file says more pixels than a picture may have.
+        with quiet(), contextlib.suppress(cv2.error):
+            image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        raise CameraNotFoundError(
+            f"{path} is not a picture that OpenCV can read", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def first_size(files: Sequence[Path]) -> tuple[int, int]:
+    """(width, height) of the first picture that can be read.
+
+    Raises:
+        CameraNotFoundError: None can; it is of the first one.
+    """
+    trouble: CameraNotFoundError | None = None
+    for file in files:
+        try:
+            height, width = read_image(file).shape[:2]
+        except CameraNotFoundError as error:
+            trouble = trouble or error
+        else:
+            return width, height
+    raise trouble or CameraNotFoundError("there are no pictures")
+
+
+def natural_sort(paths: Iterable[Path]) -> list[Path]:
+    """Paths sorted as people count: numbers in names by their value."""
+
+    def key(path: Path) -> list[tuple[int, int, str]]:
+        parts = re.split(r"(\d+)", path.name.lower())
+        return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p]
+
+    return sorted(paths, key=lambda path: (key(path), path.name))
+
+
+def neighbours(path: Path) -> str:
+    """What is there beside a path that is not: the pictures and films of its folder."""
+    folder = path.parent
+    if not folder.is_dir():
+        return f"the folder {folder} does not exist"
+    known = IMAGE_SUFFIXES + VIDEO_SUFFIXES
+    found = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
+    shown = ", ".join(f.name for f in found[:8]) + (", …" if len(found) > 8 else "")
+    return f"{folder} holds {shown}" if found else f"{folder} holds no pictures or films"
+
+
+def write_image(path: Path, image: Image) -> None:
+    """Writes a picture, whole or not at all; the suffix says how.
+
+    Raises:
+        OutputError: The suffix is none of a picture, or the folder is missing or not writable.
+    """
+    good, data = False, None
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        good, data = cv2.imencode(path.suffix.lower(), image)
+    if not good or data is None:
+        raise OutputError(
+            f"cannot write {path}: no kind of picture ends in {path.suffix or 'nothing'!r}",
+            hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}",
+        )
+    write_atomically(path, np.asarray(data, dtype=np.uint8).tobytes())

@@ -1,0 +1,559 @@
+"""What is seen becomes what is wanted: markers and bodies as a source of goals.
+
+``marker_source`` is the source; ``sight`` weighs one sight, ``one_euro`` calms what is shown (the filter
+over time is ``camera/motion_filter.py``), ``lost`` says what happens when nothing is seen, ``latest`` looks
+beside the control loop, ``latency`` measures how old a goal is.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro, Update
+from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.geometry import Pose
+from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock
+
+if TYPE_CHECKING:
+    from robot_ik.goals import Goal, PoseGoal, PositionGoal
+
+
+# ------------------------------------------------------------------------------------------
+# How old a goal is: the delay from the grab of its picture, measured where the goal is made and used.
+
+
+# Delays kept; older ones are forgotten, so that the figures tell of the last minute or so.
+_KEPT = 2000
+# A picture that is older than this, or of the future, was not stamped by the clock that is asked now.
+LONGEST_S = 2.0
+_AHEAD_S = 1e-3
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Delays in figures, seconds; NaN where nothing was measured.
+
+    Attributes:
+        count: How many were measured.
+        p50, p95: Median, and what 95 of 100 stay below.
+        longest: The longest of those kept.
+    """
+
+    count: int = 0
+    p50: float = float("nan")
+    p95: float = float("nan")
+    longest: float = float("nan")
+
+    def __str__(self) -> str:
+        if not self.count:
+            return "not measured"
+        return f"p50 {1e3 * self.p50:.1f} ms, p95 {1e3 * self.p95:.1f} ms"
+
+
+class DelayMeter:
+    """Gathers delays; may be written by one thread and read by another."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: deque[float] = deque(maxlen=_KEPT)
+        self._count = 0
+
+    def add(self, grabbed: float, now: float) -> float:
+        """Takes the delay from ``grabbed`` to ``now``, seconds on one clock; gives it back.
+
+        One that cannot be (negative, or longer than two seconds) is of two different clocks: it is not
+        counted, and comes back as NaN.
+        """
+        delay = now - grabbed
+        if not -_AHEAD_S <= delay <= LONGEST_S:
+            return float("nan")
+        with self._lock:
+            self._kept.append(max(delay, 0.0))
+            self._count += 1
+        return max(delay, 0.0)
+
+    def figures(self) -> Delays:
+        """What was measured until now."""
+        with self._lock:
+            kept, count = list(self._kept), self._count
+        if not kept:
+            return Delays()
+        p50, p95 = np.percentile(kept, [50.0, 95.0])
+        return Delays(count, float(p50), float(p95), float(max(kept)))
+
+
+# ------------------------------------------------------------------------------------------
+# Looking beside the control loop: the newest goal is always at hand, and no tick waits for a picture.
+
+
+_log = logging.getLogger(__name__)
+
+# A goal older than this is history: then the arm holds.
+_MAX_AGE_S = 0.5
+# The interpreter changes threads every 5 ms by default, half a period of the loop: with pictures computed
+# in Python that cost a fifth of the loop's rate and answers of servos that came too late.
+_SWITCH_INTERVAL_S = 0.0005
+# How often a scene that exists only in numbers is looked at, Hz: as a cheap camera would.
+SYNTHETIC_RATE_HZ = 15.0
+
+
+class LatestGoals:
+    """Asks a goal source on a thread of its own (real time), or whenever a picture is due (virtual time).
+
+    Taking a picture and finding a marker in it takes several periods of a control loop.  A source with
+    ``look`` and ``goal_at`` (``MarkerGoalSource``) looks there and is asked for the goal at each tick's own
+    time; any other is polled there, and its newest goal given.
+
+    Args:
+        goals: What looks.
+        clock: The run's clock.
+        rate_hz: How often to look; None, real time only: as fast as pictures come, for cameras that
+            have a rate of their own.
+
+    Attributes:
+        ended: The film is over, or the camera has stopped; from then on there is no goal.
+    """
+
+    def __init__(self, goals: GoalSource[Any], clock: Clock, rate_hz: float | None = None) -> None:
+        self._goals, self._clock = goals, clock
+        self._look_at = getattr(goals, "look", None)
+        self._goal_at = getattr(goals, "goal_at", None)
+        self._period = 0.0 if rate_hz is None else 1.0 / rate_hz
+        self._virtual = isinstance(clock, VirtualClock)
+        self._due = -float("inf")
+        self._lock = threading.Lock()
+        self._latest: Any = None
+        self._seen_at = -float("inf")
+        self._failure: BaseException | None = None
+        self.ended = False
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._switch_interval = sys.getswitchinterval()
+
+    def __enter__(self) -> Self:
+        if not self._virtual:
+            self._switch_interval = sys.getswitchinterval()
+            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, self._switch_interval))
+            self._thread = threading.Thread(target=self._run, daemon=True, name="looking")
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stops looking; the source stays open."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+            sys.setswitchinterval(self._switch_interval)
+
+    def poll(self, now: float) -> Any:
+        """The newest goal; None, which means hold, when there is none or it is older than half a second.
+
+        Raises:
+            CameraError: What looking raised, except that pictures came to an end.
+            MarkerNotFoundError: The source's policy for a lost marker says stop.
+        """
+        if self._virtual and now >= self._due and not self.ended:
+            self._due = now + self._period
+            self._look(now)
+        with self._lock:
+            if self._failure is not None:
+                raise self._failure
+            fresh = now - self._seen_at <= max(_MAX_AGE_S, 2.0 * self._period)
+            latest = self._latest if fresh else None
+        return latest if self._goal_at is None else self._goal_at(now)
+
+    def _look(self, now: float) -> None:
+        goal = None
+        try:
+            if self._look_at is not None:
+                self._look_at(now, wait=not self._virtual)
+            else:
+                goal = self._goals.poll(now)
+        except FrameTimeoutError as error:
+            _log.info("no more pictures: %s", error)
+            self.ended = True
+            return
+        with self._lock:
+            self._latest, self._seen_at = goal, self._clock.now()
+
+    def _run(self) -> None:
+        while not self._stop.is_set() and not self.ended:
+            begin = self._clock.now()
+            try:
+                self._look(begin)
+            except Exception as error:  # handed to whoever asks next
+                with self._lock:
+                    self._failure = error
+                return
+            self._stop.wait(max(0.0, begin + self._period - self._clock.now()))
+
+
+# ------------------------------------------------------------------------------------------
+# What shall happen when the marker that is followed stays out of sight.
+
+
+LostPolicy = Literal["hold", "park", "stop"]
+
+
+@dataclass(frozen=True)
+class WhenLost:
+    """First the arm holds; after ``seconds`` without a goal comes the policy.
+
+    Attributes:
+        then: ``hold`` goes on holding; ``park`` goes to ``goal``; ``stop`` raises ``MarkerNotFoundError``,
+            which ends the run, and the arm's exit policy decides.
+        seconds: Since the last goal from a picture, or since the first look when there was none.
+        goal: Where to park, for example ``PostureGoal(q=robot.home)``.
+
+    Raises:
+        CameraError: No such policy, no time, or nowhere to park.
+    """
+
+    then: LostPolicy = "hold"
+    seconds: float = 2.0
+    goal: Goal | None = None
+
+    def __post_init__(self) -> None:
+        if self.then not in ("hold", "park", "stop"):
+            raise CameraError(
+                f"{self.then!r} is nothing to do when a marker is lost", hint="hold, park or stop"
+            )
+        if not (np.isfinite(self.seconds) and self.seconds >= 0.0):
+            raise CameraError(
+                f"a marker cannot be lost for {self.seconds} s", hint="give 0 or a finite time in seconds"
+            )
+        if (self.then == "park") != (self.goal is not None):
+            raise CameraError(
+                "a goal for a lost marker is for parking, and parking needs one",
+                hint='WhenLost("park", goal=PostureGoal(q=robot.home))',
+            )
+
+
+# ------------------------------------------------------------------------------------------
+# What one sight of a marker is worth: which of its two poses, how sure, and how much its goal weighs.
+
+
+# Above this ratio of errors the two branches of a flat marker cannot be told apart: all wrong choices in our
+# trials (low contrast, 1.5 m) had 0.63 or more.
+AMBIGUITY_LIMIT = 0.6
+# Both branches may still agree on where the tool should be, to this distance.
+_SAME_PLACE = 0.002
+# Standard deviation of an orientation that says nothing, rad.
+_ANY_TURN = 10.0
+# However uncertain, a goal weighs at least this: it was seen.
+LEAST_WEIGHT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One sight, in the world.
+
+    Attributes:
+        pose: Of the marker or body.
+        covariance: (6, 6) of it, along the world's axes.
+        place: (3,) the tool seen from the origin of ``pose``, along the world's axes, where only that is
+            sure; None where the orientation is.
+    """
+
+    pose: Pose
+    covariance: Array
+    place: Array | None = None
+
+
+class Choice:
+    """Chooses between the two poses that a flat marker allows.
+
+    Args:
+        pose_marker_tool: Where the tool is wanted.
+        normal: Known world direction (3,) of the marker's z axis, or None.
+    """
+
+    def __init__(self, pose_marker_tool: Pose, normal: ArrayLike | None) -> None:
+        self._tool = pose_marker_tool
+        self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
+
+    def of(self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose) -> Sight | None:
+        """The sight of an observation, or None when nobody can say where the tool should go."""
+        own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
+        pose = pose_world_camera.compose(own)
+        turn = np.kron(np.eye(2), pose_world_camera.rotation)
+        covariance = turn @ seen.covariance @ turn.T
+        if seen.alternative is None:
+            return Sight(pose, covariance)
+        other = pose_world_camera.compose(seen.alternative)
+        if self._normal is not None:
+            return Sight(min((pose, other), key=self._tilt), covariance)
+        if seen.ambiguity <= AMBIGUITY_LIMIT:
+            return Sight(pose, covariance)
+        one, two = (branch.apply(self._tool.position) for branch in (pose, other))
+        if np.linalg.norm(one - two) > _SAME_PLACE:
+            return None
+        unsure = np.zeros((6, 6))
+        unsure[:3, :3] = covariance[:3, :3]
+        unsure[3:, 3:] = _ANY_TURN**2 * np.eye(3)
+        return Sight(pose, unsure, 0.5 * (one + two) - pose.position)
+
+    def _tilt(self, pose: Pose) -> float:
+        """Angle between the marker's z axis and the direction it is known to have; smaller is better."""
+        assert self._normal is not None
+        cosine = pose.rotation[:, 2] @ self._normal / np.linalg.norm(self._normal)
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
+    """Standard deviations (m, rad) in the worst direction of a point ``lever`` (3,) away from the origin.
+
+    A small turn ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
+    """
+    x, y, z = np.asarray(lever, dtype=float)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    jacobian = np.hstack([np.eye(3), -cross])
+    metres = np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1]
+    radians = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
+    return float(np.sqrt(max(metres, 0.0))), float(np.sqrt(max(radians, 0.0)))
+
+
+def goal_weight(sigma: float, trusted: float) -> float:
+    """Weight of a goal that is known to ``sigma``: 1 up to ``trusted``, then trusted / σ, at least 0.05."""
+    return max(LEAST_WEIGHT, min(1.0, trusted / sigma)) if sigma > 0.0 else 1.0
+
+
+# ------------------------------------------------------------------------------------------
+# A marker, or a body that carries several, in front of a camera as a source of goals.
+
+
+Array = NDArray[np.float64]
+Layout = Mapping[int, tuple[float, Pose]]
+
+# Without a new picture for this long the last goal is history.
+
+
+class MarkerGoalSource:
+    """Goals that follow a marker or body: a pose of the tool, fixed relative to it, at the time asked for.
+
+    What comes out:
+
+    * seen, orientation certain: a ``PoseGoal``;
+    * orientation uncertain (``ambiguity`` above 0.6), but both possible poses put the tool in the same
+      place to 2 mm: a ``PositionGoal`` there;
+    * orientation uncertain otherwise, not seen, seen twice, or no new picture for half a second: None,
+      which means hold where you are; after a while what ``when_lost`` says.
+
+    Only ``marker`` can become a goal, whatever else is in view.  Each picture counts for the time it was
+    grabbed at (``Frame.time``, on the run's clock); a ``MotionFilter`` tells from them where the marker is at
+    the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the metres
+    and for the radians, at least 0.05.
+
+    ``poll`` looks and tells.  Where a picture takes longer than a tick, ``look`` may be called by a thread
+    of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
+
+    Args:
+        source: Gives the frames; their truth is removed before anything looks at them.
+        tracker: Knows the optics, the dictionary and the sizes.
+        pose_world_camera: Where the camera is; a callable is asked with the time of each picture (a camera
+            on the arm).
+        marker: Id of the marker to follow; or a body: its layout, id -> (side in metres,
+            ``pose_body_marker``), or anything with such ``markers``.
+        pose_marker_tool: The wanted pose of the frame, seen from the marker (x right, y up, z out of the
+            printed face) or from the body.
+        frame: Name of the robot's frame that shall go there.
+        normal: World direction (3,) of the marker's z axis where it is known, for example (0, 0, 1) on a
+            table.  The branch nearer to it is taken, and no orientation is uncertain any more.
+        motion: What the filter assumes; None: no filter, each picture is for itself.
+        predict: Goals for the time asked for, not for that of the picture.  None: where pictures are live.
+        lead: Seconds to predict beyond the time asked for: the servos' own lag.
+        trusted: Standard deviations (m, rad) up to which a goal weighs 1.
+        calm: Smooths what is given while the marker rests.
+        when_lost: What to do after a while without a goal.
+        clock: The run's, which also stamps the pictures; None: the machine's.
+
+    Attributes:
+        last: Observation of the marker in the last frame; None when it was not seen.
+        last_frame: The last frame looked at, without its truth; None before the first.
+        made: Delays from grab to goal.
+        used: Age of the pictures from which the goals were that were asked for.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        tracker: MarkerTracker,
+        pose_world_camera: Pose | Callable[[float], Pose],
+        marker: int | Layout | Any,
+        pose_marker_tool: Pose,
+        frame: str = "gripper",
+        *,
+        normal: ArrayLike | None = None,
+        motion: FilterOptions | None = FilterOptions(),  # noqa: B008 - frozen
+        predict: bool | None = None,
+        lead: float = 0.0,
+        trusted: tuple[float, float] = (1e-3, np.deg2rad(0.5)),
+        calm: OneEuro | None = None,
+        when_lost: WhenLost = WhenLost(),
+        clock: Clock | None = None,
+    ) -> None:
+        self.source, self.tracker, self.tool = source, tracker, frame
+        self.pose_world_camera, self.pose_marker_tool = pose_world_camera, pose_marker_tool
+        self.marker = marker if isinstance(marker, int) else dict(getattr(marker, "markers", marker))
+        self.lead, self.trusted, self.when_lost = lead, trusted, when_lost
+        self.last: MarkerObservation | BodyObservation | None = None
+        self.last_frame: Frame | None = None
+        self.made, self.used = DelayMeter(), DelayMeter()
+        self._choice = Choice(pose_marker_tool, normal)
+        self._filter, self._each_alone = MotionFilter(motion), motion is None
+        self._predict = source.live if predict is None else predict
+        self._calm, self._calm_pose = calm, Pose()
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._sight: Sight | None = None
+        self._resting: PoseGoal | PositionGoal | None = None
+        self._fresh_at = self._goal_at = -np.inf
+        self._begun = np.nan
+
+    def poll(self, now: float) -> Goal | None:
+        """Looks, and gives the goal for the time ``now`` (seconds on the run's clock); None means hold.
+
+        Cameras are not waited for: between two pictures the marker goes on as it did, or rests.
+
+        Raises:
+            FrameTimeoutError: The source has ended or stopped.
+            CalibrationError: The frames have not the size of the calibration.
+            MarkerNotFoundError: No goal for as long as ``when_lost`` allows, and it says stop.
+        """
+        self.look(now)
+        return self.goal_at(now)
+
+    def look(self, now: float, *, wait: bool = False) -> None:
+        """Looks at the newest picture, if there is a new one; ``wait``: when there is.
+
+        Raises:
+            FrameTimeoutError: The source has ended or stopped.
+            CalibrationError: The frames have not the size of the calibration.
+        """
+        newest = None if wait else getattr(self.source, "newest", None)
+        frame: Frame | None = newest() if newest is not None else self.source.read()
+        if frame is None:
+            return
+        if self.last_frame is not None and frame.sequence == self.last_frame.sequence:
+            if not self.source.live:  # a photograph does not grow old; a camera that repeats itself is stuck
+                with self._lock:
+                    self._fresh_at = now
+            return
+        frame = frame.without_truth()
+        seen = self._find(frame)
+        done = now if self._clock is None else self._clock.now()  # looking may have taken long
+        with self._lock:
+            self._fresh_at, self.last_frame, self.last = done, frame, seen
+            self._take(frame, seen)
+            made = self._sight is not None
+        if made and not isinstance(self._clock, VirtualClock):
+            self.made.add(frame.time, (self._clock or RealClock()).now())
+
+    def goal_at(self, now: float) -> Goal | None:
+        """The goal for the time ``now`` from the pictures looked at; takes no picture and is quick.
+
+        Raises:
+            MarkerNotFoundError: As ``poll``.
+        """
+        with self._lock:
+            self._begun = now if np.isnan(self._begun) else self._begun
+            if now - self._fresh_at > _MAX_AGE_S:
+                self.last = self._sight = None
+            if self._sight is None or self.last_frame is None:
+                return self._absent(now)
+            self._goal_at = now
+            age = self.used.add(self.last_frame.time, now)
+            # A stamp of another clock cannot be compared with now.
+            ahead = now + self.lead if self._predict and age == age else self.last_frame.time
+            return self._goal(self._sight, ahead)
+
+    @property
+    def measured(self) -> PoseGoal | PositionGoal | None:
+        """The goal at the time of the last picture, not predicted; None when it gave none."""
+        with self._lock:
+            if self._sight is None or self.last_frame is None:
+                return None
+            return self._goal(self._sight, self.last_frame.time)
+
+    # ------------------------------------------------------------------------------------ inside
+
+    def _find(self, frame: Frame) -> MarkerObservation | BodyObservation | None:
+        if not isinstance(self.marker, int):
+            return self.tracker.observe_body(frame, self.marker)
+        seen = [o for o in self.tracker.observe(frame) if o.id == self.marker]
+        if len(seen) > 1:
+            _log.warning("marker %d is in view %d times; holding", self.marker, len(seen))
+        return seen[0] if len(seen) == 1 else None
+
+    def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
+        camera = self.pose_world_camera
+        pose = camera(frame.time) if callable(camera) else camera
+        sight = None if seen is None else self._choice.of(seen, pose)
+        if sight is None:
+            self._sight = None
+            return
+        if self._each_alone:
+            self._filter.reset()
+        what = self._filter.update(frame.time, sight.pose, sight.covariance)
+        if what is Update.LATE or (what is Update.OUTLIER and self._sight is not None):
+            return
+        self._sight, self._resting = sight, None
+        if self._calm is not None:
+            if what is not Update.TAKEN or self._filter.moving().any():
+                self._calm.reset()
+            self._calm_pose = self._calm.update(frame.time, self._filter.predict(frame.time).pose)
+
+    def _goal(self, sight: Sight, time: float) -> PoseGoal | PositionGoal:
+        moving = self._filter.moving().any() and time > self._filter.time
+        if not moving and self._resting is not None:
+            return self._resting
+        pose, covariance, _ = self._filter.predict(time)
+        if not moving and self._calm is not None:
+            pose = self._calm_pose
+        goal = self._make(sight, pose, covariance)
+        self._resting = self._resting if moving else goal
+        return goal
+
+    def _make(self, sight: Sight, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:
+        # Imported at the first goal: looking needs no robot.
+        from robot_ik.goals import PoseGoal, PositionGoal
+
+        if sight.place is not None:
+            sigma = sigmas_at(covariance, np.zeros(3))[0]
+            return PositionGoal(
+                self.tool, pose.position + sight.place, weight=goal_weight(sigma, self.trusted[0])
+            )
+        target = pose.compose(self.pose_marker_tool)
+        metres, radians = sigmas_at(covariance, target.position - pose.position)
+        return PoseGoal(
+            self.tool, target.position, target.wxyz,
+            position_weight=goal_weight(metres, self.trusted[0]),
+            angle_weight=goal_weight(radians, self.trusted[1]),
+        )  # fmt: skip
+
+    def _absent(self, now: float) -> Goal | None:
+        policy = self.when_lost
+        if policy.then == "hold" or now - max(self._goal_at, self._begun) < policy.seconds:
+            return None
+        if policy.then == "park":
+            return policy.goal
+        what = f"marker {self.marker}" if isinstance(self.marker, int) else f"body of {sorted(self.marker)}"
+        raise MarkerNotFoundError(
+            f"the {what} has given no goal for {policy.seconds:g} s",
+            hint="bring it back into view, light and focus; or let the arm hold or park when it is lost",
+        )

@@ -1,0 +1,326 @@
+"""Where a thing seen by a camera is now: a filter over time-stamped poses, and prediction that knows rest.
+
+``MotionFilter`` is a Kalman filter with constant velocity, on position and (as error state) on orientation.
+It tells where the thing is at any time near the last picture.  The horizon of the prediction fades to zero
+at low speed: a thing that lies still is not shaken by the noise of its own velocity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose, quat_multiply, quat_to_matrix, rotation_exp, rotation_log
+
+Array = NDArray[np.float64]
+
+_POSE, _RATE = slice(0, 6), slice(6, 12)
+
+
+class Update(StrEnum):
+    """What became of an observation."""
+
+    STARTED = "started"
+    TAKEN = "taken"
+    OUTLIER = "outlier"
+    RESTARTED = "restarted"
+    LATE = "late"
+
+
+class Prediction(NamedTuple):
+    """A pose at one time.
+
+    Attributes:
+        pose: Where the thing is.
+        covariance: (6, 6): position (m) over rotation (rad), axes of the observations, about the origin.
+        velocity: (6,): m/s over rad/s, same axes; zero while it counts as resting.
+    """
+
+    pose: Pose
+    covariance: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """What is assumed of the motion.  The defaults are for something moved by hand.
+
+    Attributes:
+        restlessness: Standard deviation of what the velocity changes in a time t is this times √t: m/s and
+            rad/s per √s.  Larger follows faster turns and trusts single pictures more.
+        fastest: Standard deviation of a velocity of which nothing is known yet, m/s and rad/s.
+        rest: Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds that
+            the filter cannot tell from rest count as rest, too.
+        longest: Longest time to predict, s.
+        gate: Squared Mahalanobis distance beyond which an observation is an outlier (27.9: one of 10 000 good
+            ones, six degrees of freedom).
+        outliers: So many in a row are no outliers: it was moved, and the filter starts again there.
+        forget: After this time without an observation the filter starts again, s.
+        least: Least standard deviation that an observation is believed to have, m and rad: print and lens
+            are never as good as the corners.
+    """
+
+    restlessness: tuple[float, float] = (0.5, 4.0)
+    fastest: tuple[float, float] = (1.0, 6.0)
+    rest: tuple[float, float] = (0.015, 0.10)
+    longest: float = 0.15
+    gate: float = 27.9
+    outliers: int = 3
+    forget: float = 1.0
+    least: tuple[float, float] = (5e-5, 5e-4)
+
+
+# A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
+_SURE = 4.0
+# Square of a speed that no camera tells from rest: keeps the noise of a perfect one from being singular.
+_TINY = 1e-18
+# Of the newest observation in what is known of how well prediction does.
+_NEW_SHARE = 0.3
+
+
+class MotionFilter:
+    """Constant-velocity Kalman filter on position and orientation.
+
+    The error state is (position, rotation, velocity, angular velocity), each along the axes of the
+    observations; the rotation error θ is on the left, R_true = exp(θ) R.  Velocity is a random walk
+    (Bar-Shalom, Li & Kirubarajan 2001, eq. 6.2.2-4); error state on SO(3) after Solà 2017 (arXiv:1711.02508,
+    section 7, with the error in the outer frame).
+
+    Args:
+        options: What is assumed of the motion.
+
+    Attributes:
+        time: Of the last observation taken, s; NaN before the first.
+    """
+
+    def __init__(self, options: FilterOptions | None = None) -> None:
+        self.options = options or FilterOptions()
+        self.time = float("nan")
+        self._pose = Pose()
+        self._rate = np.zeros(6)
+        self._covariance = np.zeros((12, 12))
+        # What the state of a thing at rest is shaken by the noise of its observations alone.
+        self._shaking = np.zeros((12, 12))
+        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
+        self._misses = np.zeros((2, 2))
+        self._rejected = 0
+        self._rejected_at = -np.inf
+
+    @property
+    def started(self) -> bool:
+        """Whether anything was observed yet."""
+        return bool(self.time == self.time)
+
+    @property
+    def covariance(self) -> Array:
+        """(12, 12) of the error state at ``time``: a copy."""
+        return self._covariance.copy()
+
+    def reset(self) -> None:
+        """Forgets everything."""
+        self.__init__(self.options)  # type: ignore[misc]
+
+    def update(self, time: float, pose: Pose, covariance: ArrayLike) -> Update:
+        """Takes an observation.
+
+        Args:
+            time: When it was made, s, on any one clock.
+            pose: What was observed.
+            covariance: (6, 6) of it: position (m) over rotation (rad), same axes, about the pose's origin.
+
+        Returns:
+            What became of it.  One that is not newer than the last is ``LATE`` and changes nothing.
+
+        Raises:
+            CameraError: The time is not finite, or the covariance is no covariance.
+        """
+        noise = self._noise(time, covariance)
+        if not self.started:
+            return self._begin(time, pose, noise, Update.STARTED)
+        if time <= max(self.time, self._rejected_at):
+            return Update.LATE
+        if time - self.time > self.options.forget:
+            return self._begin(time, pose, noise, Update.RESTARTED)
+        ahead, step, spread = self._advanced(time - self.time)
+        innovation = difference(pose, ahead)
+        gain = np.linalg.solve(spread[_POSE, _POSE] + noise, spread[_POSE]).T
+        distance = innovation @ np.linalg.solve(spread[_POSE, _POSE] + noise, innovation)
+        if not distance <= self.options.gate:
+            return self._reject(time, pose, noise)
+        change = gain @ innovation
+        keep = np.eye(12)
+        keep[:, _POSE] -= gain
+        self._compare(innovation, difference(pose, self._pose))
+        fresh, passed = gain @ noise @ gain.T, keep @ step
+        self._covariance = _symmetric(keep @ spread @ keep.T + fresh)  # Joseph's form
+        self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
+        self._pose, self._rate = moved(ahead, change[_POSE]), self._rate + change[_RATE]
+        self.time, self._rejected, self._rejected_at = time, 0, -np.inf
+        return Update.TAKEN
+
+    def predict(self, time: float) -> Prediction:
+        """Where the thing is at ``time``: with the velocity, as far as it can be told from rest.
+
+        Times before the last observation are taken for its time.
+
+        Raises:
+            CameraError: Nothing was observed yet, or the time is not finite.
+        """
+        if not self.started or not np.isfinite(time):
+            raise CameraError(
+                "a motion filter cannot predict before its first observation, nor for a time of nan",
+                hint="call update first",
+            )
+        span = min(max(time - self.time, 0.0), self.options.longest)
+        shares = self.moving()
+        horizon = span * np.repeat(shares, 3)
+        pose = moved(self._pose, horizon * self._rate)
+        p = self._covariance
+        cross = p[_POSE, _RATE] * horizon
+        spread = p[_POSE, _POSE] + cross + cross.T + p[_RATE, _RATE] * np.outer(horizon, horizon)
+        spread = spread + np.diag(self._density() * horizon**3 / 3.0)
+        return Prediction(pose, _symmetric(spread), self._rate * np.repeat(shares, 3))
+
+    def moving(self) -> Array:
+        """(2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict."""
+        shares = np.empty(2)
+        for k, part in enumerate((slice(0, 3), slice(3, 6))):
+            rate, shaking = self._rate[part], self._shaking[6:, 6:][part, part]
+            # In its own direction: depth shakes ten times as much as what lies across the view.
+            sure = float(np.sqrt(rate @ np.linalg.solve(shaking + _TINY * np.eye(3), rate)))
+            speed = float(np.linalg.norm(rate))
+            share = min(max(min(speed / self.options.rest[k], sure / _SURE) - 1.0, 0.0), 1.0)
+            shares[k] = share * share * (3.0 - 2.0 * share)
+        missed, held = np.sqrt(self._misses)
+        # Whole where prediction misses by less than half of what holding does, nothing where by as much.
+        earned = np.clip(2.0 - 2.0 * missed / np.maximum(held, 1e-12), 0.0, 1.0)
+        return shares * earned
+
+    # ------------------------------------------------------------------------------------ inside
+
+    def _noise(self, time: float, covariance: ArrayLike) -> Array:
+        noise = np.array(covariance, dtype=float)
+        good = noise.shape == (6, 6) and bool(np.isfinite(noise).all()) and bool(np.isfinite(time))
+        if not good or np.linalg.eigvalsh(_symmetric(noise))[0] < -1e-9 * abs(np.trace(noise)):
+            raise CameraError(
+                f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be filtered",
+                hint="give the covariance of the observation: position over rotation, m and rad",
+            )
+        return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least), 3))
+
+    def _compare(self, innovation: Array, change: Array) -> None:
+        """Notes how an observation was met by prediction and by holding."""
+        squares = [np.sum(part.reshape(2, 3) ** 2, axis=1) for part in (innovation, change)]
+        self._misses += _NEW_SHARE * (np.array(squares) - self._misses)
+
+    def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
+        self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
+        self._rejected, self._rejected_at = 0, -np.inf
+        self._covariance = np.zeros((12, 12))
+        self._covariance[_POSE, _POSE] = noise
+        self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.fastest), 3))
+        self._shaking = np.zeros((12, 12))
+        self._shaking[_POSE, _POSE] = noise
+        self._misses = np.zeros((2, 2))
+        return how
+
+    def _reject(self, time: float, pose: Pose, noise: Array) -> Update:
+        self._rejected += 1
+        self._rejected_at = time
+        if self._rejected >= self.options.outliers:
+            return self._begin(time, pose, noise, Update.RESTARTED)
+        return Update.OUTLIER
+
+    def _density(self) -> Array:
+        return np.repeat(np.square(self.options.restlessness), 3)
+
+    def _advanced(self, span: float) -> tuple[Pose, Array, Array]:
+        """Pose, transition (12, 12) and covariance ``span`` seconds after the last observation."""
+        step = np.eye(12)
+        step[3:6, 3:6] = quat_to_matrix(rotation_exp(span * self._rate[3:]))
+        step[_POSE, _RATE] = span * np.eye(6)
+        spread = step @ self._covariance @ step.T
+        density = np.diag(self._density())
+        spread[_POSE, _POSE] += density * span**3 / 3.0
+        spread[_POSE, _RATE] += density * span**2 / 2.0
+        spread[_RATE, _POSE] += density * span**2 / 2.0
+        spread[_RATE, _RATE] += density * span
+        return moved(self._pose, span * self._rate), step, _symmetric(spread)
+
+
+def difference(pose: Pose, other: Pose) -> Array:
+    """(6,) from ``other`` to ``pose``: shift, and rotation vector in the outer axes."""
+    inverse = other.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+    turn = rotation_log(quat_multiply(pose.wxyz, inverse))
+    return np.concatenate([pose.position - other.position, turn])
+
+
+def moved(pose: Pose, change: Array) -> Pose:
+    """``pose`` with the shift and turn of ``change`` (6,) applied in the outer axes."""
+    return Pose(pose.position + change[:3], quat_multiply(rotation_exp(change[3:]), pose.wxyz))
+
+
+def _symmetric(matrix: Array) -> Array:
+    return np.asarray(0.5 * (matrix + matrix.T))
+
+
+# ------------------------------------------------------------------------------------------
+# The 1 € filter: calms a pose that is shown, or that an arm rests at.
+
+
+class OneEuro:
+    """The 1 € filter (Casiez, Roussel & Vogel 2012) on a pose: calm at rest, quick in motion, always behind.
+
+    For poses that are shown, or that an arm shall rest at; not for following.
+
+    Args:
+        cutoff: Least cut-off frequency, Hz: lower is calmer at rest.
+        speed_coefficient: Hz of cut-off more for each m/s, and for each rad/s.
+        rate_cutoff: Cut-off of the speed itself, Hz.
+    """
+
+    def __init__(
+        self,
+        cutoff: float = 1.0,
+        speed_coefficient: tuple[float, float] = (20.0, 2.0),
+        rate_cutoff: float = 1.0,
+    ) -> None:
+        if not (cutoff > 0.0 and rate_cutoff > 0.0 and min(speed_coefficient) >= 0.0):
+            raise CameraError("a 1 € filter needs positive cut-off frequencies", hint="for example 1.0 Hz")
+        self._cutoff, self._coefficient, self._rate_cutoff = cutoff, speed_coefficient, rate_cutoff
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything: the next pose comes out as it goes in."""
+        self._time = float("nan")
+        self._raw = self._shown = Pose()
+        self._rate = np.zeros(6)
+
+    def update(self, time: float, pose: Pose) -> Pose:
+        """The calmed pose at ``time``, s; a time that is not later changes nothing."""
+        if np.isnan(self._time):
+            self._time, self._raw, self._shown = time, pose, pose
+            return pose
+        span = time - self._time
+        if not span > 0.0:
+            return self._shown
+        self._rate += _share(self._rate_cutoff, span) * (difference(pose, self._raw) / span - self._rate)
+        speeds = np.linalg.norm(self._rate.reshape(2, 3), axis=1)
+        shares = [
+            _share(self._cutoff + k * float(speed), span)
+            for k, speed in zip(self._coefficient, speeds, strict=True)
+        ]
+        self._shown = moved(self._shown, np.repeat(shares, 3) * difference(pose, self._shown))
+        self._time, self._raw = time, pose
+        return self._shown
+
+
+def _share(cutoff: float, span: float) -> float:
+    """Weight of a new value in exponential smoothing: Casiez et al. 2012, section "Filtering"."""
+    tau = 1.0 / (2.0 * np.pi * cutoff)
+    return float(1.0 / (1.0 + tau / span))

@@ -1,0 +1,274 @@
+"""The virtual robot in the camera's picture, in time.
+
+``registrar`` keeps it on a board from picture to picture, with remedies against delay; ``draw`` draws it
+by painter or rays, ``gl_draw`` by OpenGL; ``phantoms`` are real things that hide it; ``registration``
+measures in pixels how well it lies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.boards.board import MarkerBoard, PatternBoard
+from robot_ik.camera.drawing.renderers import Artist, Drawing, DrawnRobot
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import MotionFilter
+from robot_ik.camera.observations import MarkerObservation, marker_points
+from robot_ik.camera.sources import Frame
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.geometry import Pose
+
+# ------------------------------------------------------------------------------------------
+# The robot registered on a board that a camera sees, picture by picture, with Azuma's remedies for delay.
+#
+# Drawn on the very picture that was tracked, a robot has no delay at all: that is ``sync="tracked"``.  With
+# ``"latest"`` the newest picture is shown and the robot is of an older one; then prediction or image shifting
+# make up for it (Azuma 1997, section 4.4: less delay, prediction, image deflection, matching the streams).
+
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+#: Corners of a board by name.
+Points = Mapping[tuple[int, int], Array]
+Sync = Literal["tracked", "latest"]
+
+# A board that is lost for longer is not drawn upon any more, seconds.
+_HOLD_S = 0.25
+# Believed of a pattern, whose pose comes without a covariance: metres and radians.
+_PATTERN_SIGMA = (2e-4, 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A board in one picture.
+
+    Attributes:
+        pose_camera_board: Its middle: x right, y up, z out of the print.
+        covariance: (6, 6) of it, as in ``BodyObservation``.
+        points: Pixels (2,) where its corners were seen, by their names; ``places`` (3,) where they are on
+            the board, metres.
+        places: See ``points``.
+        marker: The other marker, when it was asked for and seen.
+        error: RMS reprojection error, px.
+        time: Of the picture.
+    """
+
+    pose_camera_board: Pose
+    covariance: Array
+    points: Points
+    places: Points
+    marker: MarkerObservation | None
+    error: float
+    time: float
+
+
+class BoardWatcher:
+    """Finds a board, and another marker, in pictures; keeps to the neighbourhood of the last find.
+
+    Args:
+        board: See ``parse_board``.
+        intrinsics: Of the pictures' size.
+        other: Id and side in metres of a marker that is not on the board.
+        window: Search only near the last find (Azuma's first remedy: less delay).
+    """
+
+    def __init__(
+        self,
+        board: MarkerBoard | PatternBoard,
+        intrinsics: CameraIntrinsics,
+        other: tuple[int, float] | None = None,
+        *,
+        window: bool = True,
+        dictionary: str = "DICT_5X5_50",
+    ) -> None:
+        self._board, self._intrinsics, self._other = board, intrinsics, other
+        sizes = {} if other is None else dict([other])
+        if isinstance(board, MarkerBoard):
+            sizes |= {id: side for id, (side, _) in board.layout.items()}
+            dictionary = board.dictionary
+        self._tracker = MarkerTracker(intrinsics, dictionary, sizes, window=window) if sizes else None
+
+    def see(self, frame: Frame) -> Seen | None:
+        """The board in a picture; None when it is not there.
+
+        Raises:
+            CalibrationError: The picture has not the size of the calibration.
+        """
+        tracker, marker = self._tracker, None
+        if tracker is not None and self._other is not None:
+            others = tracker.observe(frame, self._other[:1])
+            marker = others[0] if len(others) == 1 else None
+        if isinstance(self._board, PatternBoard):
+            return self._see_pattern(self._board, frame, marker)
+        assert tracker is not None, "a board of markers has a tracker"
+        layout = self._board.layout
+        body = tracker.observe_body(frame, layout)
+        if body is None:
+            return None
+        found = tracker.corners(frame)
+        points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
+        places = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
+        return Seen(
+            body.pose_camera_body,
+            body.covariance,
+            points,
+            places,
+            marker,
+            body.reprojection_error,
+            frame.time,
+        )
+
+    def _see_pattern(
+        self, board: PatternBoard, frame: Frame, marker: MarkerObservation | None
+    ) -> Seen | None:
+        view = board.see(frame, self._intrinsics)
+        if view is None:
+            return None
+        middle = board.layout[0][1]
+        sigma = np.repeat(np.square(_PATTERN_SIGMA), 3)
+        off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - view.pixels
+        error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+        keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
+        points = dict(zip(keys, view.pixels, strict=True))
+        places = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
+        pose = view.pose_camera_board.compose(middle)
+        return Seen(pose, np.diag(sigma), points, places, marker, error, frame.time)
+
+
+def _corners(square: tuple[float, Pose]) -> Array:
+    """Corners (4, 3) of a marker of the board, board frame."""
+    return np.asarray(square[1].apply(marker_points(square[0])))
+
+
+def optical_motion(before: Points, after: Points) -> Array:
+    """Shift, turn and zoom (2, 3) in the picture that carry the corners of one look to those of the next.
+
+    Least squares over the corners seen twice: z' = a z + b with complex pixels; only a shift for one corner.
+    """
+    common = sorted(before.keys() & after.keys())
+    if not common:
+        return np.eye(2, 3)
+    z = np.array([complex(*before[k]) for k in common])
+    w = np.array([complex(*after[k]) for k in common])
+    spread = z - z.mean()
+    power = float(np.vdot(spread, spread).real)
+    a = np.vdot(spread, w - w.mean()) / power if power > 1.0 else 1.0 + 0.0j
+    b = w.mean() - a * z.mean()
+    return np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag]])
+
+
+@dataclass(frozen=True)
+class LatencyOptions:
+    """What is done about delay.
+
+    Attributes:
+        sync: ``tracked`` shows the picture the pose was measured in: the video waits for the tracker.
+            ``latest`` shows the newest one.
+        predict: Draw where the board will be when the picture shown was taken (Kalman).
+        shift: Move the finished drawing by how the board's corners moved in the picture.
+    """
+
+    sync: Sync = "tracked"
+    predict: bool = False
+    shift: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One picture with the robot in it.
+
+    Attributes:
+        image: (height, width, 3).
+        drawing: What was laid over it; None when there was no board to stand on.
+        pose_camera_board: For which it was drawn; before any shift.
+        seen: What was tracked.
+    """
+
+    image: Image
+    drawing: Drawing | None
+    pose_camera_board: Pose | None
+    seen: Seen | None
+
+
+class Registrar:
+    """Tracks, draws and puts together.
+
+    Args:
+        watcher: Finds the board; None for a camera whose place is known.
+        artist: Draws.
+        figure: What is drawn.
+        intrinsics: Of the pictures.
+        latency_options: What is done about delay.
+        pose_board_camera: Where the camera is when there is no ``watcher``.
+        alpha: 1 hides what is behind the robot, 0 the robot.
+    """
+
+    def __init__(
+        self,
+        watcher: BoardWatcher | None,
+        artist: Artist,
+        figure: DrawnRobot,
+        intrinsics: CameraIntrinsics,
+        latency_options: LatencyOptions | None = None,
+        *,
+        pose_board_camera: Pose | None = None,
+        alpha: float = 1.0,
+    ) -> None:
+        self.figure, self.artist, self.latency_options = figure, artist, latency_options or LatencyOptions()
+        self._watcher, self._intrinsics, self._alpha = watcher, intrinsics, alpha
+        self._fixed = None if pose_board_camera is None else pose_board_camera.inverse()
+        self._filter = MotionFilter() if self.latency_options.predict else None
+        self._last: Seen | None = None
+
+    def track(self, frame: Frame) -> Seen | None:
+        """Looks for the board; the last look counts a quarter of a second longer."""
+        if self._watcher is None:
+            return None
+        seen = self._watcher.see(frame)
+        if seen is not None:
+            self._last = seen
+            if self._filter is not None:
+                self._filter.update(seen.time, seen.pose_camera_board, seen.covariance)
+        elif self._last is not None and frame.time - self._last.time > _HOLD_S:
+            self._last = None
+        return self._last
+
+    def compose(self, seen: Seen | None, shown: Frame, qpos: ArrayLike) -> Shown:
+        """The robot at ``qpos`` (nq,), drawn for ``seen``, laid over the picture ``shown``."""
+        pose, motion = self.place(seen, shown)
+        if pose is None:
+            return Shown(shown.image, None, None, seen)
+        drawing = self.artist.draw(self.figure, qpos, self._intrinsics, pose.inverse())
+        if motion is not None:
+            drawing = drawing.shifted(motion, *self._intrinsics.size)
+        image = shown.image.copy()
+        drawing.over(image, self._alpha)
+        return Shown(image, drawing, pose, seen)
+
+    def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
+        """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""
+        pose = self._pose(seen, shown.time)
+        if pose is None or not self.latency_options.shift or seen is None or not shown.time > seen.time:
+            return pose, None
+        now = None if self._watcher is None else self._watcher.see(shown)
+        if now is None:
+            return pose, None
+        if self._filter is None:
+            return pose, optical_motion(seen.points, now.points)
+        # the drawing is of the predicted board already: only what the prediction lacks is left
+        where = self._intrinsics.project(pose.apply(np.array([now.places[k] for k in now.points])))
+        return pose, optical_motion(dict(zip(now.points, where, strict=True)), now.points)
+
+    def _pose(self, seen: Seen | None, time: float) -> Pose | None:
+        if self._watcher is None:
+            return self._fixed
+        if seen is None:
+            return None
+        if self._filter is not None and self._filter.started:
+            return self._filter.predict(time).pose
+        return seen.pose_camera_board

@@ -1,0 +1,401 @@
+"""Sheets to print at true scale, with bars to check it, the command that made them and one to use them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequest, describe
+from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
+from robot_ik.camera.image import marker_bits
+from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
+from robot_ik.camera.sheets.page import LETTER_WIDTH, Page, Words
+from robot_ik.errors import CameraError
+
+# ------------------------------------------------------------------------------------------
+# What sheets show: markers, boards, cubes and calibration patterns, laid out in millimetres.
+
+
+Room = tuple[float, float]
+
+SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
+
+#: White round a marker that its detection needs, in markers: a cell, of six to ten in a marker with border.
+QUIET = 1.0 / 6.0
+# White round the marker on a face of a cube, in markers, on each side.
+_LEAST_WHITE = 0.1
+# What finds a board or cube as one body, with the file that --body writes.
+_BODY_USE = "robot-ik camera detect 0 --intrinsics camera.yaml --bodies body.toml"
+# Height of the letters under a marker, mm.
+_LABEL = 2.1
+
+
+@dataclass(frozen=True)
+class SheetRequest:
+    """What is to be printed; None where the usual will do.
+
+    Attributes:
+        kind: What it is.
+        size_mm: Side of a marker's black square (50; cube 40), or of a square of a pattern (30; 25).
+        columns, rows: Board: markers (2 x 2).  Patterns: as ``PatternRequest``.
+        ids: Of the markers; board: the first one counts on.
+        dictionary: Of the markers.
+        gap_mm: White between markers.
+        edge_mm: Edge of the cube.
+        marker_mm: Side of the markers of a charuco board.
+        page: Paper: a4, letter or a3.
+    """
+
+    kind: SheetKind
+    size_mm: float | None = None
+    columns: int | None = None
+    rows: int | None = None
+    ids: tuple[int, ...] = ()
+    dictionary: str = "DICT_5X5_50"
+    gap_mm: float | None = None
+    edge_mm: float | None = None
+    marker_mm: float | None = None
+    page: str = "a4"
+
+    @property
+    def size(self) -> float:
+        """Side of a marker or square, mm."""
+        usual = {"cube": 40.0, "charuco": 30.0, "chessboard": 25.0}.get(self.kind, 50.0)
+        return usual if self.size_mm is None else self.size_mm
+
+    @property
+    def gap(self) -> float:
+        """White between markers, mm."""
+        return self.size / 4.0 if self.gap_mm is None else self.gap_mm
+
+    @property
+    def edge(self) -> float:
+        """Edge of the cube, mm."""
+        return 1.25 * self.size if self.edge_mm is None else self.edge_mm
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Columns and rows of a board."""
+        return self.columns or 2, self.rows or 2
+
+    @property
+    def marker_ids(self) -> tuple[int, ...]:
+        """Ids of the markers on a sheet of them, a board or a cube."""
+        if self.kind == "board":
+            first = self.ids[0] if self.ids else 0
+            return tuple(range(first, first + self.counts[0] * self.counts[1]))
+        return self.ids or tuple(range(6 if self.kind == "cube" else 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What is laid out, before it is put on a page; lengths in mm from its upper left corner.
+
+    Attributes:
+        width, height: Of all of it, with the white that it needs.
+        boxes: (n, 5) as in ``Page``.
+        words: Labels.
+        about: What it is.
+        use: The command that uses it.
+        board: What other commands call it behind ``--board``; empty where it has no such name.
+        lines: (m, 4) to cut or fold along, as in ``Page``.
+    """
+
+    width: float
+    height: float
+    boxes: Array
+    words: tuple[Words, ...]
+    about: str
+    use: str
+    board: str = ""
+    lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
+
+
+def marker_boxes(dictionary: str, marker: int, size: float, turns: int = 0) -> Array:
+    """A marker's black cells (n, 5), upper left corner at the origin; turned left ``turns`` quarter turns."""
+    bits = np.rot90(marker_bits(dictionary, marker), turns)
+    cell = size / len(bits)
+    row, column = np.nonzero(bits == 0)
+    place = np.stack([column * cell, row * cell], axis=1)
+    return np.hstack([place, np.full((len(place), 2), cell), np.ones((len(place), 1))])
+
+
+def moved(boxes: Array, x: float, y: float) -> Array:
+    """Boxes (n, 5) shifted by (x, y) mm."""
+    return np.asarray(boxes + np.array([x, y, 0.0, 0.0, 0.0]))
+
+
+def _names(ids: Sequence[int]) -> str:
+    if len(ids) > 2 and list(ids) == list(range(ids[0], ids[0] + len(ids))):
+        return f"{ids[0]} to {ids[-1]}"
+    return ", ".join(map(str, ids))
+
+
+def _markers(request: SheetRequest, room: Room) -> Block:
+    ids = request.marker_ids
+    quiet, pitch = request.size * QUIET, request.size + request.gap
+    columns = int(np.clip((room[0] - 2 * quiet + request.gap) // pitch, 1, len(ids)))
+    rows = -(-len(ids) // columns)
+    step = pitch + _LABEL + 1.0
+    boxes, words = [], []
+    for k, marker in enumerate(ids):
+        x, y = quiet + k % columns * pitch, quiet + k // columns * step
+        boxes.append(moved(marker_boxes(request.dictionary, marker, request.size), x, y))
+        words.append(Words(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm"))
+    width = columns * pitch - request.gap + 2 * quiet
+    height = rows * step - request.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
+    what = "marker" if len(ids) == 1 else "markers"
+    about = f"{what} {_names(ids)} of {request.dictionary}, {request.size:g} mm"
+    options = (
+        f"--dictionary {request.dictionary} --size {request.size / 1e3:g} --ids {' '.join(map(str, ids))}"
+    )
+    use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
+    return Block(width, height, np.concatenate(boxes), tuple(words), about, use)
+
+
+def _board(request: SheetRequest, room: Room) -> Block:
+    (columns, rows), ids = request.counts, request.marker_ids
+    quiet, pitch = request.size * QUIET, request.size + request.gap
+    boxes = [
+        moved(
+            marker_boxes(request.dictionary, marker, request.size),
+            quiet + k % columns * pitch,
+            quiet + k // columns * pitch,
+        )
+        for k, marker in enumerate(ids)
+    ]
+    about = (
+        f"board of {columns}x{rows} markers {_names(ids)} of {request.dictionary}, {request.size:g} mm, "
+        f"gap {request.gap:g} mm"
+    )
+    # That name says nothing of the ids: they count from 0.
+    board = "" if ids[0] else f"grid:{columns}x{rows}:{request.size:g}:{request.gap:g}"
+    size = [n * pitch - request.gap + 2 * quiet for n in (columns, rows)]
+    return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE, board)
+
+
+def _cube(request: SheetRequest, room: Room) -> Block:
+    ids = request.marker_ids
+    white = (request.edge - request.size) / 2
+    if white < _LEAST_WHITE * request.size - 1e-9:
+        raise CameraError(
+            f"a cube of {request.edge:g} mm leaves {white:g} mm of white round "
+            f"markers of {request.size:g} mm",
+            hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * request.size:g} at least",
+        )
+    faces, net = cube_net(ids, request.size, request.edge), cube_paper(request.edge)
+    corners = np.vstack([net.cuts.reshape(-1, 2), net.folds.reshape(-1, 2)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    boxes = [
+        moved(
+            marker_boxes(request.dictionary, face.marker, request.size, face.turns),
+            *(face.centre - low - request.size / 2),
+        )
+        for face in faces
+    ]
+    lines = np.vstack([net.cuts, dashed(net.folds)]) - np.tile(low, 2)
+    about = (
+        f"cube of {request.edge:g} mm with markers {_names(ids)} of {request.dictionary}, "
+        f"{request.size:g} mm "
+        "(cut along the lines, fold the dashed ones back, glue the tabs inside)"
+    )
+    width, height = (float(v) for v in high - low)
+    return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE, lines=lines)
+
+
+def _pattern(request: SheetRequest, room: Room) -> Block:
+    kind: Literal["charuco", "chessboard"] = "charuco" if request.kind == "charuco" else "chessboard"
+    pattern: Pattern = PatternRequest(
+        kind, request.columns, request.rows, request.size, request.marker_mm, request.dictionary
+    ).pattern()
+    boxes = pattern.black() * 1e3
+    boxes[:, :2] -= 1e3 * np.array(pattern.origin)
+    options = (
+        f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows} --square-mm {request.size:g}"
+    )
+    board = f"{kind}:{pattern.columns}x{pattern.rows}:{request.size:g}"
+    if isinstance(pattern, CharucoPattern):
+        board += f":{1e3 * pattern.marker:g}"
+        options += f" --marker-mm {1e3 * pattern.marker:g} --dictionary {pattern.dictionary}"
+    width, height = (1e3 * length for length in pattern.size)
+    boxes = np.hstack([boxes, np.ones((len(boxes), 1))])
+    return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}", board)
+
+
+Maker = Callable[[SheetRequest, Room], Block]
+#: One row a kind of sheet: lays it out for the room (width, height) that a page has, mm.
+MAKERS: dict[str, Maker] = {
+    "marker": _markers, "board": _board, "cube": _cube, "charuco": _pattern, "chessboard": _pattern,
+}  # fmt: skip
+
+
+Array = NDArray[np.float64]
+
+#: Paper, mm, upright.
+PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}
+# Printers leave about 5 mm white.
+_MARGIN = 7.0
+# The bar, the lines of text under it, and the upright bar at the right, mm.
+_FOOT, _SIDE = 14.0, 6.0
+_BAR, _TICK = 100.0, 0.3
+_TEXT, _LINE = 2.1, 2.8
+# Options that the command on the sheet names when they are not the usual ones.
+_NAMED = ("size_mm", "columns", "rows", "ids", "dictionary", "gap_mm", "edge_mm", "marker_mm", "page")
+
+
+def make_sheet_page(request: SheetRequest) -> Page:
+    """Lays the sheet out.
+
+    Raises:
+        CameraError: It does not fit (the hint says what would), or there is no such marker or dictionary.
+    """
+    if request.page not in PAPERS:
+        raise CameraError(f"unknown paper {request.page!r}", hint=f"known: {', '.join(PAPERS)}")
+    if not 3.0 <= request.size <= 1000.0:
+        raise CameraError(
+            f"a size of {request.size:g} mm cannot be meant", hint="50 mm is usual for a marker"
+        )
+    if request.gap < request.size * QUIET and request.kind in ("marker", "board"):
+        raise CameraError(
+            f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",
+            hint=f"the white round a marker must be a cell wide: at least {request.size * QUIET:.1f} mm",
+        )
+    make = MAKERS[request.kind]
+    for paper in _both_ways(request.page):
+        block = make(request, _room(paper))
+        if _fits(block, paper):
+            return _on_page(block, paper, request)
+    raise _does_not_fit(request, make)
+
+
+def _both_ways(page: str) -> list[Room]:
+    width, height = PAPERS[page]
+    return [(width, height), (height, width)]
+
+
+def _room(paper: Room) -> Room:
+    return paper[0] - 2 * _MARGIN - _SIDE, paper[1] - 2 * _MARGIN - _FOOT
+
+
+def _fits(block: Block, paper: Room) -> bool:
+    room = _room(paper)
+    return block.width <= room[0] + 1e-9 and block.height <= room[1] + 1e-9
+
+
+def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
+    block = make(request, _room(PAPERS[request.page]))
+    rooms = " or ".join("{:.0f}x{:.0f}".format(*_room(paper)) for paper in _both_ways(request.page))
+    hints = []
+    for size in np.arange(np.floor(request.size * 2 - 1e-6) / 2, 5.0, -0.5):
+        share = float(size) / request.size
+        less = replace(
+            request,
+            size_mm=float(size),
+            gap_mm=None if request.gap_mm is None else request.gap_mm * share,
+            edge_mm=None if request.edge_mm is None else request.edge_mm * share,
+            marker_mm=None if request.marker_mm is None else request.marker_mm * share,
+        )
+        if any(_fits(make(less, _room(paper)), paper) for paper in _both_ways(request.page)):
+            hints.append(f"--size-mm {size:g} fits")
+            break
+    larger = [p for p in PAPERS if any(_fits(make(request, _room(paper)), paper) for paper in _both_ways(p))]
+    hints += [f"it fits --page {name}" for name in larger[:1]]
+    return CameraError(
+        f"{block.about} needs {block.width:.0f}x{block.height:.0f} mm; "
+        f"{request.page} has room for {rooms} mm",
+        hint=", or ".join(hints) or "take fewer or smaller ones",
+    )
+
+
+def _on_page(block: Block, paper: Room, request: SheetRequest) -> Page:
+    """The block in the middle of the room, the bars and the words at the rim."""
+    room = _room(paper)
+    x, y = _MARGIN + (room[0] - block.width) / 2, _MARGIN + (room[1] - block.height) / 2
+    foot = paper[1] - _MARGIN - _FOOT + 4.0
+    boxes = [moved(block.boxes, x, y), _bar(_MARGIN, foot), _bar(paper[0] - _MARGIN, _MARGIN, upright=True)]
+    words = [replace(w, x=w.x + x, y=w.y + y) for w in block.words]
+    scale = "both bars: 100.0 mm. Print at 100 % (actual size)."
+    scale += f"  --board {block.board}" if block.board else ""
+    beside = _MARGIN + _BAR + 3.0
+    words.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
+    for k, text in enumerate([block.about, _command(request), *([block.use] if block.use else [])]):
+        words.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
+    lines = block.lines + np.array([x, y, x, y])
+    about = f"{block.about} on {request.page}"
+    return Page(paper[0], paper[1], np.concatenate(boxes), tuple(words), about, lines)
+
+
+def _line(x: float, y: float, room: float, text: str) -> Words:
+    """Words that shrink to fit: they are for looking things up, not for reading across a room."""
+    return Words(x, y, min(_TEXT, room / (LETTER_WIDTH * len(text))), text)
+
+
+def _bar(x: float, y: float, *, upright: bool = False) -> Array:
+    """A bar of exactly 100 mm with a tick every 10 mm, from (x, y) to the right, or down and left of x."""
+    rows = [(0.0, 0.0, _BAR, _TICK)]
+    for k in range(11):
+        long = 2.4 if k % 5 == 0 else 1.4
+        # The outer edges of the first and last tick are 100 mm apart.
+        at = {0: 0.0, 10: _BAR - _TICK}.get(k, 10.0 * k - _TICK / 2)
+        rows.append((at, -long, _TICK, long))
+    bar = np.array([(*row, 1.0) for row in rows])
+    if upright:
+        bar = bar[:, [1, 0, 3, 2, 4]]
+        return moved(bar, x - _TICK, y)
+    return moved(bar, x, y)
+
+
+def _command(request: SheetRequest) -> str:
+    text = f"robot-ik camera print {request.kind}"
+    for name in _NAMED:
+        value = getattr(request, name)
+        if value != SheetRequest.__dataclass_fields__[name].default:
+            values = value if isinstance(value, tuple) else (value,)
+            shown = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
+            text += f" --{name.replace('_', '-')} {shown}"
+    return text
+
+
+# ------------------------------------------------------------------------------------------
+# What a printed board or cube is to a tracker: a body, and the file that describes it.
+
+
+def body_of(request: SheetRequest) -> MarkerBody:
+    """The body on a sheet.
+
+    Raises:
+        CameraError: The sheet shows neither a board nor a cube.
+    """
+    size = request.size / 1e3
+    if request.kind == "board":
+        columns, rows = request.counts
+        return grid_body(columns, rows, size, request.gap / 1e3, request.marker_ids[0])
+    if request.kind == "cube":
+        return cube_body(request.marker_ids, size, request.edge / 1e3)
+    raise CameraError(
+        f"a sheet of kind {request.kind!r} is no body", hint="bodies are printed as board or cube"
+    )
+
+
+def body_file(request: SheetRequest, name: str) -> str:
+    """The text of a file for ``robot_ik.camera.bodies.load_bodies``.
+
+    Args:
+        request: The sheet.
+        name: Of the body.
+    """
+    lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
+    lines += [f'name = "{name}"', f'dictionary = "{request.dictionary}"', "markers = ["]
+    for marker, (size, pose) in body_of(request).markers.items():
+        position, wxyz = (", ".join(_number(v) for v in part) for part in (pose.position, pose.wxyz))
+        lines.append(f"  {{id = {marker}, size = {size:.9g}, position = [{position}], wxyz = [{wxyz}]}},")
+    return "\n".join([*lines, "]", ""])
+
+
+def _number(value: float) -> str:
+    """To a billionth; sines of quarter turns are then the 0 that they are meant to be."""
+    return f"{round(float(value), 12) + 0.0:.12g}"

@@ -1,0 +1,330 @@
+"""Where pictures come from: photographs, folders, films, cameras, network streams.
+
+``frames`` opens a source from one text and defines what a ``Frame`` and a ``FrameSource`` are; ``device``
+is a camera with its thread, ``device_list`` tells which cameras there are without opening one (and without
+OpenCV), ``picture_files`` reads and writes pictures.  Pictures that are computed come from ``made_up``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import re
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, Self, runtime_checkable
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+import cv2
+import numpy as np
+
+from robot_ik.camera.image import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    Image,
+    first_size,
+    natural_sort,
+    neighbours,
+    quiet,
+    read_image,
+)
+from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+
+#: Sources that other modules know how to open: the module, and its function or class.
+_OPENERS = {
+    "device": ("robot_ik.camera.device", "DeviceSource"),
+    "synthetic": ("robot_ik.camera.synthetic.moving", "open_moving"),
+}
+
+
+# ------------------------------------------------------------------------------------------
+# Where pictures come from: one text opens a photograph, a folder, a video, a camera or a stream.
+#
+# A ``Frame`` carries its time: seconds on the machine's monotonic clock at the moment it was grabbed (for
+# files: opening time plus position in the film), so that the delay up to the goal can be told.
+
+
+_DEFAULT_RATE_HZ = 30.0  # of films that do not tell theirs
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture.
+
+    Attributes:
+        image: (height, width, 3) uint8, BGR, raw (with lens distortion).
+        time: Seconds, monotonic, when it was grabbed.
+        sequence: Counts the source's pictures from 0; a gap means pictures were skipped.
+        truth: What a synthetic camera knows about the scene.  For tests only: nothing that tracks may
+            read it; hand over ``without_truth()``.
+    """
+
+    image: Image
+    time: float
+    sequence: int
+    truth: object | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return int(self.image.shape[1]), int(self.image.shape[0])
+
+    def without_truth(self) -> Frame:
+        """The same picture with nothing but the picture."""
+        return dataclasses.replace(self, truth=None)
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """Gives pictures one by one; a context manager.
+
+    Every source says itself whether it is live, and what wraps a source passes that on: an arm is moved and
+    goals are predicted before a live one only.
+    """
+
+    @property
+    def live(self) -> bool:
+        """Whether a picture shows what is there when it is read.
+
+        False for what is recorded or computed beforehand: photographs, folders, films, also over a network.
+        """
+        ...
+
+    def read(self) -> Frame:
+        """The next picture; the newest one where the source is a camera.
+
+        Raises:
+            FrameTimeoutError: No more pictures, or none in time.
+        """
+        ...
+
+    def close(self) -> None:
+        """Lets go of the device or file; may be called twice."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+class ClosingSource(ABC):
+    """What all sources share: context manager, and iteration up to the last picture."""
+
+    size: tuple[int, int]
+
+    @property
+    @abstractmethod
+    def live(self) -> bool:
+        """See ``FrameSource``; no source is one without saying so."""
+
+    @abstractmethod
+    def read(self) -> Frame:
+        """See ``FrameSource``."""
+
+    def close(self) -> None:  # noqa: B027 - most sources hold nothing that must be closed
+        """Nothing to let go of, unless a source says otherwise."""
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether ``read`` would find nothing more."""
+        return False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        while not self.exhausted:
+            yield self.read()
+
+
+class ImageSource(ClosingSource):
+    """One photograph: every ``read`` gives the same frame, with the same time and number."""
+
+    live = False
+
+    def __init__(self, path: Path | str) -> None:
+        self._frame = Frame(read_image(path), time.monotonic(), 0)
+        self.size = self._frame.size
+        self._given = False
+
+    @property
+    def exhausted(self) -> bool:
+        return self._given
+
+    def read(self) -> Frame:
+        self._given = True
+        return self._frame
+
+
+class FolderSource(ClosingSource):
+    """The pictures of a folder in natural order (frame2 before frame10); one that is none raises in its turn.
+
+    Args:
+        path: The folder.
+        rate_hz: Time stamps advance by its inverse.
+    """
+
+    live = False
+
+    def __init__(self, path: Path | str, rate_hz: float = _DEFAULT_RATE_HZ) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise CameraNotFoundError(f"there is no folder {self.path}", hint=neighbours(self.path))
+        self.files = natural_sort(f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
+        if not self.files:
+            kinds = f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
+            raise CameraNotFoundError(f"the folder {self.path} holds no pictures", hint=kinds)
+        self.size = first_size(self.files)
+        self._next = 0
+        self._start = time.monotonic()
+        self._period = 1.0 / rate_hz
+
+    @property
+    def exhausted(self) -> bool:
+        return self._next >= len(self.files)
+
+    def read(self) -> Frame:
+        if self.exhausted:
+            raise FrameTimeoutError(f"all {len(self.files)} pictures of {self.path} have been read")
+        self._next += 1
+        index = self._next - 1
+        return Frame(read_image(self.files[index]), self._start + index * self._period, index)
+
+
+class VideoSource(ClosingSource):
+    """A film: every picture in turn as fast as it is read, or at its own pace.
+
+    Args:
+        path: The film.
+        real_time: Give each picture when its time has come, and skip those that a slow reader missed, as a
+            camera would.
+    """
+
+    live = False
+
+    def __init__(self, path: Path | str, *, real_time: bool = False) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise CameraNotFoundError(f"there is no film {self.path}", hint=neighbours(self.path))
+        with quiet():
+            self._capture: Any = cv2.VideoCapture(str(self.path))
+            opened = self._capture.isOpened()
+            good, image = self._capture.read() if opened else (False, None)
+        if not good or image is None:
+            self._capture.release()
+            raise CameraNotFoundError(
+                f"{self.path} is not a film that OpenCV can read",
+                hint=f"usual kinds: {', '.join(VIDEO_SUFFIXES)}",
+            )
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.rate_hz = rate if np.isfinite(rate) and 0.1 < rate < 1000.0 else _DEFAULT_RATE_HZ
+        self._real_time = real_time
+        self._start = time.monotonic()
+        self._count = 0
+        # One picture is read ahead: only so is the end known before it is asked for.
+        self._ahead: Image | None = np.asarray(image, dtype=np.uint8)
+        self.size = (int(image.shape[1]), int(image.shape[0]))
+
+    @property
+    def exhausted(self) -> bool:
+        return self._ahead is None
+
+    def read(self) -> Frame:
+        if self._real_time:
+            self._keep_pace()
+        image = self._ahead
+        if image is None:
+            raise FrameTimeoutError(f"the film {self.path} ended after {self._count} pictures")
+        frame = Frame(image, self._start + self._count / self.rate_hz, self._count)
+        self._advance()
+        return frame
+
+    def _advance(self) -> None:
+        self._count += 1
+        with quiet():
+            good, following = self._capture.read()
+        self._ahead = np.asarray(following, dtype=np.uint8) if good else None
+
+    def _keep_pace(self) -> None:
+        early = self._start + self._count / self.rate_hz - time.monotonic()
+        if early > 0:
+            time.sleep(early)
+        # The last picture is never skipped: a late reader still sees how the film ends.
+        while self._start + (self._count + 1) / self.rate_hz < time.monotonic():
+            last = self._ahead
+            self._advance()
+            if self._ahead is None:
+                self._ahead, self._count = last, self._count - 1
+                return
+
+    def close(self) -> None:
+        self._ahead = None
+        self._capture.release()
+
+
+def open_source(
+    text: str,
+    *,
+    size: tuple[int, int] | None = None,
+    rate_hz: float | None = None,
+    timeout: float | None = None,
+    real_time: bool = False,
+) -> FrameSource:
+    """Opens ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
+
+    Args:
+        text: Index of a camera, path or URL.
+        size: (width, height) in pixels; asked of a camera, required of everything else.
+        rate_hz: Pictures a second, asked of a camera.
+        timeout: Seconds a camera or stream may stay without a new picture.
+        real_time: Let a film run at its own pace.
+
+    Raises:
+        CameraNotFoundError: It cannot be opened; the hint says what exists.
+        FrameSizeError: A camera does not deliver ``size``, or the file has another one.
+        CameraError: A camera does not run at ``rate_hz``.
+    """
+    text = text.strip()
+    if text.isdigit():
+        return _opener("device")(int(text), size=size, rate_hz=rate_hz, timeout=timeout)
+    if text.startswith("file://"):
+        text = url2pathname(urlsplit(text).path)
+    in_memory = text.startswith("/dev/") and Path(text).is_file()  # a file of /dev/shm is no device
+    if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text) or (text.startswith("/dev/") and not in_memory):
+        return _opener("device")(text, size=size, rate_hz=rate_hz, timeout=timeout)
+    source = _open_file(Path(text).expanduser(), text, real_time)
+    if size is not None and source.size != size:
+        source.close()
+        raise FrameSizeError(
+            f"{text} has pictures of {source.size[0]}x{source.size[1]} px, not {size[0]}x{size[1]} px",
+            hint="use the picture size of the calibration",
+        )
+    return source
+
+
+def _opener(kind: str) -> Callable[..., ClosingSource]:
+    """What opens a source that is not a file: those modules build on this one."""
+    module, name = _OPENERS[kind]
+    opener: Callable[..., ClosingSource] = getattr(importlib.import_module(module), name)
+    return opener
+
+
+def _open_file(path: Path, text: str, real_time: bool) -> ClosingSource:
+    if text.startswith("synthetic:"):
+        return _opener("synthetic")(text)
+    if path.is_dir():
+        return FolderSource(path)
+    if not path.exists():
+        raise CameraNotFoundError(
+            f"there is no camera, file or folder {text!r}",
+            hint=f"give a camera's index (0), picture, film, folder or URL; {neighbours(path)}",
+        )
+    film = path.suffix.lower() in VIDEO_SUFFIXES
+    return VideoSource(path, real_time=real_time) if film else ImageSource(path)

@@ -1,0 +1,1 @@
+"""Pictures that are computed, with known truth."""

@@ -1,0 +1,371 @@
+"""A camera that exists only in numbers: exact optics, known truth, the same interface as a real one.
+
+It shows a robot, a table and printed markers through a distorting lens, with blur and noise.  Where the
+robot really stands is asked from a callable, so a fault of the arm shows in the picture.  ``Frame.truth``
+holds what is really the case; a program under test must not see it (``Frame.without_truth``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.synthetic.photograph import QUALITIES, Photographer, PlacedSheet
+from robot_ik.camera.synthetic.prints import Condition, PaintedMarker, make_sheet
+from robot_ik.camera.synthetic.scene import Lights, Table
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose
+from robot_ik.ports import Clock
+
+# ------------------------------------------------------------------------------------------
+# Noise of a made-up sensor.
+
+
+# Pixels by which the piece of noise is larger that pictures share: 257² parts.
+_LARGER = 256
+
+
+class Grain:
+    """Normal noise of sigma 1 for one picture after the other.
+
+    Args:
+        size: (width, height) of the pictures.
+        seed: Picture k of two with one seed is the same.
+        shared: Each picture gets some part of one larger piece.  Drawing noise takes as long as a third of a
+            fast picture.
+    """
+
+    def __init__(self, size: tuple[int, int], seed: int, shared: bool) -> None:
+        self._shape, self._seed, self._shared = (size[1], size[0], 3), seed, shared
+        self._piece: NDArray[np.float32] | None = None
+
+    def of(self, picture: int) -> NDArray[np.float32]:
+        """(h, w, 3) of one picture; not to be written to."""
+        h, w, channels = self._shape
+        rng = np.random.default_rng([self._seed, picture])
+        if not self._shared:
+            return rng.standard_normal(self._shape, dtype=np.float32)
+        if self._piece is None:
+            larger = (h + _LARGER, w + _LARGER, channels)
+            self._piece = np.random.default_rng(self._seed).standard_normal(larger, dtype=np.float32)
+        y, x = rng.integers(_LARGER + 1, size=2)
+        return self._piece[y : y + h, x : x + w]
+
+
+Array = NDArray[np.float64]
+
+# A marker of which less than this is seen does not count as visible in the truth.
+_VISIBLE_PART = 0.02
+# White round a marker: detectors take the paper's own outline for the marker's when it is much nearer.
+_MARGIN_CELLS = 1.5
+# Brightness lost in the corners of the picture.
+_VIGNETTE = 0.10
+
+
+class SceneRobot(Protocol):
+    """What of ``robot_ik.robot.Robot`` the camera needs."""
+
+    @property
+    def model(self) -> mujoco.MjModel: ...
+
+    def qpos(self, q: Array) -> Array:
+        """Full (model.nq,) of the active joints' ``q``."""
+        ...
+
+    def forward(self, q: Array, frame: str | None = None) -> Pose:
+        """Pose of a frame in the world."""
+        ...
+
+
+def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
+    """Where a camera is that looks from ``position`` at ``target``: ``pose_world_camera``.
+
+    OpenCV camera axes: x right, y down, z forward; ``up`` is upwards in the picture.
+
+    Raises:
+        CameraError: Position and target coincide, or ``up`` is along the view.
+    """
+    eye = np.asarray(position, dtype=float)
+    forward = np.asarray(target, dtype=float) - eye
+    right = np.cross(forward, np.asarray(up, dtype=float))
+    if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
+        raise CameraError(
+            f"a camera at {position!r} cannot look at {target!r} with {up!r} upwards",
+            hint="choose another target, or an up direction that is not along the view",
+        )
+    forward /= np.linalg.norm(forward)
+    right /= np.linalg.norm(right)
+    return Pose.from_rotation(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
+
+
+@dataclass(frozen=True)
+class SyntheticMarker:
+    """A printed marker, either at a place in the world or carried by a frame of the robot.
+
+    Marker axes: x right, y up, z out of the print.
+
+    Attributes:
+        id: In the dictionary.
+        size: Side of the black border, metres.
+        pose: In the world, or seen from ``frame``; a callable is asked with the time in seconds.
+        frame: Robot frame that carries it; ``None``: it stands in the world.
+        dictionary: OpenCV's name of it.
+        margin: White paper beyond the border, metres; 1.5 cells when not given.
+        condition: ``printed``, ``blank`` (white paper only) or ``covered`` (a grey patch over it).
+    """
+
+    id: int
+    size: float
+    pose: Pose | Callable[[float], Pose] = Pose()
+    frame: str | None = None
+    dictionary: str = "DICT_5X5_50"
+    margin: float | None = None
+    condition: Condition = "printed"
+
+    @property
+    def paper_margin(self) -> float:
+        """White paper beyond the black border, metres."""
+        cells = make_sheet(self.dictionary, self.id, 1.0, "printed").cells
+        return _MARGIN_CELLS * self.size / cells if self.margin is None else self.margin
+
+    def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
+        """Where it is when the robot stands at ``q`` and the time is ``now``."""
+        pose = self.pose(now) if callable(self.pose) else self.pose
+        return pose if self.frame is None else robot.forward(q, self.frame).compose(pose)
+
+
+@dataclass(frozen=True)
+class SyntheticScene:
+    """What the synthetic camera looks at.
+
+    Attributes:
+        robot: Model, configuration and frames.
+        intrinsics: The lens.
+        pose_world_camera: OpenCV camera axes seen from the world.
+        markers: Each id once per dictionary.
+        table: ``None`` for no table.
+        lights: Lamp and ceiling; placed beside the camera when not given.
+    """
+
+    robot: SceneRobot
+    intrinsics: CameraIntrinsics
+    pose_world_camera: Pose
+    markers: tuple[SyntheticMarker, ...] = ()
+    table: Table | None = None
+    lights: Lights | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "markers", tuple(self.markers))
+        names = [(m.dictionary, m.id) for m in self.markers]
+        if len(set(names)) != len(names):
+            raise CameraError(
+                f"a marker appears twice in the scene: {sorted(names)}", hint="give each its own id"
+            )
+
+    def with_marker(self, id: int, **changes: object) -> SyntheticScene:
+        """The scene with some fields of marker ``id`` changed, e.g. ``pose`` or ``condition``.
+
+        Raises:
+            CameraError: The scene has no such marker.
+        """
+        if id not in [m.id for m in self.markers]:
+            raise CameraError(f"the scene has no marker {id}", hint=f"it has {[m.id for m in self.markers]}")
+        changed = tuple(replace(m, **changes) if m.id == id else m for m in self.markers)  # type: ignore[arg-type]
+        return replace(self, markers=changed)
+
+    def cover(self, *ids: int) -> SyntheticScene:
+        """The scene with a grey patch over these markers."""
+        scene = self
+        for id in ids:
+            scene = scene.with_marker(id, condition="covered")
+        return scene
+
+    def blank(self, *ids: int) -> SyntheticScene:
+        """The scene with these markers left unprinted: white paper."""
+        scene = self
+        for id in ids:
+            scene = scene.with_marker(id, condition="blank")
+        return scene
+
+
+class SyntheticSource(ClosingSource):
+    """Photographs of a ``SyntheticScene``: a ``FrameSource`` with ``truth``.
+
+    Args:
+        scene: What to look at; may be replaced between pictures (``source.scene = ...``) as long as camera
+            and robot stay the same.
+        true_q: Where the robot really is, (nq,), asked at each picture.
+        seed: Of the sensor noise; picture k of two sources with one seed is the same.
+        blur: Sigma of the lens blur, pixels.
+        noise: Sigma of the sensor noise, grey levels of 255.
+        clock: Gives ``Frame.time``; the machine's monotonic clock when not given.
+        quality: ``full`` for a photograph, ``fast`` for following: the robot is coarse, markers stay exact.
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        scene: SyntheticScene,
+        true_q: Callable[[], ArrayLike],
+        seed: int = 0,
+        blur: float = 0.7,
+        noise: float = 2.0,
+        clock: Clock | None = None,
+        quality: Literal["full", "fast"] = "full",
+    ) -> None:
+        if quality not in QUALITIES:
+            raise CameraError(f"unknown quality {quality!r}", hint=f"known: {', '.join(QUALITIES)}")
+        self.scene = scene
+        self.size = scene.intrinsics.size
+        self._true_q, self._blur, self._noise = true_q, blur, noise
+        self._clock, self._quality = clock, QUALITIES[quality]
+        self._sequence = 0
+        self._photographer: Photographer | None = None
+        self._vignette: NDArray[np.float32] | None = None
+        self._grain = Grain(self.size, seed, self._quality.same_grain)
+
+    def read(self) -> Frame:
+        """Takes the next picture; its ``truth`` is a dict.
+
+        * ``q`` (nq,), ``pose_world_camera``,
+        * ``pose_camera_marker`` and ``pose_world_marker``: by id, of the markers that are seen,
+        * ``corners``: by id (4, 2) pixels in OpenCV's order, ``visible``: by id the part seen, 0..1.
+        """
+        # Before the clock is asked: a sensor has its noise in no time.
+        grain = self._grain.of(self._sequence) if self._noise > 0 else None
+        now = time.monotonic() if self._clock is None else self._clock.now()
+        scene, q = self.scene, np.array(self._true_q(), dtype=float)
+        poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
+        sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
+        light, painted = self._camera().expose(scene.robot.qpos(q), sheets, self._quality)
+        frame = Frame(self._develop(light, grain), now, self._sequence, self._truth(q, poses, painted))
+        self._sequence += 1
+        return frame
+
+    def _camera(self) -> Photographer:
+        if self._photographer is None:
+            scene = self.scene
+            pose, robot = scene.pose_world_camera, scene.robot
+            distance = _subject_distance(scene)
+            subject = pose.apply([0.0, 0.0, distance])
+            lights = scene.lights or Lights.beside(pose, distance)
+            self._photographer = Photographer(
+                robot.model, scene.intrinsics, pose, scene.table, lights, subject
+            )
+        return self._photographer
+
+    def _develop(self, light: NDArray[np.float32], grain: NDArray[np.float32] | None) -> NDArray[np.uint8]:
+        """Lens and sensor: vignette, blur, noise, 8 bit."""
+        if self._vignette is None:
+            w, h = self.size
+            x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)
+            plain = 255.0 * (1 - _VIGNETTE * 0.5 * (x[None, :] ** 2 + y[:, None] ** 2))
+            self._vignette = np.dstack([plain, plain, plain])
+        picture = cv2.multiply(light, self._vignette)
+        if self._blur > 0:
+            picture = cv2.GaussianBlur(picture, (0, 0), self._blur)
+        # to 8 bit by rounding, not by cutting: half a grey level of bias would shift every edge
+        other, sigma = (picture, 0.0) if grain is None else (grain, self._noise)
+        return np.asarray(cv2.addWeighted(picture, 1.0, other, sigma, 0.0, dtype=cv2.CV_8U), dtype=np.uint8)
+
+    def _truth(self, q: Array, poses: list[Pose], painted: list[PaintedMarker | None]) -> dict[str, object]:
+        scene = self.scene
+        inverse = scene.pose_world_camera.inverse()
+        seen = [
+            (m, p, mark.visible)
+            for m, p, mark in zip(scene.markers, poses, painted, strict=True)
+            if mark is not None and mark.visible > _VISIBLE_PART and m.condition == "printed"
+        ]
+        return {
+            "q": q,
+            "pose_world_camera": scene.pose_world_camera,
+            "pose_world_marker": {m.id: p for m, p, _ in seen},
+            "pose_camera_marker": {m.id: inverse.compose(p) for m, p, _ in seen},
+            "corners": {
+                m.id: scene.intrinsics.project(inverse.compose(p).apply(_corners(m.size))) for m, p, _ in seen
+            },
+            "visible": {m.id: part for m, _, part in seen},
+        }
+
+
+def _corners(size: float) -> Array:
+    """Outer corners (4, 3) of a marker in its own frame, OpenCV's order."""
+    half = size / 2
+    return np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+
+
+def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedSheet:
+    margin = marker.paper_margin
+    cell = marker.size / make_sheet(marker.dictionary, marker.id, 1.0, "printed").cells
+    sheet = make_sheet(marker.dictionary, marker.id, margin / cell, marker.condition)
+    return PlacedSheet(sheet, marker.size, margin, pose, marker.frame is not None)
+
+
+def _subject_distance(scene: SyntheticScene) -> float:
+    """How far from the lens the things of interest are: the table, else the robot's middle, metres."""
+    inverse = scene.pose_world_camera.inverse()
+    if scene.table is not None:
+        centre = np.array([np.mean(scene.table.x), np.mean(scene.table.y), scene.table.height])
+    else:
+        centre = np.array(scene.robot.model.stat.center, dtype=float)
+    return float(max(inverse.apply(centre)[2], 0.3))
+
+
+# ------------------------------------------------------------------------------------------
+# The synthetic camera on the arm's hand: it moves with the joints.
+
+
+class CarriedSource(ClosingSource):
+    """Photographs of a ``SyntheticScene`` by a camera that a frame of the robot carries.
+
+    Each picture is of a new stage, so it takes longer than with a camera that stands.
+
+    Args:
+        scene: What to look at; its ``pose_world_camera`` is not used.
+        frame: Of the robot, which carries the camera.
+        pose_frame_camera: Where on it.
+        true_q: Where the robot really is, (nq,).
+        seed: Of the sensor noise.
+        clock: As for ``SyntheticSource``.
+        quality: Likewise.
+    """
+
+    live = True
+
+    def __init__(
+        self,
+        scene: SyntheticScene,
+        frame: str,
+        pose_frame_camera: Pose,
+        true_q: Callable[[], Array],
+        *,
+        seed: int = 0,
+        clock: Clock | None = None,
+        quality: Literal["full", "fast"] = "fast",
+    ) -> None:
+        self.scene, self.frame, self.pose_frame_camera = scene, frame, pose_frame_camera
+        self.size = scene.intrinsics.size
+        self._true_q, self._seed, self._clock, self._quality = true_q, seed, clock, quality
+        self._sequence = 0
+
+    def read(self) -> Frame:
+        """Takes the next picture, with the truth of ``SyntheticSource``."""
+        q = np.array(self._true_q(), dtype=float)
+        pose = self.scene.robot.forward(q, self.frame).compose(self.pose_frame_camera)
+        source = SyntheticSource(
+            replace(self.scene, pose_world_camera=pose), lambda: q,
+            seed=1000 * self._seed + self._sequence, clock=self._clock, quality=self._quality,
+        )  # fmt: skip
+        frame = replace(source.read(), sequence=self._sequence)
+        self._sequence += 1
+        return frame

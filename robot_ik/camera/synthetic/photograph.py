@@ -1,0 +1,421 @@
+"""A synthetic photograph: the robot, its shadows and the markers put into a still scene, by rays.
+
+Values are reflectance times light in 0..1, blended linearly in the picture's own 8-bit scale (no gamma):
+so an edge between print and paper has its half value exactly on the edge, as marker refinement assumes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, paint_mask
+from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.synthetic.prints import PaintedMarker, Sheet, nearer, paint_marker
+from robot_ik.camera.synthetic.scene import Lights, Stage, StillPicture, Table
+from robot_ik.geometry import Pose
+
+# ------------------------------------------------------------------------------------------
+# One camera before one scene: viewing rays, what stands still, and which light gets past the robot.
+
+
+Box = tuple[int, int, int, int]
+
+# Neighbouring points ask different points of a light, in a repeating tile of this side; a blur over the
+# tile then gives soft shadows from few rays (interleaved sampling, Keller and Heidrich 2001).
+_TILE = 4
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How much work a picture is worth.
+
+    Attributes:
+        stride: Robot rays every so many pixels; markers are exact always.
+        self_stride, self_spots: Shadows on the robot: every so many pixels, so many points of each light.
+        stage_stride, stage_spots: The same for shadows of the robot on table and floor.
+        same_grain: Pictures share their noise, each moved to another place.
+    """
+
+    stride: int
+    self_stride: int
+    self_spots: int
+    stage_stride: int
+    stage_spots: int
+    same_grain: bool = False
+
+
+QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1, same_grain=True)}
+
+
+@dataclass(frozen=True)
+class View:
+    """What the parts of a picture have in common.
+
+    Attributes:
+        field: Viewing rays of the lens.
+        camera: ``pose_world_camera``.
+        lights: Lamp, ceiling, window.
+        robot: The robot's model, to be asked by rays; placed anew for each picture.
+        stage: The empty scene.
+    """
+
+    field: RayField
+    camera: Pose
+    lights: Lights
+    robot: Caster
+    stage: StillPicture
+
+    def world(self, normalized: Array) -> Array:
+        """World directions (n, 3), unit along the optical axis, of ideal coordinates (n, 2)."""
+        turn = self.camera.rotation
+        return np.asarray(normalized @ turn.T[:2] + turn[:, 2])
+
+    def visibility(self, points: Array, tile: NDArray[np.int64], spots: int) -> Array:
+        """Part (n, 2) of lamp and ceiling that each point sees past the robot.
+
+        Args:
+            points: (n, 3) world.
+            tile: (n,) place of each point in its tile, 0 .. _TILE**2 - 1: which points of a light it asks.
+            spots: How many it asks.
+        """
+        classes = _TILE * _TILE
+        result = np.zeros((len(points), 2))
+        for c, source in enumerate(("lamp", "ceiling")):
+            for k, spot in enumerate(self.lights.spots(source, classes)):
+                asking = np.flatnonzero((k - tile * 7) % classes < spots)
+                result[asking, c] += self.robot.lit(spot, points[asking]) / spots
+        return result
+
+
+def lattice(box: Box, stride: int) -> tuple[Array, Array]:
+    """Columns and rows at the centres of blocks of ``stride`` pixels that fill ``box``."""
+    return tuple(  # type: ignore[return-value]
+        low + (np.arange(-(-(high - low) // stride)) + 0.5) * stride - 0.5
+        for low, high in ((box[0], box[2]), (box[1], box[3]))
+    )
+
+
+def tiles(shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Place (h, w) of each lattice point in its tile."""
+    i, j = np.indices(shape)
+    return np.asarray((i % _TILE) * _TILE + j % _TILE)
+
+
+def softened(picture: Float32) -> Float32:
+    """Mean over one tile, then a little more, so that no pattern is left."""
+    return np.asarray(cv2.GaussianBlur(cv2.blur(picture, (_TILE, _TILE)), (0, 0), 0.8), dtype=np.float32)
+
+
+def enlarged(picture: ArrayLike, stride: int, size: tuple[int, int]) -> Float32:
+    """Blocks of ``stride`` pixels blown up smoothly and cropped to ``size`` (rows, columns)."""
+    small = np.ascontiguousarray(picture, dtype=np.float32)
+    if stride == 1:
+        return small
+    large = cv2.resize(
+        small, (small.shape[1] * stride, small.shape[0] * stride), interpolation=cv2.INTER_LINEAR
+    )
+    return np.ascontiguousarray(large[: size[0], : size[1]])
+
+
+# ------------------------------------------------------------------------------------------
+# The robot in a synthetic photograph: its surface by rays, smooth edges, its own soft shadows.
+
+
+# Gloss of painted metal: strength and sharpness of the highlight (Blinn 1977).
+_GLOSS, _SHARPNESS = 0.16, 40.0
+# Subrays of a pixel on a geom's edge: five rooks on a chess board of pixel fifths.
+_ROOKS = (np.array([[0, 1], [1, 3], [2, 0], [3, 2], [4, 4]]) + 0.5) / 5.0 - 0.5
+
+
+@dataclass(frozen=True)
+class RobotLayer:
+    """The robot on the pixels of ``box``.
+
+    Attributes:
+        box: (x0, y0, x1, y1) pixels, half open.
+        colour: (h, w, 3) BGR times coverage, 1 is white.
+        coverage: (h, w) part of each pixel that shows the robot.
+        lit: (h, w, 2) part of lamp and ceiling that reaches it.
+    """
+
+    box: Box
+    colour: Float32
+    coverage: Float32
+    lit: Float32
+
+
+class RobotRenderer:
+    """Renders one model in one view."""
+
+    def __init__(self, view: View, model: mujoco.MjModel) -> None:
+        self._view, self._model = view, model
+        # planes and height fields are not bounded by the painter's faces: then look everywhere
+        endless = [int(k) for k in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)]
+        self._bounded = not np.isin(np.asarray(model.geom_type), endless).any()
+
+    def _region(self, qpos: ArrayLike) -> tuple[Box, Mask] | None:
+        """Pixels (box, mask) that the robot can touch."""
+        w, h = self._view.field.intrinsics.size
+        if not self._bounded:
+            return (0, 0, w, h), np.ones((h, w), dtype=bool)
+        faces = faces_in_picture(self._model, qpos, self._view.field.intrinsics, self._view.camera)
+        box = bounding_box(faces, w, h, margin=6)
+        if box[2] <= box[0]:
+            return None
+        mask = paint_mask((box[3] - box[1], box[2] - box[0]), faces, box[:2])
+        return box, cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0
+
+    def render(self, qpos: ArrayLike, quality: Quality) -> RobotLayer | None:
+        region = self._region(qpos)
+        if region is None:
+            return None
+        box, mask = region
+        stride = quality.stride
+        x, y = lattice(box, stride)
+        normalized = self._view.field.box(*box) if stride == 1 else self._view.field.grid(x, y)
+        size = (box[3] - box[1], box[2] - box[0])
+        rows = np.clip(np.rint(y).astype(int) - box[1], 0, size[0] - 1)
+        columns = np.clip(np.rint(x).astype(int) - box[0], 0, size[1] - 1)
+        asked = np.flatnonzero(mask[np.ix_(rows, columns)])
+        rays = self._view.world(normalized.reshape(-1, 2)[asked])
+        hits = self._view.robot.cast(self._view.camera.position, rays)
+        behind = self._view.stage.depth[box[1] : box[3], box[0] : box[2]][np.ix_(rows, columns)].reshape(-1)[
+            asked
+        ]
+        on = np.flatnonzero(hits.depth < behind)
+        points = self._view.camera.position + rays[on] * hits.depth[on, None]
+        shape = (len(y), len(x))
+        geom = np.full(shape, -1)
+        geom.reshape(-1)[asked[on]] = hits.geom[on]
+        normal = np.zeros((*shape, 3))
+        normal.reshape(-1, 3)[asked[on]] = hits.normal[on]
+        seen = self._own_shadows(
+            points, asked[on], shape, max(1, quality.self_stride // stride), quality.self_spots
+        )
+        colour = np.zeros((*shape, 3), dtype=np.float32)
+        visible = seen.reshape(-1, 2)[asked[on]]
+        colour.reshape(-1, 3)[asked[on]] = self._shade(
+            hits.geom[on], points, hits.normal[on], rays[on], visible
+        )
+        coverage = (geom >= 0).astype(np.float32)
+        if stride == 1:
+            self._smooth_edges(box, geom, normal, seen, colour, coverage)
+        else:
+            both = enlarged(np.dstack([colour, coverage, seen]), stride, size)
+            colour, coverage, seen = both[..., :3], both[..., 3], both[..., 4:]
+        return RobotLayer(box, colour, coverage, seen)
+
+    def _own_shadows(
+        self, points: Array, places: NDArray[np.int64], shape: tuple[int, int], stride: int, spots: int
+    ) -> Float32:
+        """Light (h, w, 2) on the robot: asked on a lattice, smoothed over the robot's pixels only."""
+        row, column = np.unravel_index(places, shape)
+        chosen = np.flatnonzero((row % stride == 0) & (column % stride == 0))
+        small = (-(-shape[0] // stride), -(-shape[1] // stride))
+        packed = np.zeros((*small, 3), dtype=np.float32)
+        i, j = row[chosen] // stride, column[chosen] // stride
+        packed[i, j, :2] = self._view.visibility(points[chosen], tiles(small)[i, j], spots)
+        packed[i, j, 2] = 1.0
+        # pixels beside the lattice borrow from further away
+        soft = softened(packed) + 1e-3 * cv2.GaussianBlur(packed, (0, 0), 4.0)
+        seen = soft[..., :2] / np.maximum(soft[..., 2:], 1e-9)
+        return np.ascontiguousarray(np.clip(enlarged(seen, stride, shape), 0.0, 1.0))
+
+    def _shade(
+        self, geom: NDArray[np.int32], points: Array, normals: Array, rays: Array, visible: ArrayLike
+    ) -> Array:
+        """Colour (n, 3) of robot surfaces: flat reflectance plus a highlight of the lamp."""
+        seen = np.asarray(visible, dtype=float)
+        lamp, ceiling, ambient = self._view.lights.terms(points, normals)
+        light = ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]
+        way = self._view.lights.lamp - points
+        half = way / np.linalg.norm(way, axis=1, keepdims=True) - rays / np.linalg.norm(
+            rays, axis=1, keepdims=True
+        )
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        shine = np.maximum(np.einsum("ij,ij->i", half, normals), 0.0) ** _SHARPNESS
+        return np.asarray(
+            self._view.robot.colours[geom] * light[:, None] + (_GLOSS * shine * seen[:, 0])[:, None]
+        )
+
+    def _smooth_edges(
+        self,
+        box: Box,
+        geom: NDArray[np.int64],
+        normal: Array,
+        seen: Float32,
+        colour: Float32,
+        coverage: Float32,
+    ) -> None:
+        """Replaces pixels on edges of geoms by the mean of five subrays each, in place."""
+        kernel = np.ones((3, 3), np.uint8)
+        edge = cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, kernel) > 0
+        for k in range(3):
+            edge |= cv2.morphologyEx(normal[..., k].astype(np.float32), cv2.MORPH_GRADIENT, kernel) > 0.35
+        rows, columns = np.nonzero(edge)
+        if not len(rows):
+            return
+        pixels = np.stack([columns + box[0], rows + box[1]], axis=1)[:, None, :] + _ROOKS
+        rays = self._view.world(self._view.field.points(pixels.reshape(-1, 2)))
+        hits = self._view.robot.cast(self._view.camera.position, rays)
+        behind = np.repeat(self._view.stage.depth[rows + box[1], columns + box[0]], len(_ROOKS))
+        on = np.flatnonzero(hits.depth < behind)
+        points = self._view.camera.position + rays[on] * hits.depth[on, None]
+        total = np.zeros((len(rays), 4))
+        visible = np.repeat(seen[rows, columns], len(_ROOKS), axis=0)[on]
+        total[on, :3] = self._shade(hits.geom[on], points, hits.normal[on], rays[on], visible)
+        total[on, 3] = 1.0
+        mean = total.reshape(len(rows), len(_ROOKS), 4).mean(axis=1)
+        colour[rows, columns], coverage[rows, columns] = mean[:, :3], mean[:, 3]
+
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# The robot's shadow is not looked for on things farther than this, metres.
+_SHADOW_REACH = 8.0
+
+
+@dataclass(frozen=True)
+class PlacedSheet:
+    """A printed sheet at a place: side and white margin in metres, pose in the world."""
+
+    sheet: Sheet
+    size: float
+    margin: float
+    pose_world: Pose
+    on_robot: bool
+
+
+class Photographer:
+    """Takes pictures of one model on one stage with one camera."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        intrinsics: CameraIntrinsics,
+        pose_world_camera: Pose,
+        table: Table | None,
+        lights: Lights,
+        subject: Array,
+    ) -> None:
+        stage = Stage(intrinsics, pose_world_camera, table, lights, subject).picture
+        self._view = View(ray_field(intrinsics), pose_world_camera, lights, Caster(model), stage)
+        self._renderer = RobotRenderer(self._view, model)
+
+    def expose(
+        self, qpos: ArrayLike, sheets: list[PlacedSheet], quality: Quality
+    ) -> tuple[Float32, list[PaintedMarker | None]]:
+        """The light on the sensor (h, w, 3), 1 is white, and each sheet as it fell on the pixels.
+
+        Args:
+            qpos: (model.nq,) true configuration.
+            sheets: Markers to paint.
+            quality: How finely.
+        """
+        self._view.robot.place(qpos)
+        lit = self._stage_visibility(quality)
+        stage = self._view.stage
+        lamp, ceiling = (cv2.merge([share] * 3) for share in cv2.split(lit))
+        picture = np.asarray(cv2.multiply(stage.lamp, lamp, dst=lamp), dtype=np.float32)
+        picture += stage.ambient
+        picture += cv2.multiply(stage.ceiling, ceiling, dst=ceiling)
+        empty = picture.copy() if sheets else picture
+        layer = self._renderer.render(qpos, quality)
+        if layer is not None:
+            x0, y0, x1, y1 = layer.box
+            view = picture[y0:y1, x0:x1]
+            view *= 1.0 - layer.coverage[..., None]
+            view += layer.colour
+            front = layer.coverage > 0.5
+            lit[y0:y1, x0:x1][front] = layer.lit[front]
+        painted = [self._add_sheet(picture, empty, layer, lit, sheet) for sheet in sheets]
+        return picture, painted
+
+    def _stage_visibility(self, quality: Quality) -> Float32:
+        """Light (h, w, 2) that the robot leaves to table and floor."""
+        w, h = self._view.field.intrinsics.size
+        stride = quality.stage_stride
+        x, y = lattice((0, 0, w, h), stride)
+        rays = self._view.world(self._view.field.grid(x, y).reshape(-1, 2))
+        rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
+        depth = self._view.stage.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
+        seen = np.full((len(rays), 2), 1.0, dtype=np.float32)
+        near = np.flatnonzero(depth < _SHADOW_REACH)
+        points = self._view.camera.position + rays[near] * depth[near, None]
+        seen[near] = self._view.visibility(
+            points, tiles((len(y), len(x))).reshape(-1)[near], quality.stage_spots
+        )
+        return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
+
+    def _add_sheet(
+        self, picture: Float32, empty: Float32, layer: RobotLayer | None, lit: Float32, placed: PlacedSheet
+    ) -> PaintedMarker | None:
+        """Paints one sheet over the picture where nothing hides it."""
+        pose = self._view.camera.inverse().compose(placed.pose_world)
+
+        def blocked(rays: Array, depth: Array) -> Mask:
+            pixels = self._view.field.intrinsics.distort(rays)
+            w, h = self._view.field.intrinsics.size
+            column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, w - 1)
+            row = np.clip(np.rint(pixels[:, 1]).astype(int), 0, h - 1)
+            hidden = nearer(self._view.stage.depth[row, column], depth)
+            if layer is not None:
+                x0, y0, x1, y1 = layer.box
+                ask = np.flatnonzero((column >= x0) & (column < x1) & (row >= y0) & (row < y1))
+                hits = self._view.robot.cast(
+                    self._view.camera.position, self._view.world(rays[ask]), normals=False
+                )
+                hidden[ask] |= nearer(hits.depth, depth[ask])
+            return hidden
+
+        painted = paint_marker(placed.sheet, placed.size, placed.margin, pose, self._view.field, blocked)
+        if painted is None:
+            return None
+        x0, y0, x1, y1 = painted.box
+        normalized = self._view.field.box(*painted.box).reshape(-1, 2)
+        depth = np.nan_to_num(painted.depth.reshape(-1, 1), nan=1.0)
+        points = self._view.camera.position + self._view.world(normalized) * depth
+        normals = np.broadcast_to(placed.pose_world.rotation[:, 2], points.shape)
+        lamp, ceiling, ambient = self._view.lights.terms(points, normals)
+        view, seen = picture[y0:y1, x0:x1], lit[y0:y1, x0:x1].reshape(-1, 2)
+        light = (ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]).reshape(painted.tone.shape)
+        cover = painted.coverage[..., None].astype(np.float32)
+        behind = self._behind(view, empty, layer, painted, placed.on_robot)
+        view[:] = behind * (1 - cover) + cover * (painted.tone * light)[..., None].astype(np.float32)
+        return painted
+
+    def _behind(
+        self, view: Float32, empty: Float32, layer: RobotLayer | None, painted: PaintedMarker, on_robot: bool
+    ) -> Float32:
+        """What shows in the part of a pixel that the sheet leaves.
+
+        At the robot's outline that part is the robot alone for a sheet behind it, and the surroundings
+        alone for a sheet that ends where the robot ends.
+        """
+        if layer is None:
+            return view
+        x0, y0, x1, y1 = painted.box
+        edge = np.zeros(view.shape[:2], dtype=np.float32)
+        robot = np.zeros_like(view)
+        a0, b0 = max(x0, layer.box[0]), max(y0, layer.box[1])
+        a1, b1 = min(x1, layer.box[2]), min(y1, layer.box[3])
+        if a1 <= a0 or b1 <= b0:
+            return view
+        here = (slice(b0 - y0, b1 - y0), slice(a0 - x0, a1 - x0))
+        there = (slice(b0 - layer.box[1], b1 - layer.box[1]), slice(a0 - layer.box[0], a1 - layer.box[0]))
+        edge[here], robot[here] = layer.coverage[there], layer.colour[there]
+        mixed = (edge > 0) & (edge < 1) & (painted.coverage > 0)
+        behind = view.copy()
+        if on_robot:
+            behind[mixed] = empty[y0:y1, x0:x1][mixed]
+        else:
+            behind[mixed] = robot[mixed] / edge[mixed][:, None]
+        return behind

@@ -1,0 +1,521 @@
+"""From a frame to marker observations, picture after picture.
+
+``tracker`` detects, refines and estimates; ``flips`` remembers both poses of a flat marker, so that a
+lucky error does not flip it; ``sightings`` tells in plain values what is in a picture, and draws it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from robot_ik.camera.bodies import MarkerBody
+from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
+from robot_ik.camera.detection import Detection, Image, MarkerDetector, SearchWindow, to_gray
+from robot_ik.camera.image import dictionary_size
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.observations import (
+    BodyObservation,
+    MarkerObservation,
+    body_branches,
+    marker_branches,
+    marker_observation,
+    marker_points,
+)
+from robot_ik.camera.photometric_pose import doubtful, fit_photometric_pose, seen_by_print
+from robot_ik.camera.pose_fit import Branches
+from robot_ik.camera.sources import Frame
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose
+
+# ------------------------------------------------------------------------------------------
+# Keeps both poses of a flat marker alive from picture to picture, so that a lucky error does not flip it.
+#
+# Which of the two branches of each picture is the true one is a chain with two states.  Its evidence is added
+# up (Rabiner 1989, forward pass): the errors of the branches in each picture, and how far the marker
+# would have
+# had to turn since the last one.  Old evidence fades, so a wrong branch cannot stay alive; the branch in use
+# is left only for one that is clearly better.
+
+
+# What is left of the evidence of one picture in the next: ten pictures count, nearly.
+_KEPT = 0.85
+# A hand turns a marker by this much, rad/s.
+_TURN_RATE = 2.0
+# No single turn and no single picture says more than this (log odds): either may be an accident.
+_MOST_BY_TURN, _MOST_BY_PICTURE = 4.0, 8.0
+# The other branch must be better by this (log odds) before it is taken.
+_HYSTERESIS = 0.5
+# A marker not seen for so long is a new one; pictures without a time are taken to come at 30 Hz.
+_FORGET_S, _USUAL_S = 0.5, 1.0 / 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Which branch, and how sure.
+
+    Attributes:
+        index: Of the branch.
+        ambiguity: As in ``MarkerObservation``, with the evidence of the last pictures.
+    """
+
+    index: int
+    ambiguity: float
+
+
+@dataclass(eq=False)
+class BranchMemory:
+    """The two hypotheses about one marker or board."""
+
+    _poses: tuple[Pose, ...] = ()
+    _odds: list[float] = field(default_factory=list)
+    _spread: list[float] = field(default_factory=list)
+    _chosen: int = 0
+    _time: float = float("nan")
+
+    def choose(self, branches: Branches, time: float) -> Choice:
+        """Takes in one picture.
+
+        Args:
+            branches: What fits it.
+            time: When it was taken, s; NaN when unknown.
+        """
+        gap = time - self._time
+        gap = _USUAL_S if not math.isfinite(gap) or gap == 0.0 else gap
+        if not 0.0 < gap <= _FORGET_S:
+            self._poses = ()
+        # Errors that the corners' covariance does not explain are in both branches: they prove less.
+        scale = max(1.0, branches.costs[0] / branches.expected)
+        alone = [-0.5 * (cost - branches.costs[0]) / scale for cost in branches.costs]
+        odds = [max(value, -_MOST_BY_PICTURE) for value in alone]
+        spread = [float(c[3, 3] + c[4, 4] + c[5, 5]) for c in branches.covariances]
+        index = 0
+        if self._poses:
+            moved = (_TURN_RATE * gap) ** 2
+            plausible = [
+                [_plausible(p, q, a + b + moved) for q, b in zip(branches.poses, spread, strict=True)]
+                for p, a in zip(self._poses, self._spread, strict=True)
+            ]
+            for k in range(len(odds)):
+                ways = [_KEPT * old + row[k] for old, row in zip(self._odds, plausible, strict=True)]
+                odds[k] += max(ways) + math.log(sum(math.exp(way - max(ways)) for way in ways))
+            index = self._stay(odds, plausible[self._chosen])
+        odds = [value - max(odds) for value in odds]
+        self._poses, self._odds, self._spread = branches.poses, odds, spread
+        self._chosen, self._time = index, time
+        return Choice(index, self._ambiguity(branches, alone, odds, index, scale))
+
+    @staticmethod
+    def _stay(odds: list[float], plausible: list[float]) -> int:
+        """The continuation of the branch in use, unless another one is clearly better."""
+        same, best = plausible.index(max(plausible)), odds.index(max(odds))
+        return best if odds[best] > odds[same] + _HYSTERESIS else same
+
+    @staticmethod
+    def _ambiguity(
+        branches: Branches, alone: list[float], odds: list[float], index: int, scale: float
+    ) -> float:
+        """The ratio of errors that one picture with as much evidence would have.
+
+        That of this picture or, where it is more, half of it and half of all: pictures in a row share errors.
+        """
+        if len(odds) < 2:
+            return 0.0
+        now = alone[index] - alone[1 - index]
+        more = 2.0 * scale * max(now, 0.5 * (now + odds[index] - odds[1 - index]), 0.0)
+        return 1.0 / math.sqrt(1.0 + more / (branches.costs[0] + branches.expected))
+
+
+def _plausible(one: Pose, other: Pose, variance: float) -> float:
+    """How well (log odds) the turn from one pose to the other fits what is expected of it, rad^2."""
+    turn = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
+    return max(-0.5 * turn * turn / variance, -_MOST_BY_TURN)
+
+
+# ------------------------------------------------------------------------------------------
+# From a frame to marker observations: detect, refine on the edges, estimate the pose.
+
+
+Layout = Mapping[int, tuple[float, Pose]]
+
+
+class MarkerTracker:
+    """Sees the markers of one dictionary through one camera.
+
+    Only the picture and its time are used; what a synthetic camera knows (``Frame.truth``) is never read.
+
+    Args:
+        intrinsics: Of the frames' size.
+        dictionary: Name as in OpenCV.
+        sizes: Side of the black squares in metres: one number, or by id.
+        ids: Only these are reported; None for all, or for those named in ``sizes``.
+        window: Search only round the markers of the last frame, farther round when one is lost, and the
+            whole frame when it is not there either, and every tenth time.  Several times faster; off, each
+            frame is searched for itself.
+        memory: Decide between the two poses of a flat marker with the last pictures in mind, see
+            ``robot_ik.camera.tracker``; None: as ``window``.  For pictures of one scene in their order.
+
+    Raises:
+        CameraError: Unknown dictionary, an id beyond it, an id without a size, or a size that cannot be.
+    """
+
+    def __init__(
+        self,
+        intrinsics: CameraIntrinsics,
+        dictionary: str = "DICT_5X5_50",
+        sizes: float | Mapping[int, float] = 0.05,
+        ids: Iterable[int] | None = None,
+        *,
+        window: bool = False,
+        memory: bool | None = None,
+    ) -> None:
+        self.intrinsics = intrinsics
+        by_id = dict(sizes) if isinstance(sizes, Mapping) else None
+        chosen = frozenset(ids) if ids is not None else (frozenset(by_id) if by_id is not None else None)
+        self._sizes = by_id
+        self._size = None if isinstance(sizes, Mapping) else float(sizes)
+        missing = sorted(i for i in chosen or () if by_id is not None and i not in by_id)
+        if missing:
+            raise CameraError(
+                f"no size is given for marker ids {missing}",
+                hint="give the side of each black square in metres",
+            )
+        for size in by_id.values() if by_id is not None else [self._size or 0.0]:
+            marker_points(size)
+        self.detector = MarkerDetector(dictionary, chosen)
+        self._use_window = window
+        self._window = SearchWindow()
+        self._use_memory = window if memory is None else memory
+        self._seen: tuple[Frame | None, list[tuple[int, RefinedCorners]]] = (None, [])
+        self._memories: dict[int | frozenset[int], BranchMemory] = {}
+
+    def size_of(self, marker_id: int) -> float:
+        """Side of the black square of a marker, metres."""
+        if self._sizes is None:
+            assert self._size is not None
+            return self._size
+        return self._sizes[marker_id]
+
+    def observe(self, frame: Frame, ids: Iterable[int] | None = None) -> list[MarkerObservation]:
+        """All wanted markers in the frame, sorted by id; empty when there is none.
+
+        The same id comes twice when two copies of a marker are in view.
+
+        Args:
+            frame: The picture.
+            ids: Only these of the wanted ones; the others' poses are not asked for.
+
+        Raises:
+            CalibrationError: The frame has not the size of the calibration.
+        """
+        observations = []
+        chosen = None if ids is None else frozenset(ids)
+        found = [(i, c) for i, c in self._refined(frame) if chosen is None or i in chosen]
+        count = Counter(i for i, _ in found)
+        for marker_id, corners in found:
+            branches = marker_branches(corners, self.size_of(marker_id), self.intrinsics)
+            if branches is None:
+                continue
+            # Nobody knows which of two copies the last picture was about.
+            choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
+            seen = marker_observation(
+                marker_id, corners, branches, frame.time, choice.index, choice.ambiguity
+            )
+            if not self._use_memory and doubtful(seen):
+                seen = seen_by_print(
+                    to_gray(frame.image), seen, self.size_of(marker_id), self.detector.dictionary,
+                    self.intrinsics,
+                )  # fmt: skip
+            observations.append(seen)
+        return observations
+
+    def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
+        """A rigid body that carries several markers; see ``estimate_body``.
+
+        Ids that come twice are left out: nobody knows which one belongs to the body.
+
+        Args:
+            frame: The picture.
+            body: A ``MarkerBody``, or its layout: id -> (side in metres, ``pose_body_marker``).
+
+        Raises:
+            CalibrationError: The frame has not the size of the calibration.
+            CameraError: The body's markers are of another dictionary than the tracker's.
+        """
+        layout = body.markers if isinstance(body, MarkerBody) else body
+        if isinstance(body, MarkerBody):
+            body.require_dictionary(self.detector.dictionary)
+        fitting = body_branches(self.corners(frame), layout, self.intrinsics)
+        if fitting is None:
+            return None
+        choice = self._choose(frozenset(layout), fitting.branches, frame.time)
+        seen = fitting.observation(choice.index, choice.ambiguity, frame.time)
+        better = fit_photometric_pose(
+            to_gray(frame.image), layout, seen.ids, self.detector.dictionary, self.intrinsics,
+            seen.pose_camera_body, seen.covariance,
+        )  # fmt: skip
+        return (
+            seen
+            if better is None
+            else replace(seen, pose_camera_body=better.pose, covariance=better.covariance)
+        )
+
+    def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
+        """Corners of the wanted markers in the frame, by id; those that come twice are left out.
+
+        Raises:
+            CalibrationError: The frame has not the size of the calibration.
+        """
+        found = self._refined(frame)
+        count = Counter(i for i, _ in found)
+        return {i: c for i, c in found if count[i] == 1}
+
+    def _choose(
+        self, who: int | frozenset[int], branches: Branches, time: float, *, certain: bool = True
+    ) -> Choice:
+        """The branch to believe in: what this picture says, or with a memory what the last ones say."""
+        if not (self._use_memory and certain):
+            self._memories.pop(who, None)
+            return Choice(0, branches.ambiguity)
+        return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
+
+    def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+        if frame is self._seen[0]:  # several bodies in one picture: it is looked at once
+            return self._seen[1]
+        self.intrinsics.require_size(*frame.size)
+        part, origin, detections, thorough = self._detect(frame.image)
+        refined = self._refine(part, detections, origin)
+        whole = part.shape == frame.image.shape[:2]
+        if whole and not thorough and not all(one.refined for one in refined):
+            # The quick search's corners may be too rough to start from.
+            again = self.detector.detect(part)
+            better = self._refine(part, again, origin)
+            if sum(one.refined for one in better) > sum(one.refined for one in refined):
+                detections, refined = again, better
+        found = [(d.id, corners) for d, corners in zip(detections, refined, strict=True)]
+        self._seen = (frame, found)
+        return found
+
+    def _refine(
+        self, part: Image, detections: list[Detection], origin: tuple[int, int]
+    ) -> list[RefinedCorners]:
+        rough = [d.corners for d in detections]
+        return refine_markers(part, rough, self.intrinsics, cells=self.detector.cells, origin=origin)
+
+    def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection], bool]:
+        """The part of the picture (grey) looked at, where it begins, what is in it, if by all thresholds."""
+        window = self._window if self._use_window else None
+        if window is not None and not window.due:
+            for wide in (False, True):
+                box = window.around(image.shape[1], image.shape[0], wide=wide)
+                if box is None:
+                    break
+                x0, y0, x1, y1 = box
+                part = to_gray(image[y0:y1, x0:x1])
+                found = self.detector.detect_part(part, window.side, origin=(x0, y0), thorough=wide)
+                if window.holds(found):
+                    window.remember(found)
+                    return part, (x0, y0), found, wide
+        gray = to_gray(image)
+        wanted = self.detector.ids
+        # Quickly, when all that may be there is found that way.
+        found = [] if wanted is None else self.detector.detect_quickly(gray)
+        thorough = wanted is None or not {d.id for d in found} >= wanted
+        if thorough:
+            found = self.detector.detect(gray)
+        if window is not None:
+            window.remember(found, whole=True)
+        return gray, (0, 0), found, thorough
+
+
+# ------------------------------------------------------------------------------------------
+# What is in a picture, told in plain values: markers, bodies, their poses; and drawn over it.
+
+
+# Of the drawing: subpixel bits, colours (BGR), length of the axes in marker sizes.
+_SHIFT = 4
+_OUTLINE, _FIRST_CORNER = (0, 220, 0), (0, 0, 255)
+_AXES = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """A marker whose pose nobody asked for: no intrinsics."""
+
+    id: int
+    seen: RefinedCorners
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What one picture shows.
+
+    Attributes:
+        frame: The picture.
+        markers: Sorted by id; with poses when the camera's intrinsics are known.
+        bodies: Name -> what was seen of it; only bodies that were seen.
+    """
+
+    frame: Frame
+    markers: Sequence[MarkerObservation | Corners]
+    bodies: Mapping[str, BodyObservation]
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Ids of the markers."""
+        return tuple(m.id for m in self.markers)
+
+
+class MarkerFinder:
+    """Looks for markers and bodies in pictures.
+
+    Args:
+        dictionary: Of the markers, and of bodies that do not name theirs.
+        intrinsics: Of the pictures; None: corners only, of pictures of any size.
+        size: Side of the black squares in metres; those of bodies are known already.
+        ids: Only these; none: all, or when only bodies are asked for those on them.
+        bodies: What to look for.
+        film: The pictures show one scene in their order, so the last ones help with the next.
+
+    Raises:
+        CameraError: Unknown dictionary, an id beyond it, a size that cannot be or is missing, bodies without
+            intrinsics or of another dictionary.
+    """
+
+    def __init__(
+        self,
+        dictionary: str,
+        intrinsics: CameraIntrinsics | None = None,
+        size: float | None = None,
+        ids: Sequence[int] = (),
+        bodies: Sequence[MarkerBody] = (),
+        *,
+        film: bool = False,
+    ) -> None:
+        self.intrinsics, self.bodies = intrinsics, tuple(bodies)
+        for body in self.bodies:
+            body.require_dictionary(dictionary)
+        known = {i: side for body in self.bodies for i, side in body.sizes.items()}
+        wanted = sorted(ids) or (sorted(known) if known and size is None else None)
+        self._detector = MarkerDetector(dictionary, wanted)
+        self._tracker: MarkerTracker | None = None
+        if intrinsics is None:
+            if self.bodies:
+                raise CameraError(
+                    "the pose of a body needs the camera's intrinsics",
+                    hint="make them with: camera calibrate",
+                )
+            return
+        if size is None and not known:
+            raise CameraError(
+                "a pose needs the size of the marker", hint="give the side of its black square in metres"
+            )
+        sizes: float | dict[int, float] = size if size is not None else 0.0
+        if known:
+            every = wanted if wanted is not None else range(dictionary_size(dictionary))
+            sizes = {i: known.get(i, size) for i in every if known.get(i, size) is not None}  # type: ignore[misc]
+        self._tracker = MarkerTracker(intrinsics, dictionary, sizes, wanted, window=film)
+
+    def look(self, frame: Frame) -> Sighting:
+        """Everything in one picture.
+
+        Raises:
+            CalibrationError: The picture has not the size of the calibration.
+        """
+        if self._tracker is None:
+            return Sighting(frame, self._corners(frame), {})
+        markers = self._tracker.observe(frame)
+        found = {body.name: self._tracker.observe_body(frame, body) for body in self.bodies}
+        return Sighting(frame, markers, {name: seen for name, seen in found.items() if seen is not None})
+
+    def _corners(self, frame: Frame) -> list[Corners]:
+        width, height = frame.size
+        # Nobody knows the lens: edges are taken to be straight in the picture.
+        straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
+        gray = to_gray(frame.image)
+        found = self._detector.detect(gray)
+        refined = refine_markers(gray, [d.corners for d in found], straight, cells=self._detector.cells)
+        return [Corners(d.id, seen) for d, seen in zip(found, refined, strict=True)]
+
+
+# ---------------------------------------------------------------------------------- as values
+
+
+def as_values(sighting: Sighting) -> dict[str, Any]:
+    """A sighting for JSON: corners in pixels (integer pixel centres), poses in metres and wxyz."""
+    return {
+        "markers": [_marker_values(m) for m in sighting.markers],
+        "bodies": [_body_values(name, seen) for name, seen in sighting.bodies.items()],
+    }
+
+
+def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
+    if isinstance(marker, Corners):
+        return {
+            "id": marker.id,
+            "corners": marker.seen.corners.tolist(),
+            "corner_sigma": marker.seen.sigma,
+            "refined": marker.seen.refined,
+        }
+    return {
+        "id": marker.id,
+        "corners": marker.corners.tolist(),
+        "corner_sigma": marker.sigma,
+        "refined": marker.refined,
+        "pose": _pose_values(marker.pose),
+        "alternative": _pose_values(marker.alternative),
+        "reprojection_error": marker.reprojection_error,
+        "ambiguity": marker.ambiguity,
+        "covariance": marker.covariance.tolist(),
+    }
+
+
+def _body_values(name: str, seen: BodyObservation) -> dict[str, Any]:
+    return {
+        "name": name,
+        "ids": list(seen.ids),
+        "rejected": list(seen.rejected),
+        "pose": _pose_values(seen.pose_camera_body),
+        "alternative": _pose_values(seen.alternative),
+        "reprojection_error": seen.reprojection_error,
+        "ambiguity": seen.ambiguity,
+        "covariance": seen.covariance.tolist(),
+    }
+
+
+def _pose_values(pose: Pose | None) -> dict[str, list[float]] | None:
+    return None if pose is None else {"position": pose.position.tolist(), "wxyz": pose.wxyz.tolist()}
+
+
+# ----------------------------------------------------------------------------------- as picture
+
+
+def drawn(sighting: Sighting, intrinsics: CameraIntrinsics | None) -> Image:
+    """The picture with outlines (the first corner marked), ids, and axes where poses are known."""
+    from robot_ik.camera.drawing.overlay import (
+        draw_axes,  # imported here: drawing needs MuJoCo, looking does not
+    )
+
+    image = sighting.frame.image.copy()
+    if image.ndim == 2:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    for marker in sighting.markers:
+        corners = marker.seen.corners if isinstance(marker, Corners) else marker.corners
+        outline = np.rint(corners * 2**_SHIFT).astype(np.int32)
+        cv2.polylines(image, [outline], True, _OUTLINE, 2, cv2.LINE_AA, _SHIFT)
+        first = (int(outline[0, 0]), int(outline[0, 1]))
+        cv2.circle(image, first, 4 * 2**_SHIFT, _FIRST_CORNER, -1, cv2.LINE_AA, _SHIFT)
+        place = (int(corners[:, 0].min()), int(corners[:, 1].min()) - 6)
+        cv2.putText(image, str(marker.id), place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 4, cv2.LINE_AA)
+        cv2.putText(image, str(marker.id), place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _OUTLINE, 2, cv2.LINE_AA)
+        if isinstance(marker, MarkerObservation) and intrinsics is not None:
+            side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+            length = _AXES * side * marker.pose.position[2] / intrinsics.fx
+            image = draw_axes(image, marker.pose, length, intrinsics, width=2)
+    return image

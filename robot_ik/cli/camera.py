@@ -1,0 +1,597 @@
+"""``robot-ik camera list``: the cameras of this machine, and what stands in the way of using them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import pose_option, pose_words, wrong
+from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError, OutputError
+from robot_ik.files import claimed, claimed_folder, write_atomically
+from robot_ik.geometry import Pose
+
+if TYPE_CHECKING:
+    from robot_ik.camera.boards.board import Board, BoardView
+    from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+    from robot_ik.camera.device import CameraDevice
+    from robot_ik.camera.intrinsics import CameraIntrinsics
+    from robot_ik.camera.sources import Frame
+    from robot_ik.errors import CameraError
+
+
+@dataclass(frozen=True)
+class CameraListOptions:
+    """Lists cameras: index, name, path, permission, who uses them. Opens none of them.
+
+    Exit code 1 when there is no camera. Linux only: macOS and Windows do not let cameras be listed.
+    """
+
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+def run_list(options: CameraListOptions) -> int:
+    """Prints the cameras; 1 when there is none."""
+    from robot_ik.camera.device import CAN_LIST, find_cameras
+    from robot_ik.environment import named_users_of
+
+    cameras = find_cameras()
+    rows: list[dict[str, Any]] = [
+        {**asdict(c), "used_by": named_users_of(c.path), "do": _do(c)} for c in cameras
+    ]
+    if options.json:
+        console.print_json({"schema": 1, "can_list": CAN_LIST, "cameras": rows})
+    elif rows:
+        shown = console.table("index", "name", "path", "state", "what to do")
+        for camera, row in zip(cameras, rows, strict=True):
+            state = _state(camera.usable, camera.pictures, row["used_by"])
+            path = camera.stable or camera.path
+            shown.add_row(str(camera.index), *(Text(t) for t in (camera.name or "?", path, state, row["do"])))
+        console.out().print(shown)
+    elif CAN_LIST:
+        console.say("error: there is no camera on this machine", "bold red")
+        console.say(
+            "plug one in; a picture, a film, a folder, a URL or synthetic:orbit does as well "
+            "wherever a camera is asked for",
+            "cyan",
+        )
+    else:
+        console.say(f"error: cameras cannot be listed on {sys.platform}", "bold red")
+        console.say("the first one is 0, the next 1, …; try: robot-ik camera detect 0", "cyan")
+    return console.DONE if any(c.pictures for c in cameras) else console.NOT_ACHIEVED
+
+
+def _state(usable: bool, pictures: bool, users: list[str]) -> str:
+    if not pictures:
+        return "no pictures: a camera's second node"
+    if not usable:
+        return "no permission"
+    return f"used by {', '.join(users)}" if users else "free"
+
+
+def _do(camera: CameraDevice) -> str:
+    from robot_ik.environment import permission_hint
+
+    return permission_hint(camera.path) if camera.pictures and not camera.usable else ""
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik camera detect``: which markers are in pictures, where, and how sure that is.
+
+
+# A pose that fits hardly better than its mirror image is marked: goals are not made from it either.
+_DOUBTFUL = 0.6
+# When there is no marker in any picture, so many of them are looked at again for markers of other kinds.
+_GUESSED_FROM = 3
+_NOTHING: Mapping[str, Any] = {"markers": [], "bodies": []}
+# So many files that cannot be used are named on the screen.
+_MOST_TOLD = 12
+
+
+@dataclass(frozen=True)
+class CameraDetectOptions:
+    """Finds markers in pictures, films and folders: ids, corners, and with --intrinsics their poses.
+
+    Exit code 1 when there is no marker in any of them, or when one of several could not be looked at: it is
+    named, and the others are done. 2 when none could.
+    """
+
+    images: Annotated[
+        Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …", help_behavior_hint="")
+    ] = ()
+    """Files or folders; a camera's index or URL gives one picture."""
+    dictionary: str = "DICT_5X5_50"
+    """Of the markers, as OpenCV names it: DICT_4X4_50, DICT_APRILTAG_36H11, …"""
+    ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: all)")] = ()
+    """Only these markers."""
+    size: Annotated[float | None, arg(metavar="M", help_behavior_hint="")] = None
+    """Side of the black squares, metres."""
+    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Calibration of the camera; without it there are corners but no poses."""
+    bodies: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
+    """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
+    draw: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Write each picture there with what was found drawn over it."""
+    overwrite: bool = False
+    """Replace drawings of the same names in that folder."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One picture: its place (file, number in the film or folder), its size, and what is in it.
+
+    One that could not be looked at has an ``error``, no size and nothing in it.
+    """
+
+    file: str
+    frame: int
+    size: tuple[int, int] | None
+    values: dict[str, Any]
+    error: CameraError | None = None
+    in_film: bool = False
+
+    def as_values(self) -> dict[str, Any]:
+        """For JSON."""
+        found: dict[str, Any] = {"file": self.file, "frame": self.frame}
+        if self.size is not None:
+            found |= {"width": self.size[0], "height": self.size[1]}
+        if self.error is not None:
+            found["error"] = str(self.error.args[0])
+        return found | self.values
+
+
+def run_detect(options: CameraDetectOptions) -> int:
+    """Prints what is in the pictures; 1 when that is nothing."""
+    from robot_ik.camera.intrinsics import CameraIntrinsics
+
+    intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
+    if options.draw is None:
+        return _detect(options, intrinsics, None)
+    _refuse_own_pictures(options.images, options.draw)
+    with claimed_folder(options.draw, "*.png", overwrite=options.overwrite):
+        return _detect(options, intrinsics, _Drawings(options.draw))
+
+
+def _refuse_own_pictures(names: Sequence[str], folder: Path) -> None:
+    """Drawings have the names of their pictures, so they must not go where those are."""
+    for path in map(Path, names):
+        if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
+            raise OutputError(
+                f"the drawings would take the names of the pictures in {folder}",
+                hint="give another folder: --draw drawn",
+            )
+
+
+class _Drawings:
+    """A folder of drawings, each under the name of its picture."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._names = folder, set[str]()
+
+    def save(self, file: str, number: int | None, image: Any) -> None:
+        """Writes one; a name that this run has used gets a number behind it."""
+        from robot_ik.camera.image import write_image
+
+        stem = (Path(file).stem or "picture") + ("" if number is None else f"-{number:05d}")
+        names = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
+        name = next(name for name in names if name not in self._names)
+        self._names.add(name)
+        write_image(self._folder / f"{name}.png", image)
+
+
+def _detect(
+    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: _Drawings | None
+) -> int:
+    blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
+    rows = list(_looked(options, intrinsics, blank, drawings))
+    failed = [row for row in rows if row.error is not None]
+    if len(failed) == len(rows):
+        _raise_first(failed)
+    if options.json:
+        images = [row.as_values() for row in rows]
+        console.print_json({"schema": 1, "dictionary": options.dictionary, "images": images})
+    else:
+        _print_markers(rows, posed=intrinsics is not None)
+        _print_bodies(rows)
+    if intrinsics is None:
+        console.say("no --intrinsics: corners only, no poses", "yellow")
+    if failed:
+        _tell_failed(failed, len(rows))
+    if any(row.values["markers"] for row in rows):
+        return console.NOT_ACHIEVED if failed else console.DONE
+    wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
+    console.say(
+        f"error: {wanted} of {options.dictionary} in {len(rows) - len(failed)} picture(s)", "bold red"
+    )
+    console.say(_hint(options, blank), "cyan")
+    return console.NOT_ACHIEVED
+
+
+def _raise_first(failed: Sequence[_Row]) -> None:
+    """Nothing could be looked at: the first error stands for all."""
+    if not failed:
+        return
+    error = failed[0].error
+    assert error is not None
+    if len(failed) > 1:
+        error.args = (f"{error.args[0]}; nor can the {len(failed) - 1} other(s) be used", *error.args[1:])
+    raise error
+
+
+def _tell_failed(failed: Sequence[_Row], count: int) -> None:
+    console.say(f"error: {len(failed)} of {count} pictures could not be looked at", "bold red")
+    for row in failed[:_MOST_TOLD]:
+        assert row.error is not None
+        said = str(row.error.args[0])
+        console.say(f"  {said}" if row.file in said else f"  {row.file}: {said}")
+    if len(failed) > _MOST_TOLD:
+        console.say(f"  and {len(failed) - _MOST_TOLD} more; --json names all")
+
+
+def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
+    """What may be wrong when no picture shows a marker that was asked for."""
+    from robot_ik.camera.detection import guess_dictionary
+
+    other = guess_dictionary(blank)
+    if other is None:
+        return "is the marker too small, blurred, or without white all round it?"
+    if other == options.dictionary:
+        return "other markers of this dictionary are there: leave --ids away to see which"
+    return f"there are markers of {other}: --dictionary {other}"
+
+
+def _looked(
+    options: CameraDetectOptions,
+    intrinsics: CameraIntrinsics | None,
+    blank: deque[Any],
+    drawings: _Drawings | None,
+) -> Iterator[_Row]:
+    """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
+    from robot_ik.camera.bodies import load_bodies
+    from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
+    from robot_ik.errors import CalibrationError, CameraError
+
+    if not options.images:
+        raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
+    bodies = [] if options.bodies is None else list(load_bodies(options.bodies).values())
+    asked = (options.dictionary, intrinsics, options.size, options.ids, bodies)
+    finder = MarkerFinder(*asked)
+    with console.progress() as bar:
+        for name in options.images:
+            task = bar.add_task(name, total=None, note="")
+            for file, number, frame, in_film in _pictures(name):
+                if in_film and number == 0:
+                    finder = MarkerFinder(*asked, film=True)
+                bar.update(task, note=str(number))
+                if isinstance(frame, CameraError):
+                    yield _Row(file, number, None, dict(_NOTHING), frame)
+                    continue
+                try:
+                    sighting = finder.look(frame)
+                except CalibrationError as error:  # of another size
+                    yield _Row(file, number, frame.size, dict(_NOTHING), error)
+                    if in_film:
+                        break
+                    continue
+                if not sighting.markers:
+                    blank.append(frame.image)
+                yield _Row(file, number, frame.size, as_values(sighting), in_film=in_film)
+                if drawings is not None:
+                    drawings.save(file, number if in_film else None, drawn(sighting, intrinsics))
+            bar.remove_task(task)
+            finder = MarkerFinder(*asked)
+
+
+def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
+    """File, number, picture or why there is none, and whether it is of a film; a live camera gives one."""
+    from robot_ik.camera.sources import FolderSource, ImageSource, VideoSource, open_source
+    from robot_ik.errors import CameraNotFoundError
+
+    try:
+        source = open_source(name)
+    except CameraNotFoundError as error:
+        yield name, 0, error, False
+        return
+    with source:
+        if isinstance(source, FolderSource):
+            for number, file in enumerate(source.files):
+                try:
+                    frame: Frame | CameraError = source.read()
+                except CameraNotFoundError as error:
+                    frame = error
+                yield str(file), number, frame, False
+        elif isinstance(source, (ImageSource, VideoSource)):
+            while not source.exhausted:
+                seen = source.read()
+                yield name, seen.sequence, seen, isinstance(source, VideoSource)
+        else:
+            yield name, 0, source.read(), False
+
+
+# ------------------------------------------------------------------------------------ tables
+
+
+# Of a pose, short enough for 80 columns.
+_POSE = ("position, m", "tilt", "error", "ambi-\nguity", "sigma")
+
+
+def _print_markers(rows: Sequence[_Row], *, posed: bool) -> None:
+    shown = console.table("picture", "id", *(_POSE if posed else ("centre, px",)))
+    shown.columns[0].no_wrap = False
+    for row in rows:
+        for marker in row.values["markers"]:
+            centre = " ".join(f"{x:.2f}" for x in np.mean(marker["corners"], axis=0))
+            cells = _pose_cells(marker) if posed else [Text(centre)]
+            shown.add_row(_place(row), str(marker["id"]), *cells)
+    _show(shown, posed=posed)
+
+
+def _print_bodies(rows: Sequence[_Row]) -> None:
+    shown = console.table("picture", "body", *_POSE)
+    shown.columns[0].no_wrap = False
+    odd = []
+    for row in rows:
+        for body in row.values["bodies"]:
+            shown.add_row(_place(row), body["name"], *_pose_cells(body))
+            if body["rejected"]:
+                ids = ", ".join(map(str, body["rejected"]))
+                odd.append(f"{_place(row)}: {body['name']} without {ids}, at odds with its other markers")
+    _show(shown, posed=True)
+    for line in odd:
+        console.out().print(Text(line, style="yellow"))
+
+
+def _show(shown: Table, *, posed: bool) -> None:
+    if posed:  # numbers stay whole, names of pictures are broken where there is no room
+        for column in shown.columns[1:]:
+            column.no_wrap = True
+    if shown.row_count:
+        console.out().print(shown)
+
+
+def _place(row: _Row) -> str:
+    return f"{Path(row.file).name} #{row.frame}" if row.in_film else Path(row.file).name
+
+
+def _pose_cells(values: dict[str, Any]) -> list[Text]:
+    """Position, tilt, reprojection error, ambiguity, and how sure the pose is."""
+    position = np.array(values["pose"]["position"])
+    away = Pose(position, values["pose"]["wxyz"]).rotation[:, 2] @ position / -np.linalg.norm(position)
+    sigma = np.sqrt(np.diag(values["covariance"]))
+    doubtful = values["ambiguity"] > _DOUBTFUL
+    return [
+        Text(" ".join(f"{x:.4f}" for x in position)),
+        Text(f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°"),
+        Text(f"{values['reprojection_error']:.2f} px"),
+        Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
+        Text(f"{1e3 * sigma[:3].max():.2f} mm {np.degrees(sigma[3:].max()):.2f}°"),
+    ]
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik camera locate``: where a camera stands, from a board at a known place.
+
+
+# Corners of a good calibration and a flat board miss by a few tenths of a pixel.
+_DOUBTFUL_PX = 1.0
+
+
+@dataclass(frozen=True)
+class CameraLocateOptions:
+    """Finds where a camera stands from a board whose place is known, and writes it to a file.
+
+    Neither camera nor board may move meanwhile. Exit code 1, and no file, when no picture shows the board or
+    none agrees with the others. The board's frame: markers and grids have their origin in
+    the middle, x right, y up, z out of the print; chessboard and charuco have OpenCV's, z into the board.
+    """
+
+    source: Positional[str]
+    """A picture, folder, film, camera's index or URL."""
+    intrinsics: Annotated[str, arg(metavar="FILE")]
+    """Calibration of the camera."""
+    board: Annotated[str, arg(metavar="BOARD")]
+    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
+    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
+    pose_world_board: Annotated[
+        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: the world's)")
+    ] = ()
+    """Where the board's frame is: metres, and an orientation as a quaternion."""
+    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
+    """Of the board's markers."""
+    parent: str = "world"
+    """Name of the frame that the board's place is given in."""
+    frames: Annotated[int, arg(metavar="N")] = 20
+    """How many pictures to average, where the source has more than one."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
+    """Where the place goes."""
+    overwrite: bool = False
+    """Replace that file."""
+    json: bool = False
+    """Print one JSON object on stdout."""
+
+
+def run_locate(options: CameraLocateOptions) -> int:
+    """Looks, fits, writes."""
+    from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.intrinsics import CameraIntrinsics
+    from robot_ik.geometry import Pose
+
+    if not 1 <= options.frames <= 10_000:
+        raise wrong("--frames", f"{options.frames} pictures", "1 to 10000")
+    board = parse_board(options.board, options.dictionary)
+    pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
+    intrinsics = CameraIntrinsics.load(options.intrinsics)
+    with claimed(options.out, overwrite=options.overwrite):
+        return _locate(options, board, pose, intrinsics)
+
+
+def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: CameraIntrinsics) -> int:
+    from robot_ik.camera.calibration.extrinsics import locate_camera
+
+    views, looked = _look(options, board, intrinsics)
+    if not views:
+        raise MarkerNotFoundError(
+            f"the board {options.board} is in none of {looked} pictures of {options.source}",
+            hint="check its sizes and dictionary, light and focus; the whole board should be in view",
+        )
+    place = locate_camera(views, pose, intrinsics, parent=options.parent)
+    doubtful = _doubtful(views, place.pose_parent_camera.inverse() @ pose, intrinsics)
+    if doubtful == len(views):
+        console.say(f"no picture is believed: {options.out} is not written", "yellow")
+        return console.NOT_ACHIEVED
+    place.save(options.out)
+    if options.json:
+        console.print_json(_as_json(place, options, len(views), looked))
+        return console.DONE
+    facts = console.table("", "")
+    facts.show_header = False
+    facts.add_row(f"camera seen from {place.parent}", pose_words(place.pose_parent_camera))
+    sigma = f"{1e3 * place.sigma_position:.2f} mm, {math.degrees(place.sigma_angle):.3f} deg"
+    facts.add_row("stated uncertainty", f"{sigma} (one sigma; the board's place is taken for exact)")
+    facts.add_row("corners miss by", f"{place.residual_px:.3f} px, {place.residual_mm:.3f} mm (RMS)")
+    facts.add_row("pictures", f"{len(views)} of {looked} show the board")
+    console.out().print(facts)
+    console.say(f"wrote {options.out}", "green")
+    return console.DONE
+
+
+def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> int:
+    """How many pictures have the board elsewhere than all together (``seen`` by the camera); says so."""
+    off = [
+        float(np.median(np.linalg.norm(intrinsics.project(seen.apply(view.points)) - view.pixels, axis=1)))
+        for view in views
+    ]
+    count = sum(miss > _DOUBTFUL_PX for miss in off)
+    if not count:
+        return 0
+    why = "the board is not flat or not of this size, or the calibration is of another camera"
+    if len(views) > 1:
+        why = f"camera or board moved, or {why}"
+    told = f"doubtful: in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
+    console.say(f"{told}: {why}", "yellow")
+    return count
+
+
+def _look(
+    options: CameraLocateOptions, board: Board, intrinsics: CameraIntrinsics
+) -> tuple[list[BoardView], int]:
+    """The views of the board, and how many pictures were looked at."""
+    from robot_ik.camera.sources import open_source
+
+    views, looked = [], 0
+    with open_source(options.source) as source, console.progress() as bar:
+        task = bar.add_task("looking", total=options.frames, note="")
+        while looked < options.frames and not getattr(source, "exhausted", False):
+            try:
+                frame = source.read()
+            except FrameTimeoutError:
+                break
+            except CameraNotFoundError as error:  # one file of a folder
+                console.say(f"left out: {error.args[0]}", "yellow")
+                continue
+            looked += 1
+            view = board.see(frame, intrinsics)
+            if view is not None:
+                views.append(view)
+            bar.update(task, completed=looked)
+    return views, looked
+
+
+def _as_json(place: CameraExtrinsics, options: CameraLocateOptions, used: int, looked: int) -> dict[str, Any]:
+    camera = place.pose_parent_camera
+    return {
+        "schema": 1,
+        "job": "locate",
+        "file": str(options.out),
+        "parent": place.parent,
+        "camera": {"position": camera.position, "wxyz": camera.wxyz},
+        "sigma_position_m": place.sigma_position,
+        "sigma_angle_rad": place.sigma_angle,
+        "residual_px": place.residual_px,
+        "residual_mm": place.residual_mm,
+        "pictures": looked,
+        "used": used,
+    }
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik camera print``: markers, boards, cubes and calibration patterns on paper, at true scale.
+
+
+Kind = Literal["marker", "board", "cube", "charuco", "chessboard"]
+
+
+@dataclass(frozen=True)
+class CameraPrintOptions:
+    """Writes a sheet to print: markers, a board of markers, a cube to fold, or a pattern to calibrate with.
+
+    Print it at 100 % ("actual size", no "fit to page") and measure the bar of 100 mm on it. What does not
+    fit the page is refused.
+    """
+
+    kind: Positional[Kind]
+    """marker (one or more), board (markers in a grid), cube (to cut out and fold), charuco, chessboard."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
+    """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
+    """Side of a marker's black square (marker 50, board 50, cube 40), or of a square of a pattern (charuco
+    30, chessboard 25)."""
+    columns: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
+    """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
+    rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
+    """The same downwards: board 2, charuco 6, chessboard 6."""
+    ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: 0, 1, 2, …)")] = ()
+    """marker: any. board: the upper left one. cube: front, right, back, left, top, bottom."""
+    dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
+    """Dictionary of the markers."""
+    gap_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
+    """White between the markers of a sheet or board (a quarter of the marker)."""
+    edge_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 1.25 markers)")] = None
+    """Edge of the cube."""
+    marker_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 0.73 squares)")] = None
+    """Side of the markers inside a charuco board."""
+    page: Literal["a4", "letter", "a3"] = "a4"
+    """Paper; it is turned when that makes it fit."""
+    dpi: int = 300
+    """Pixels per inch of a .png."""
+    overwrite: bool = False
+    """Replace files that are there."""
+    body: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
+
+
+def run_print(options: CameraPrintOptions) -> int:
+    """Writes the sheet and says what is on it."""
+    with claimed(options.out, options.body, overwrite=options.overwrite):
+        return _print_sheet(options)
+
+
+def _print_sheet(options: CameraPrintOptions) -> int:
+    from robot_ik.camera.sheets.page import write_sheet
+    from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
+
+    wish = SheetRequest(**{name: getattr(options, name) for name in SheetRequest.__dataclass_fields__})
+    page = make_sheet_page(wish)
+    if options.body is not None:
+        from robot_ik.camera.sheets.sheets import body_file
+
+        write_atomically(options.body, body_file(wish, options.body.stem))
+        console.say(f"wrote {options.body}: where its markers are", "green")
+    write_sheet(page, options.out, dpi=options.dpi)
+    console.say(f"wrote {options.out}: {page.about}", "green")
+    console.say("print it at 100 % (actual size) and measure the bar: 100.0 mm")
+    return console.DONE

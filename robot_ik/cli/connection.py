@@ -1,0 +1,330 @@
+"""The option ``--bus`` of all commands: names and help from the table of buses; which robot is meant."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.errors import (
+    BusNotOpenError,
+    ConfigError,
+    HardwareError,
+    RobotIkError,
+    UnknownRobotError,
+    UnsafeCommandError,
+)
+from robot_ik.hardware import BUSES, bus_row
+from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.bus import ServoBus
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.ports import Clock
+
+
+NONE = "none"
+"""Where a command can do without servos."""
+
+
+def bus_argument(*, none: bool = False, default: str = "") -> Any:
+    """Annotation of a field of type ``str``.
+
+    Args:
+        none: There may be no servos at all.
+        default: What it says behind the help; empty: the field's own default.
+    """
+    names, told = list(BUSES), [f"{bus.name}: {bus.title}" for bus in BUSES.values()]
+    if none:
+        names.append(NONE)
+        told.append(f"{NONE}: no servos")
+    hint = f"(default: {default})" if default else None
+    text = "Where the servos are. " + "; ".join(told) + "."
+    return arg(metavar="|".join(names), help=text, help_behavior_hint=hint)
+
+
+def robot_meant(arm: str, bus: str) -> str:
+    """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
+
+    Args:
+        arm: Arm file, or empty.
+        bus: As ``--bus`` takes it.
+
+    Raises:
+        ConfigError: The arm file is wrong.
+    """
+    if arm:
+        from robot_ik.hardware.config import ArmConfig
+
+        return ArmConfig.load(arm).robot
+    return SHOWN_ROBOT if bus == NONE or bus_row(bus).virtual else SERVO_ROBOT
+
+
+# ------------------------------------------------------------------------------------------
+# What the subcommands of ``robot-ik servo`` share: which port, which arm, who is asked, how it ends.
+
+
+#: Ports that only a machine's own board has; no adapter of servos is behind them.
+_ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
+
+
+_KEY_POLL = 0.05  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusOptions:
+    """Where the servos are."""
+
+    bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
+    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
+    """Arm file (TOML), or a robot of the catalogue that has one."""
+
+
+def serial_ports(listed: Iterable[Any] | None = None) -> list[Any]:
+    """Serial ports of this machine behind which servos may be.
+
+    Args:
+        listed: Ports as pyserial lists them; asked for if None.
+    """
+    from serial.tools import list_ports
+
+    found = list_ports.comports() if listed is None else listed
+    ports = [port for port in found if not any(word in port.device for word in _ONBOARD)]
+    return sorted(ports, key=lambda port: (len(port.device), str(port.device)))  # COM3 before COM10
+
+
+def port_name(bus: str) -> str:
+    """The port meant: the one named, else the only one there is.
+
+    Raises:
+        BusNotOpenError: None is named and there is none, or more than one.
+    """
+    if bus:
+        return os.path.expanduser(bus)
+    ports = [str(port.device) for port in serial_ports()]
+    if len(ports) == 1:
+        return ports[0]
+    found = f"{len(ports)} serial ports are there: {', '.join(ports)}" if ports else "there is no serial port"
+    raise BusNotOpenError(
+        f"which port are the servos on? {found}",
+        hint="name one with --bus PORT; without servos: --bus pty" + ("" if ports else ", or plug one in"),
+    )
+
+
+@contextmanager
+def served_or_real(bus: str, arm: str) -> Iterator[str]:
+    """A port by name; for ``pty`` and ``sim`` one that serves the arm's virtual servos at their rate."""
+    name = port_name(bus)
+    if name not in ("pty", "sim"):
+        yield name
+        return
+    from robot_ik.hardware import no_pty
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.ports import RealClock
+
+    try:
+        from robot_ik.hardware.virtual.pty import PtyPort
+    except ImportError as reason:
+        raise no_pty(reason) from reason
+
+    with PtyPort(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
+        yield port.path
+
+
+def load_arm(name: str) -> ArmConfig:
+    """The arm file of that path, or the one beside a robot of the catalogue.
+
+    Raises:
+        UnknownRobotError: Neither a file nor a robot of the catalogue.
+        ConfigError: The robot has no arm file, or the file is wrong.
+    """
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.robot_file import catalogue
+
+    if not name:
+        raise wrong("--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
+    known = catalogue()
+    path = Path(name).expanduser()
+    if name in known:
+        path = known[name] / "arm.toml"
+        if not path.is_file():
+            raise ConfigError(
+                "this robot comes without an arm file", file=path, hint="name one with --arm FILE"
+            )
+    elif not path.suffix and not path.exists() and path.name == name:
+        raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
+    return ArmConfig.load(path)
+
+
+def tried(action: Callable[[], int]) -> int:
+    """Runs what may fail on the way: an error of the hardware then means "tried, not achieved"."""
+    try:
+        return action()
+    except UnsafeCommandError:
+        raise
+    except HardwareError as error:
+        console.show_error(error)
+        return console.NOT_ACHIEVED
+
+
+@dataclass(frozen=True)
+class Link:
+    """An open bus, the arm on it, and the clock on which both run."""
+
+    bus: ServoBus
+    config: ArmConfig
+    clock: Clock
+
+
+@contextmanager
+def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Link]:
+    """The bus, open, and the arm file; nothing is asked of any servo yet.
+
+    Args:
+        options: From the command line.
+        config: Instead of the arm file.
+
+    Raises:
+        BusNotOpenError, ConfigError, UnknownRobotError.
+    """
+    from robot_ik.hardware import bus_row, open_bus
+    from robot_ik.hardware.virtual.bus import VirtualBus
+
+    config = config or load_arm(options.arm)
+    name = port_name(options.bus)
+    clock = bus_row(name).clock()
+    servos = VirtualBus.from_config(config, clock) if bus_row(name).virtual else None
+    bus = open_bus(name, config, virtual_bus=servos)
+    try:
+        yield Link(bus, config, clock)
+    finally:
+        bus.close()
+
+
+def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
+    """The arm with these joints only; all where none is named.
+
+    Raises:
+        UnknownJointError: No such joint; close ones are named.
+    """
+    wanted = {config.joint(name).name for name in names}
+    kept = tuple(joint for joint in config.whole.joints if joint.name in wanted)
+    return replace(config.whole, joints=kept) if names else config
+
+
+def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
+    """The arm of these options, still disconnected.
+
+    Raises:
+        BusNotOpenError: No port is named and there is not exactly one.
+        ConfigError: No such way to leave an arm.
+    """
+    from robot_ik.hardware import open_arm
+    from robot_ik.hardware.torque import ON_EXIT
+
+    if on_exit and on_exit not in ON_EXIT:
+        raise wrong("--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
+    return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
+
+
+@contextmanager
+def stop_on_space(arm: Arm) -> Iterator[None]:
+    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
+    try:
+        import termios
+        import tty
+
+        file = sys.stdin.fileno()
+        # A program in the shell's background may not touch the terminal.
+        listening = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
+    except (ImportError, OSError, ValueError, AttributeError):  # no terminals here, or stdin is closed
+        listening = False
+    if not listening:
+        yield
+        return
+    before = termios.tcgetattr(file)
+    over = threading.Event()
+
+    def listen() -> None:
+        while not over.is_set():
+            if select.select([file], [], [], _KEY_POLL)[0]:
+                key = os.read(file, 1)
+                if key == b" ":
+                    arm.request_stop()
+                elif not key:
+                    return
+
+    listener = threading.Thread(target=listen, name="space", daemon=True)
+    try:
+        tty.setcbreak(file)
+        console.say("space: stop and hold", "dim")
+        listener.start()
+        yield
+    finally:
+        over.set()
+        if listener.ident is not None:
+            listener.join()
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def driving(arm: Arm) -> Iterator[None]:
+    """The arm connected, and left by its policy; says how it was left, also after a signal or an error."""
+    try:
+        with arm, stop_on_space(arm):
+            yield
+    finally:
+        if words := left(arm):
+            console.say(words, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
+
+
+Limits = dict[str, tuple[float, float]]
+"""Joint -> limits, rad (m of a slide)."""
+
+
+def require_model(config: ArmConfig) -> None:
+    """Compares the model with the calibration beside the arm file, where there is one.
+
+    Raises:
+        CalibrationMismatchError: With a table of what differs.
+        ConfigError: The calibration cannot be read.
+    """
+    from robot_ik.hardware.calibration import check_model
+    from robot_ik.hardware.calibration_file import calibration_beside
+
+    if config.file is not None and calibration_beside(config.file).exists():
+        check_model(config, model_limits(config))
+
+
+def model_limits(config: ArmConfig) -> Limits:
+    """Joint -> limits of the model, rad; the arm file's where the model is not at hand (then it says so)."""
+    from robot_ik.robot import load_robot
+
+    try:
+        robot = load_robot(config.robot, joints=config.names)
+    except RobotIkError as error:
+        console.say(f"without the model ({error.args[0]}): limits are the arm file's", "yellow")
+        return {joint.name: (joint.lower, joint.upper) for joint in config.joints}
+    pairs = zip(robot.joints, robot.lower.tolist(), robot.upper.tolist(), strict=True)
+    found = {name: (lower, upper) for name, lower, upper in pairs}
+    return {
+        j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
+        for j in config.joints
+    }
+
+
+def left(arm: Arm) -> str:
+    """How an arm was left, in words; empty where it was never connected."""
+    return arm.exit_report.text if arm.exit_report is not None else ""

@@ -1,0 +1,364 @@
+"""``robot-ik poses``: key poses and motions through them: record, list, play, export, import."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import ConfigError, OutputError, TrajectoryError, close_matches
+
+if TYPE_CHECKING:
+    from robot_ik.motion import Keyframes, KeyPoses
+    from robot_ik.ports import Array
+    from robot_ik.robot import Robot
+
+#: Version of the JSON object; raised when a field changes its meaning.
+SCHEMA = 1
+
+_RobotName = Annotated[str, arg(metavar="NAME|PATH")]
+
+
+@dataclass(frozen=True)
+class PosesListOptions:
+    """Shows the poses and motions of a file.
+
+    robot-ik poses list
+
+    Exit code 0: shown. 2: wrong input.
+    """
+
+    file: Annotated[
+        Positional[str], arg(help_behavior_hint="(default: the file beside the robot's model)")
+    ] = ""
+    """Key poses, TOML."""
+    robot: _RobotName = "humanoid"
+    """Whose poses."""
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class PosesRecordOptions:
+    """Adds a pose to a file, which is made where there is none.
+
+    It starts from another pose, changes joints, and brings frames to places by inverse kinematics while the
+    feet, if there are any, stay where they are.
+
+        robot-ik poses record my.toml wave --set left_elbow_pitch=90
+        robot-ik poses record my.toml up --reach right_hand 0.3 -0.3 1.6
+
+    Exit code 0: recorded. 1: a place is out of reach, and nothing is recorded. 2: wrong input.
+    """
+
+    file: Annotated[Positional[str], arg(metavar="FILE")]
+    """Key poses, TOML."""
+    name: Annotated[Positional[str], arg(metavar="NAME")]
+    """What the pose is called."""
+    robot: _RobotName = "humanoid"
+    """Whose pose."""
+    begin: Annotated[str, arg(metavar="POSE", help_behavior_hint="(default: home)")] = ""
+    """A pose of the file or a keyframe of the model."""
+    frames: Annotated[str, arg(metavar="FRAMES.csv", help_behavior_hint="")] = ""
+    """Start from a frame of a recorded motion instead."""
+    at: Annotated[float, arg(metavar="S")] = 0.0
+    """Of --frames: at which time."""
+    set: Annotated[tuple[str, ...], arg(metavar="JOINT=DEGREES …", help_behavior_hint="")] = ()
+    """Joints at other angles (metres for slides)."""
+    reach: Annotated[tuple[str, ...], arg(metavar="FRAME X Y Z …", help_behavior_hint="")] = ()
+    """Frames at places, metres, world."""
+    replace: bool = False
+    """Replace a pose of that name."""
+
+
+@dataclass(frozen=True)
+class PosesPlayOptions:
+    """Shows a motion in MuJoCo's window, without inverse kinematics.
+
+        robot-ik poses play walk --times 3
+
+    Exit code 0: played. 2: wrong input, or no display.
+    """
+
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
+    """A motion or pose of the file, or a file of frames (.csv)."""
+    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
+    """Key poses, TOML."""
+    robot: _RobotName = "humanoid"
+    """Whose motion."""
+    speed: float = 1.0
+    """Part of the joints' speed limits that may be used."""
+    rate: Annotated[float, arg(metavar="HZ")] = 60.0
+    """Frames a second."""
+    times: int = 1
+    """How often a loop runs round."""
+
+
+@dataclass(frozen=True)
+class PosesExportOptions:
+    """Writes a motion as frames: CSV for `robot-ik servo play` and others, BVH for animation programs.
+
+        robot-ik poses export walk walk.bvh
+
+    Exit code 0: written. 2: wrong input.
+    """
+
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
+    """A motion or pose of the file, or a file of frames (.csv)."""
+    out: Annotated[Positional[str], arg(metavar="OUT")]
+    """FILE.csv or FILE.bvh."""
+    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
+    """Key poses, TOML."""
+    robot: _RobotName = "humanoid"
+    """Whose motion."""
+    speed: float = 1.0
+    """Part of the joints' speed limits that may be used."""
+    rate: Annotated[float, arg(metavar="HZ")] = 60.0
+    """Frames a second."""
+    overwrite: bool = False
+    """Replace the file."""
+
+
+@dataclass(frozen=True)
+class PosesImportOptions:
+    """Takes motion capture over onto a figure: by inverse kinematics on hands, feet and head.
+
+        robot-ik poses import clip.bvh clip.csv
+
+    Exit code 0: written. 2: wrong input.
+    """
+
+    bvh: Annotated[Positional[str], arg(metavar="BVH")]
+    """The motion: any skeleton whose joints the map names."""
+    out: Annotated[Positional[str], arg(metavar="OUT")]
+    """FILE.csv: frames of the figure."""
+    robot: _RobotName = "humanoid"
+    """Who shall move."""
+    map: Annotated[str, arg(help_behavior_hint="(default: bvh.toml beside the robot's model)")] = ""
+    """Which joint of the file is which part of the figure."""
+    rate: Annotated[float, arg(metavar="HZ", help_behavior_hint="(default: the file's)")] = 0.0
+    """Frames a second; frames are left out, none are made up."""
+    up: Annotated[str, arg(metavar="y|z")] = "y"
+    """The file's axis that points up."""
+    overwrite: bool = False
+    """Replace the file."""
+
+
+def run_list(options: PosesListOptions) -> int:
+    """Prints them."""
+    robot = _load(options.robot)
+    book = _book(robot, options.file)
+    motions = {name: (motion, book.motion(name)) for name, motion in book.motions.items()}
+    if options.json:
+        shown = {
+            name: {"poses": motion.poses, "loop": motion.loop, "seconds": made.duration}
+            for name, (motion, made) in motions.items()
+        }
+        poses = {name: q.tolist() for name, q in book.poses.items()}
+        console.print_json({"schema": SCHEMA, "robot": robot.name, "poses": poses, "motions": shown})
+        return console.DONE
+    rows = console.table("motion", "seconds", "loop", "poses")
+    for name, (motion, made) in motions.items():
+        rows.add_row(name, f"{made.duration:.2f}", "yes" if motion.loop else "", ", ".join(motion.poses))
+    console.out().print(rows)
+    console.out().print(f"poses: {', '.join(book.poses)}", markup=False, soft_wrap=True)
+    return console.DONE
+
+
+def run_record(options: PosesRecordOptions) -> int:
+    """Records it; 1 when a place is out of reach."""
+    from robot_ik.motion import KeyPoses
+
+    robot = _load(options.robot)
+    path = Path(options.file)
+    book = KeyPoses.load(path, robot) if path.exists() else KeyPoses(robot)
+    q = _changed(robot, _start(robot, book, options), options.set)
+    if options.reach:
+        found = _reached(robot, q, options.reach)
+        if found is None:
+            console.say("out of reach; nothing was recorded", "red")
+            return console.NOT_ACHIEVED
+        q = found
+    try:
+        book.record(options.name, q, replace=options.replace)
+    except TrajectoryError as error:
+        raise wrong("pose", str(error.args[0]), hint=error.hint) from error
+    book.save(path)
+    console.say(f"{options.name} is in {path}, which has {len(book.poses)} poses")
+    return console.DONE
+
+
+def run_play(options: PosesPlayOptions) -> int:
+    """Plays it in a window."""
+    robot = _load(options.robot)
+    motion = _motion(robot, options.motion, options.file, options.speed)
+    if options.times < 1:
+        raise wrong("--times", f"{options.times}", "1 or more")
+    from robot_ik.execution import execute
+    from robot_ik.testbed.frontends.window import WindowSink
+
+    seconds = options.times * motion.duration if motion.loop else None
+    frames = motion.sampled(options.rate, seconds)
+    with WindowSink(robot, start=np.array(frames.q[0])) as window, console.busy("playing", frames.duration):
+        execute(frames, [window])
+        window.wait()
+    return console.DONE
+
+
+def run_export(options: PosesExportOptions) -> int:
+    """Writes it."""
+    from robot_ik.motion.bvh import export_bvh
+
+    out = _writable(options.out, (".csv", ".bvh"), options.overwrite)
+    robot = _load(options.robot)
+    motion = _motion(robot, options.motion, options.file, options.speed)
+    if out.suffix == ".bvh":
+        export_bvh(motion, options.rate).save(out)
+    else:
+        motion.sampled(options.rate).save_csv(out)
+    console.say(f"{out}: {motion.duration:.2f} s at {options.rate:g} Hz")
+    return console.DONE
+
+
+def run_import(options: PosesImportOptions) -> int:
+    """Takes it over."""
+    from robot_ik.motion.bvh import Bvh
+    from robot_ik.motion.retarget import SkeletonMap, retarget
+
+    out = _writable(options.out, (".csv",), options.overwrite)
+    if options.up not in ("y", "z"):
+        raise wrong("--up", repr(options.up), "y or z")
+    robot = _load(options.robot)
+    joints = SkeletonMap.load(options.map) if options.map else None
+    bvh = Bvh.load(options.bvh)
+    with console.busy(f"taking over {len(bvh.values)} frames"):
+        found = retarget(bvh, robot, joints, rate=options.rate or None, up="y" if options.up == "y" else "z")
+    found.motion.save_csv(out)
+    hands = 1e3 * np.quantile(found.hand_miss, (0.5, 0.99))
+    console.say(
+        f"{out}: {len(found.motion)} frames; hands off {hands[0]:.1f} mm (median), {hands[1]:.1f} mm (99 %); "
+        f"feet at rest {100 * found.rests.mean():.0f} % of the time"
+    )
+    return console.DONE
+
+
+# ------------------------------------------------------------------------------ parts
+
+
+def _load(name: str) -> Robot:
+    import_mujoco()
+    from robot_ik.robot import load_robot
+
+    return load_robot(name)
+
+
+def _book(robot: Robot, file: str) -> KeyPoses:
+    """The poses of a file, or those that ship with the robot."""
+    from robot_ik.motion import KeyPoses
+
+    path = Path(file) if file else robot.folder / "poses.toml"
+    if not file and not path.is_file():
+        raise wrong(
+            "--file", f"no key poses ship with {robot.name!r}", "a file", "robot-ik poses record makes one"
+        )
+    return KeyPoses.load(path, robot)
+
+
+def _motion(robot: Robot, name: str, file: str, speed: float) -> Keyframes:
+    from robot_ik.motion import Keyframes
+
+    if name.endswith(".csv"):
+        return Keyframes.load_csv(name, robot)
+    book = _book(robot, file)
+    known = [*book.motions, *book.poses]
+    if name not in known:
+        close = close_matches(name, known)
+        hint = f"did you mean {close[0]!r}?" if close else ""
+        raise wrong("motion", f"there is no {name!r}", f"{', '.join(known[:20])}, or a .csv file", hint)
+    return book.motion(name, speed=speed)
+
+
+def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
+    """Where recording begins."""
+    from robot_ik.motion import Keyframes
+    from robot_ik.motion.bvh import qpos_places
+
+    if options.frames:
+        return Keyframes.load_csv(options.frames, robot).at(options.at)
+    if not options.begin:
+        return np.array(robot.home)
+    if options.begin in book.poses:
+        return book[options.begin]
+    keys = [robot.model.key(k).name for k in range(robot.model.nkey)]
+    if options.begin in keys:
+        return np.array(robot.model.key(options.begin).qpos[qpos_places(robot)])
+    known = [*book.poses, *keys]
+    close = close_matches(options.begin, known)
+    raise wrong(
+        "--from",
+        f"there is no pose {options.begin!r}",
+        ", ".join(known),
+        f"did you mean {close[0]!r}?" if close else "",
+    )
+
+
+def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
+    """The pose with the joints of ``JOINT=DEGREES`` words."""
+    from robot_ik.errors import UnknownJointError
+    from robot_ik.kernels.tree import HINGE, SLIDE
+
+    for item in items:
+        joint, _, text = item.partition("=")
+        if joint not in robot.joints:
+            raise UnknownJointError(joint, robot.joints)
+        k = robot.joints.index(joint)
+        kind = int(robot.tree.kind[k])
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if kind not in (HINGE, SLIDE) or not np.isfinite(value):
+            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES")
+        q[int(robot.tree.qadr[k])] = np.radians(value) if kind == HINGE else value
+    return q
+
+
+def _reached(robot: Robot, q: Array, words: Sequence[str]) -> Array | None:
+    """The pose that brings frames to places, what stands on the floor staying there; None: out of reach."""
+    from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
+    from robot_ik.inverse_kinematics import solve
+
+    goals: list[Goal] = []
+    if not words or len(words) % 4:
+        raise wrong("--reach", f"{len(words)} words", "FRAME X Y Z, once or more")
+    for first in range(0, len(words), 4):
+        try:
+            place = tuple(float(word) for word in words[first + 1 : first + 4])
+        except ValueError:
+            raise wrong("--reach", " ".join(words[first : first + 4]), "FRAME X Y Z, metres") from None
+        goals.append(PositionGoal(words[first], place))
+    moved = {goal.frame for goal in goals}
+    feet = [frame for frame in robot.file.tools if frame.endswith(("_foot", "_paw")) and frame not in moved]
+    goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
+    found = solve(robot, [*goals, PostureGoal(q=q, soft=True)], solver="lm", start=q)
+    return np.array(found.q) if found.converged else None
+
+
+def _writable(name: str, endings: Sequence[str], overwrite: bool) -> Path:
+    path = Path(name)
+    if path.suffix not in endings:
+        raise ConfigError(
+            f"{name!r} is not right", file="command line", key="out", allowed=" or ".join(endings)
+        )
+    if path.exists() and not overwrite:
+        raise OutputError(
+            f"{path} exists, and stays as it is", hint="choose another name, or give --overwrite"
+        )
+    return path

@@ -1,0 +1,444 @@
+"""``robot-ik servo ports``: serial ports, who made them, and what stands in the way of using them."""
+
+from __future__ import annotations
+
+import glob
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_real
+from robot_ik.environment import named_users_of
+from robot_ik.files import claimed, plain
+from robot_ik.hardware.health import latency_ms, serial_row
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.backup import Change
+    from robot_ik.hardware.discovery import FoundServo
+    from robot_ik.hardware.health import ServoState
+
+
+BY_ID = "/dev/serial/by-id"
+
+
+@dataclass(frozen=True)
+class PortsOptions:
+    """Lists serial ports: which adapter, how late it answers, who uses it. Opens none of them.
+
+    Exit code 1 when there is no port at all.
+    """
+
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+@dataclass(frozen=True)
+class PortRow:
+    """One serial port.
+
+    Attributes:
+        port: Name to open; ``stable``: a name that survives replugging, empty where there is none.
+        adapter: Its description; ``usb``: vendor:product, hexadecimal; ``serial``: number of the adapter.
+        latency_ms: Latency timer, None where the driver has none; ``used_by``: programs that have it open.
+        status: ok or note; ``do``: what to do about it.
+    """
+
+    port: str
+    stable: str
+    adapter: str
+    usb: str
+    serial: str
+    latency_ms: int | None
+    used_by: list[str]
+    status: str
+    do: str
+
+
+def run_ports(options: PortsOptions) -> int:
+    """Prints the ports; 1 when there is none."""
+    from robot_ik.cli.connection import serial_ports
+
+    rows = [port_row(port) for port in serial_ports()]
+    if options.json:
+        console.print_json({"schema": 1, "ports": [asdict(row) for row in rows]})
+    elif rows:
+        shown = console.table("port", "adapter", "USB", "latency", "state", "what to do")
+        for row in rows:
+            late = "-" if row.latency_ms is None else f"{row.latency_ms} ms"
+            state = f"used by {', '.join(row.used_by)}" if row.used_by else row.status
+            shown.add_row(row.stable or row.port, row.adapter, row.usb or "-", late, state, row.do)
+        console.out().print(shown)
+    else:
+        console.say("error: there is no USB serial port on this machine", "bold red")
+        console.say("plug the adapter in; without servos: robot-ik sim-bus --link PATH", "cyan")
+    return console.DONE if rows else console.NOT_ACHIEVED
+
+
+def port_row(port: Any, sys_root: str = "/sys", system: str = sys.platform) -> PortRow:
+    """What is known of a port as pyserial lists it, without opening it; ``system``: as ``sys.platform``."""
+    vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
+    about = port.description or "serial port"
+    row = serial_row(port.device, about, sys_root=sys_root, system=system, vendor=vendor)
+    return PortRow(
+        port.device,
+        stable_name(port.device),
+        port.description or "",
+        f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
+        getattr(port, "serial_number", None) or "",
+        latency_ms(port.device, sys_root),
+        named_users_of(port.device),
+        row.status,
+        row.do,
+    )
+
+
+def stable_name(device: str, folder: str = BY_ID) -> str:
+    """The name by adapter that leads to ``device``; empty where the system keeps none."""
+    real = os.path.realpath(device)
+    return next((name for name in sorted(glob.glob(f"{folder}/*")) if os.path.realpath(name) == real), "")
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik servo scan``: who is on the wire, at every rate and under every id.
+
+
+@dataclass(frozen=True)
+class ScanOptions(BusOptions):
+    """Asks at every baud rate which servos are there: id, model, firmware, supply, errors. Writes nothing.
+
+    Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 when nobody answers.
+    """
+
+    baud: Annotated[tuple[int, ...], arg(metavar="RATE …", help_behavior_hint="(default: all rates)")] = ()
+    """Only these rates, bits/s."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+def run_scan(options: ScanOptions) -> int:
+    """Prints who answers; 1 when nobody does."""
+    from robot_ik.hardware.discovery import LIKELY, nobody_hint
+
+    bauds = checked_rates(options.baud) or LIKELY
+    with served_or_real(options.bus, options.arm) as port:
+        found = scanned(port, bauds)
+    if options.json:
+        rows = [{"model": servo.model, **asdict(servo)} for servo in found]
+        console.print_json({"schema": 1, "port": port, "bauds": list(bauds), "servos": rows})
+    elif found:
+        print_found(found)
+    if not found:
+        console.say(f"error: no servo answers on {port}", "bold red")
+        console.say(nobody_hint(bauds), "cyan")
+    for note in _notes(found):
+        console.say(note, "yellow")
+    return console.DONE if found else console.NOT_ACHIEVED
+
+
+def _notes(found: Sequence[FoundServo]) -> list[str]:
+    """What is wrong with all of them together."""
+    if len(found) > 1 and all(servo.shared for servo in found):
+        return ["every answer is damaged: check the cable, its contacts and the adapter"]
+    notes = [
+        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
+        "and give it another: robot-ik servo setup --id N"
+        for servo in found
+        if servo.shared
+    ]
+    rates: dict[int, list[str]] = {}
+    for servo in found:
+        rates.setdefault(servo.baud, []).append(str(servo.id))
+    if len(rates) > 1:
+        listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
+        notes.append(
+            f"they talk at different rates ({listed}). "
+            "Connect one alone: robot-ik servo setup --id N --baud RATE"
+        )
+    return notes
+
+
+def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
+    """Rates from the command line.
+
+    Raises:
+        ConfigError: One that no servo has.
+    """
+    from robot_ik.hardware.control_table import BAUD_RATES
+
+    for rate in rates:
+        if rate not in BAUD_RATES.values():
+            allowed = ", ".join(map(str, BAUD_RATES.values()))
+            raise wrong("--baud", f"no servo talks at {rate} bits/s", allowed)
+    return tuple(dict.fromkeys(rates))
+
+
+def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
+    """``scan`` with a progress bar."""
+    from robot_ik.hardware.discovery import scan
+
+    with console.progress() as bar:
+        task = bar.add_task("scan", total=1.0, note="")
+        return scan(port, bauds, progress=lambda what, share: bar.update(task, completed=share, note=what))
+
+
+def _state(servo: FoundServo) -> str:
+    if servo.shared:
+        return "damaged answers"
+    pings_only = servo.torque is None and servo.voltage is None
+    return ", ".join(servo.errors) or ("answers pings only" if pings_only else "none")
+
+
+def print_found(found: Sequence[FoundServo]) -> None:
+    """The table of servos on stdout."""
+    names = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
+    shown = console.table(*names)
+    for s in found:
+        shown.add_row(
+            str(s.baud),
+            str(s.id),
+            s.model,
+            "?" if s.firmware is None else str(s.firmware),
+            "?" if s.voltage is None else f"{s.voltage:.1f} V",
+            "?" if s.temperature is None else f"{s.temperature} C",
+            "?" if s.return_delay is None else f"{s.return_delay} us",
+            "?" if s.torque is None else ("ON" if s.torque else "off"),
+            Text(_state(s)),
+        )
+    console.out().print(shown)
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik servo setup``: id and baud rate of one servo, alone on the wire.
+
+
+@dataclass(frozen=True)
+class SetupOptions(BusOptions):
+    """Gives one servo its id and baud rate. Exactly one servo may be connected; it is found at any rate.
+
+        robot-ik servo setup --joint joint3    (id and rate of the arm file)
+        robot-ik servo setup --id 3 --baud 1000000
+
+    Written to EEPROM with torque off, and read back under the new address. Return delay becomes 0.
+    """
+
+    joint: Annotated[str, arg(metavar="JOINT", help_behavior_hint="(or --id)")] = ""
+    """Joint of the arm file that this servo is for: its id, rate and model."""
+    id: Annotated[int | None, arg(metavar="N", help_behavior_hint="(or --joint)")] = None
+    """New id, 0 to 252."""
+    baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
+    """New rate, bits/s."""
+    from_baud: Annotated[
+        tuple[int, ...], arg(metavar="RATE …", help_behavior_hint="(default: all rates)")
+    ] = ()
+    """Look for the servo at these rates only."""
+
+
+def run_setup(options: SetupOptions) -> int:
+    """Finds the servo, writes, reads back."""
+    from robot_ik.hardware.discovery import LIKELY, nobody_hint, set_up, the_only_one
+
+    if (options.id is None) == (not options.joint):
+        raise wrong("--id", "which servo is it to be?", "either --id N or --joint JOINT")
+    config = load_arm(options.arm)
+    joint = config.joint(options.joint) if options.joint else None
+    id = joint.id if joint else options.id
+    assert id is not None
+    if not 0 <= id <= 252:
+        raise wrong("--id", f"{id} is no servo id", "0..252")
+    baud = config.baud if options.baud is None else options.baud
+    bauds = checked_rates(options.from_baud) or LIKELY
+    checked_rates([baud])
+    with served_or_real(options.bus, options.arm) as port:
+        found = scanned(port, bauds)
+        if not found:
+            console.say(f"error: no servo answers on {port}", "bold red")
+            console.say(nobody_hint(bauds), "cyan")
+            return console.NOT_ACHIEVED
+        servo = the_only_one(found)
+        if joint and servo.model != joint.model:
+            raise wrong("--joint", f"{joint.name} has a {joint.model}, this is a {servo.model}", joint.model)
+        set_up(port, servo, id, baud)
+    print_found([servo])
+    console.out().print(
+        f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done", markup=False
+    )
+    return console.DONE
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik servo backup`` and ``restore``: control tables as files.
+
+
+@dataclass(frozen=True)
+class BackupOptions(BusOptions):
+    """Saves the whole control table of every servo of the arm as JSON. Writes nothing to any servo."""
+
+    file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
+    """Where to."""
+    overwrite: bool = False
+    """An older file of that name may go."""
+
+
+def run_backup(options: BackupOptions) -> int:
+    """Reads all registers, writes the file."""
+    from robot_ik.hardware.backup import read_tables, save_backup
+
+    with claimed(options.file, overwrite=options.overwrite):
+        with opened(options) as link:
+            servos = read_tables(link.bus, link.config)
+        save_backup(options.file, link.config.name, servos)
+    count = sum(len(servo.registers) for servo in servos)
+    console.out().print(
+        f"{options.file}: {len(servos)} servos, {count} registers", markup=False, soft_wrap=True
+    )
+    return console.DONE
+
+
+@dataclass(frozen=True)
+class RestoreOptions(BusOptions):
+    """Puts the EEPROM of servos back as a backup has it: modes, limits, offsets, shutdown. Needs torque off.
+
+    Only what differs is written, and read back. Ids, baud rates and RAM stay as they are. Another model
+    than the file's is refused.
+    """
+
+    file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
+    """A file of backup."""
+    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    """Only these joints of the file; all if none is named."""
+    dry_run: bool = False
+    """Only show what differs."""
+
+
+def run_restore(options: RestoreOptions) -> int:
+    """Writes what differs; shows it."""
+    from robot_ik.hardware.backup import differences, load_backup, restore
+
+    servos = load_backup(options.file)
+    known = tuple(servo.joint for servo in servos)
+    for name in options.joints:
+        if name not in known:
+            raise wrong("JOINT", f"{name!r} is not in {options.file}", ", ".join(known))
+    servos = [servo for servo in servos if not options.joints or servo.joint in options.joints]
+    with opened(options) as link:
+        changes = (differences if options.dry_run else restore)(link.bus, servos)
+    _show(changes, "would become" if options.dry_run else "is now")
+    return console.DONE
+
+
+def _show(changes: Sequence[Change], verb: str) -> None:
+    if not changes:
+        console.out().print("nothing differs")
+        return
+    shown = console.table("joint", "id", "register", "was", verb)
+    for c in changes:
+        shown.add_row(c.joint, str(c.id), c.register, str(c.present), str(c.saved))
+    console.out().print(shown)
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik servo monitor``: what every servo says of itself, again and again.
+
+
+FASTEST = 200.0
+"""Hz."""
+
+
+@dataclass(frozen=True)
+class MonitorOptions(BusOptions):
+    """Watches the servos: position, velocity, current, voltage, temperature, torque, errors. Moves nothing.
+
+    Runs until Ctrl-C, or --count samples. Exit code 1 when a servo did not answer in the last one.
+    """
+
+    rate: Annotated[float, arg(metavar="HZ")] = 10.0
+    """Samples a second, at most 200."""
+    count: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: until Ctrl-C)")] = None
+    """End after so many samples."""
+    json: bool = False
+    """Print one JSON object a line for each sample."""
+
+
+def run_monitor(options: MonitorOptions) -> int:
+    """Prints samples; 1 when somebody was silent in the last one."""
+    if not 0.0 < options.rate <= FASTEST:
+        raise wrong("--rate", f"{options.rate:g} Hz", f"above 0, at most {FASTEST:g}")
+    if options.count is not None and options.count < 1:
+        raise wrong("--count", f"{options.count} samples", "1 and more")
+    with opened(options) as link:
+        if options.json:
+            return _lines(link, options)
+        screen = console.out()
+        if not screen.is_terminal:
+            return _watch(link, options, lambda states: screen.print(states_table(states)))
+        with Live(console=screen, auto_refresh=False) as live:
+            return _watch(link, options, lambda states: live.update(states_table(states), refresh=True))
+
+
+def _lines(link: Link, options: MonitorOptions) -> int:
+    begin = link.clock.now()
+
+    def show(states: Sequence[ServoState]) -> None:
+        servos = [plain(asdict(state)) for state in states]
+        sample = {"time": round(link.clock.now() - begin, 6), "servos": servos}
+        sys.stdout.write(json.dumps(sample, allow_nan=False) + "\n")
+        sys.stdout.flush()
+
+    return _watch(link, options, show)
+
+
+def _watch(link: Link, options: MonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
+    from robot_ik.hardware.health import read_states
+
+    due, done = link.clock.now(), 0
+    while True:
+        states = read_states(link.bus, link.config.servos)
+        show(states)
+        done += 1
+        if done == options.count:
+            return console.DONE if all(state.answered for state in states) else console.NOT_ACHIEVED
+        due = max(due + 1.0 / options.rate, link.clock.now())
+        link.clock.sleep_until(due)
+
+
+def states_table(states: Sequence[ServoState]) -> Table:
+    """One sample as a table."""
+    names = ("joint", "id", "position", "velocity", "current", "supply", "temp", "torque", "errors")
+    shown = console.table(*names)
+    for s in states:
+        current = _number(s.current_ma, " mA", 0)
+        if s.load_percent is not None:
+            current = f"{round(s.load_percent)} % load"  # not -0
+        errors = Text(", ".join(s.errors) or ("none" if s.answered else "no answer"))
+        errors.stylize("bold red" if s.errors or not s.answered else "green")
+        shown.add_row(
+            s.joint,
+            str(s.id),
+            _either(s.position_deg, "°", s.position_mm, " mm", 2),
+            _either(s.velocity_deg, " °/s", s.velocity_mm, " mm/s", 1),
+            current,
+            _number(s.voltage, " V", 1),
+            _number(s.temperature, " C", 0),
+            "-" if s.torque is None else ("ON" if s.torque else "off"),
+            errors,
+        )
+    return shown
+
+
+def _either(turn: float | None, turns: str, way: float | None, ways: str, digits: int) -> str:
+    return _number(turn, turns, digits) if way is None else _number(way, ways, digits)
+
+
+def _number(value: float | None, unit: str, digits: int) -> str:
+    return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}{unit}"  # + 0.0: no "-0"

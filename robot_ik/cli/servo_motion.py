@@ -1,0 +1,282 @@
+"""``robot-ik servo move``: joints to angles in degrees (slides: mm), through the arm and its limiter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.connection import (
+    BusOptions,
+    Link,
+    arm_on,
+    driving,
+    joints_of,
+    load_arm,
+    opened,
+    require_model,
+    tried,
+)
+from robot_ik.cli.servo_bus import checked_rates
+from robot_ik.errors import apart
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.control_table import Register
+    from robot_ik.hardware.joint_map import JointMap
+    from robot_ik.hardware.recovery import Reset
+
+
+@dataclass(frozen=True)
+class MoveOptions(BusOptions):
+    """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps of the arm file.
+
+        robot-ik servo move joint1=30 joint3=-45
+        robot-ik servo move 0 90 -90 0 0 0       (all joints in order)
+
+    At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
+    """
+
+    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG|MM …|DEG|MM …", help_behavior_hint="")]]
+    """Where to go."""
+    by: bool = False
+    """The angles are by how much, not where to."""
+    speed: Annotated[float, arg(metavar="SHARE")] = 0.25
+    """Share of the speed caps, above 0 and up to 1."""
+    on_exit: Annotated[
+        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
+    ] = ""
+    """How to leave the arm; park: back to where it was first."""
+
+
+def run_move(options: MoveOptions) -> int:
+    """Goes there; 1 when a joint did not arrive."""
+    config = slowed(load_arm(options.arm), options.speed)
+    require_model(config)
+    angles = parse_angles(options.to, config)
+    if not options.by:
+        require_inside(angles, config)
+    arm = arm_on(options, config, options.on_exit)
+
+    def move() -> int:
+        arm.enable()
+        arm.read()
+        here = arm.positions()
+        goal = {name: q + here[name] for name, q in angles.items()} if options.by else angles
+        require_inside(goal, config)
+        way = {name: abs(q - here[name]) for name, q in goal.items()}
+        takes = max((far / config.joint(name).velocity for name, far in way.items()), default=0.0)
+        with console.busy("moving", takes):
+            arm.park(goal)
+        _show(arm, here, goal)
+        return console.DONE
+
+    with driving(arm):
+        return tried(move)
+
+
+def slowed(config: ArmConfig, speed: float) -> ArmConfig:
+    """The arm with a share of its speed and acceleration caps.
+
+    Raises:
+        ConfigError: Not above 0 and up to 1.
+    """
+    if not 0.0 < speed <= 1.0:
+        raise wrong("--speed", f"{speed:g} is no share of the speed caps", "above 0, at most 1")
+    joints, aside = (
+        tuple(replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in row)
+        for row in (config.joints, config.aside)
+    )
+    return replace(config, joints=joints, aside=aside)
+
+
+def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
+    """Joint name -> rad (m) from ``joint1=30`` or from one number for every joint, in degrees (slides: mm).
+
+    Raises:
+        ConfigError: Neither form, or no finite number.
+        UnknownJointError: No such joint; close ones are named.
+    """
+    word = (
+        "JOINT=DEG" if not any(joint.slides for joint in (*config.joints, *config.aside)) else "JOINT=DEG|MM"
+    )
+    form = f"{word}, or {len(config.names)} numbers for {', '.join(config.names)}"
+    if all("=" in word for word in words) and words:
+        pairs = [(word.partition("=")[0], word.partition("=")[2]) for word in words]
+    elif len(words) == len(config.names) and not any("=" in word for word in words):
+        pairs = list(zip(config.names, words, strict=True))
+    else:
+        raise wrong(word, " ".join(words) or "nothing to do", form)
+    angles: dict[str, float] = {}
+    for name, text in pairs:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        joint = config.joint(name)
+        if not math.isfinite(value):
+            raise wrong(name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
+        if name in angles:
+            raise wrong(name, "named twice", "every joint once")
+        angles[name] = value * joint.per_unit
+    return angles
+
+
+def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
+    """Raises ``ConfigError`` unless every value (rad, m) is within what the arm file and the servo allow."""
+    for name, q in angles.items():
+        joint = config.joint(name)
+        lower, upper = joint.limits
+        if not lower - 1e-9 <= q <= upper + 1e-9:
+            asked, low, high = apart(*(value / joint.per_unit for value in (q, lower, upper)))
+            unit = joint.unit
+            raise wrong(name, f"{asked} {unit} is outside its limits", f"{low} to {high} {unit}")
+
+
+def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
+    """Where the joints were, were sent, and are."""
+    shown = console.table("joint", "was", "asked", "is")
+    arm.read()
+    for name, q in arm.positions().items():
+        joint = arm.config.joint(name)
+        asked = shown_value(joint, goal[name]) if name in goal else "-"
+        shown.add_row(name, shown_value(joint, start[name]), asked, shown_value(joint, q))
+    console.out().print(shown)
+
+
+def shown_value(joint: JointMap, q: float) -> str:
+    """A joint value for people: degrees, or mm of a slide."""
+    return degrees(q) if not joint.slides else joint.text(q, 2)
+
+
+def degrees(q: float) -> str:
+    """An angle in rad for people."""
+    return f"{round(math.degrees(q), 2) + 0.0:.2f}°"  # + 0.0: no "-0.00"
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik servo torque`` and ``reset-fault``: give and take torque, restart what has shut down.
+
+
+_ATTEMPTS = 3  # writes before a servo is given up
+
+
+@dataclass(frozen=True)
+class TorqueOptions(BusOptions):
+    """Switches torque on (every joint holds where it stands) or off (support the arm: it may fall).
+
+    on checks the servos as any start of the arm does, and leaves them holding, with no watchdog armed.
+    off asks nothing first: it is for an arm in any state. Both are read back.
+    """
+
+    to: Positional[Annotated[Literal["on", "off"], arg(metavar="on|off")]]
+    """What to do."""
+    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    """Only these joints; all if none is named."""
+    ids: Annotated[tuple[int, ...], arg(metavar="N …", help_behavior_hint="")] = ()
+    """For off: these servo ids, whatever the arm file says."""
+    baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
+    """For --ids: the rate of these servos, bits/s."""
+
+
+def run_torque(options: TorqueOptions) -> int:
+    """1 when a servo did not confirm it."""
+    if options.ids and (options.joints or options.to == "on"):
+        raise wrong("--ids", "only for torque off, and not together with joints", "torque off --ids N …")
+    config = load_arm(options.arm)
+    if options.to == "on":
+        require_model(config)
+        arm = arm_on(options, joints_of(config, options.joints), "hold")
+
+        def switch_on() -> int:
+            arm.enable()
+            return console.DONE
+
+        with driving(arm):
+            code = tried(switch_on)
+        return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
+    register = config.joints[0].table["torque_enable"]
+    servos = {servo.id: servo.name for servo in joints_of(config, options.joints).servos}
+    if options.ids:
+        if bad := [id for id in options.ids if not 0 <= id <= 252]:
+            raise wrong("--ids", f"{bad[0]} is no servo id", "0..252")
+        servos = {id: f"servo {id}" for id in options.ids}
+        if options.baud is not None:
+            config = replace(config, baud=checked_rates([options.baud])[0])
+    with opened(options, config) as link:
+        return _switch_off(link, register, servos, everyone=not options.ids and not options.joints)
+
+
+def _switch_off(link: Link, register: Register, servos: Mapping[int, str], *, everyone: bool) -> int:
+    """All at once first, which needs no answer; then each by itself, read back."""
+    from robot_ik.errors import BusDisconnectedError, HardwareError
+    from robot_ik.hardware.bus import BROADCAST_ID
+
+    if everyone:
+        link.bus.write(BROADCAST_ID, register, 0)
+    limp = []
+    for id, name in servos.items():
+        for _ in range(_ATTEMPTS):
+            try:
+                link.bus.write(id, register, 0)
+                if link.bus.read(id, register).data == 0:
+                    limp.append(name)
+                    break
+            except BusDisconnectedError:
+                raise
+            except HardwareError as error:
+                reason = error
+        else:
+            console.say(f"error: {name}: {reason.args[0]}; its torque may be ON", "bold red")
+    if limp:
+        console.out().print(f"torque off, read back: {', '.join(limp)}", markup=False)
+    return console.DONE if len(limp) == len(servos) else console.NOT_ACHIEVED
+
+
+# ------------------------------------------------------------------------------------ reset-fault
+
+
+@dataclass(frozen=True)
+class ResetFaultOptions(BusOptions):
+    """Restarts servos that have shut down (overload, heat, voltage …) and looks at them again.
+
+    Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched on.
+    Exit code 1 when an error is still there, or a servo has forgotten whole turns.
+    """
+
+    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    """Only these joints; all if none is named."""
+
+
+def run_reset_fault(options: ResetFaultOptions) -> int:
+    """1 when something is still wrong."""
+    from robot_ik.hardware.recovery import reset_servos
+
+    config = joints_of(load_arm(options.arm), options.joints)
+    with opened(options, config) as link:
+        rows = reset_servos(link.bus, config, link.clock)
+    shown = console.table("joint", "id", "was", "is", "what to do")
+    for row in rows:
+        now = "no answer" if row.after is None else (", ".join(row.after) or "healthy")
+        was = (
+            "no answer" if row.silence is not None and not row.before else ", ".join(row.before) or "healthy"
+        )
+        shown.add_row(row.joint, str(row.id), was, now, _advice(row))
+    console.out().print(shown)
+    return console.DONE if all(row.ok for row in rows) else console.NOT_ACHIEVED
+
+
+def _advice(row: Reset) -> str:
+    if row.ok:
+        return "torque is off: robot-ik servo torque on" if row.before else ""
+    if row.after is None:
+        return "check power, cable, id and baud rate"
+    if row.after:
+        return "the cause is still there: load, heat, supply?"
+    return f"its reading changed by {row.turned} ticks: it forgot whole turns; turn the joint by hand"

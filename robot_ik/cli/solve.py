@@ -1,0 +1,194 @@
+"""``robot-ik solve``: a goal in, joint angles out, one JSON object on stdout."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.text import Text
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.listing import joint_kinds
+from robot_ik.environment import import_mujoco
+from robot_ik.errors import InvalidGoalError
+
+if TYPE_CHECKING:
+    from robot_ik.goals import PoseGoal, PositionGoal
+    from robot_ik.problem import Problem
+    from robot_ik.robot import Robot
+    from robot_ik.solution import Solution
+
+
+#: Version of the JSON object; raised when a field changes its meaning.
+SCHEMA = 2
+_BOOLEANS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """Finds joint angles that bring a frame of a robot to a goal, and prints them as JSON.
+
+    Metres and radians, quaternions as w x y z, goals in the world frame.
+
+        robot-ik solve --goal -0.4 -0.1 0.7
+
+    Exit code 0: the goal is met. 1: it is not; the nearest joint angles found are printed all the same.
+    2: wrong input.
+    """
+
+    robot: Annotated[str, arg(metavar="NAME|PATH")] = "puma560"
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    goal: Annotated[tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(required)")] = ()
+    """Wanted position in metres, and, if given, orientation as a quaternion."""
+    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
+    """What shall get there: a tool, site or body of the robot."""
+    solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
+    """Method: see `robot-ik solvers`."""
+    set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE …", help_behavior_hint="")] = ()
+    """Options of the method: see `robot-ik solvers NAME`."""
+    start: Annotated[tuple[float, ...], arg(metavar="Q …", help_behavior_hint="(default: home)")] = ()
+    """Joint angles to start from, rad (m for slides)."""
+    seed: int = 0
+    """Of the random restarts: the same seed gives the same answer."""
+    position_tolerance: Annotated[float, arg(metavar="M")] = 1e-4
+    """Largest distance that still counts as reached, metres."""
+    angle_tolerance: Annotated[float, arg(metavar="RAD")] = 1e-3
+    """Largest angle that still counts as reached, radians."""
+    iterations: int = 20_000
+    """Steps in all tries together before it gives up."""
+    json: bool = True
+    """Print JSON; --no-json prints a table in degrees and millimetres."""
+
+
+def run(options: SolveOptions) -> int:
+    """Solves and prints; 0 converged, 1 not."""
+    import_mujoco()
+    from robot_ik.goals import Tolerance
+    from robot_ik.problem import Budget, Problem
+    from robot_ik.robot import load_robot
+    from robot_ik.solvers import make_solver
+
+    goal = make_goal(options.goal, options.frame)
+    robot = load_robot(options.robot)
+    name = options.solver or robot.file.solver or "auto"
+    solver = make_solver(name, **solver_options(name, options.set))
+    problem = Problem(
+        robot,
+        goal,
+        tolerance=Tolerance(position=options.position_tolerance, angle=options.angle_tolerance),
+        budget=Budget(iterations=options.iterations),
+        seed=options.seed,
+    )
+    start = options.start or None
+    with console.busy("solving"):
+        solver.solve(problem, start)
+    # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
+    solution = solver.solve(problem, start)
+    facts = solution_facts(problem, solution)
+    if options.json:
+        console.print_json(facts)
+    else:
+        _print_table(robot, facts)
+    return console.DONE if solution.converged else console.NOT_ACHIEVED
+
+
+def make_goal(numbers: Sequence[float], frame: str = "") -> PositionGoal | PoseGoal:
+    """The goal of three numbers (position, metres) or seven (position, then quaternion wxyz).
+
+    An empty ``frame`` means the robot's tool.
+
+    Raises:
+        InvalidGoalError: Another count, a number that is not finite, or a zero quaternion.
+    """
+    from robot_ik.goals import PoseGoal, PositionGoal
+
+    if len(numbers) not in (3, 7):
+        raise InvalidGoalError(
+            f"--goal was given {len(numbers)} numbers; it takes 3 (x y z, metres) or 7 (x y z, then w x y z)",
+            hint="for example: --goal -0.4 -0.1 0.7",
+        )
+    if len(numbers) == 3:
+        return PositionGoal(frame or None, numbers)
+    return PoseGoal(frame or None, numbers[:3], numbers[3:])
+
+
+def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float | bool | str]:
+    """Options of a method from ``NAME=VALUE`` words, with the types of its fields.
+
+    Raises:
+        ConfigError: No ``=``, or a value that is not of the option's type.  Names and ranges are
+            checked by the method itself.
+    """
+    from robot_ik.solvers import SOLVERS
+
+    defaults = {field.name: field.default for field in fields(SOLVERS[solver])}
+    found: dict[str, int | float | bool | str] = {}
+    for item in items:
+        name, equals, text = item.partition("=")
+        default = defaults.get(name, 0.0)
+        kind: type = type(default) if isinstance(default, (bool, int, float, str)) else float
+        try:
+            if not equals:
+                raise ValueError
+            found[name] = _BOOLEANS[text.lower()] if kind is bool else kind(text)
+        except (ValueError, KeyError):
+            allowed = f"NAME=VALUE with a value of type {kind.__name__}"
+            raise wrong("--set", f"not {item!r}", allowed) from None
+    return found
+
+
+def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
+    """What is printed of a solution: SI units, quaternions wxyz, world frame.
+
+    Args:
+        problem: What was asked.
+        solution: What came out, with the kernel loaded before.
+    """
+    robot, goal = problem.robot, problem.goals[0]
+    wanted = goal.target
+    return {
+        "schema": SCHEMA,
+        "robot": robot.name,
+        "solver": solution.solver,
+        "frame": goal.frame or robot.tool,
+        "goal": {"position": wanted.position, "wxyz": wanted.wxyz if goal.has_angle else None},
+        "converged": solution.converged,
+        "status": solution.status.name.lower(),
+        "meaning": solution.status.meaning,
+        "joints": list(robot.joints),
+        "q": solution.q,
+        "miss": {"position": solution.miss.position, "angle": solution.miss.angle},
+        "tolerance": {"position": problem.tolerance.position, "angle": problem.tolerance.angle},
+        "iterations": solution.iterations,
+        "restarts": solution.restarts,
+        "seed": problem.seed,
+        "seconds": solution.seconds,
+    }
+
+
+def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
+    screen = console.out()
+    miss = facts["miss"]
+    head = console.table("solver", facts["solver"])
+    head.add_row("status", Text(f"{facts['status']}: {facts['meaning']}"))
+    head.add_row("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg")
+    head.add_row("effort", f"{facts['iterations']} iterations, {facts['restarts']} restarts")
+    head.add_row("time", f"{1e6 * facts['seconds']:.0f} µs")
+    screen.print(head)
+    screen.print()
+    shown = console.table("joint", "q", "unit")
+    at = 0
+    for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
+        width = {"free": 7, "ball": 4}.get(kind, 1)
+        values = facts["q"][at : at + width]
+        if kind == "hinge":
+            shown.add_row(name, f"{math.degrees(values[0]):9.3f}", "deg")
+        else:
+            unit = {"slide": "m", "ball": "wxyz", "free": "m, wxyz"}[kind]
+            shown.add_row(name, " ".join(f"{value:9.5f}" for value in values), unit)
+        at += width
+    screen.print(shown)

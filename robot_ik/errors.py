@@ -1,0 +1,395 @@
+"""Every error this package raises, as one tree.
+
+The text of each error has the same form: what was asked, what is possible, what to try.
+Constructors take data and keep it as attributes, so that a program can act on the cause
+without reading the text.  "No solution" is not an error: it is a ``Solution`` whose status says so.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robot_ik.solution import Solution
+
+
+# ------------------------------------------------------------------------------------------
+# What all errors share: the root, and how a wrong name is answered.
+
+
+def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
+    """Known names most like ``name``, best first (compared without regard to case)."""
+    name = str(name)  # None or a number is an unknown name too
+    by_lower = {item.lower(): item for item in known}
+    found = difflib.get_close_matches(name.lower(), list(by_lower), n=count, cutoff=0.5)
+    return [by_lower[item] for item in found]
+
+
+def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
+    """One sentence for an unknown name: the close ones first, then what exists."""
+    shown = repr(name)
+    text = f"unknown {kind} {shown if len(shown) <= 60 else shown[:59] + '…'}"
+    close = close_matches(name, known)
+    if close:
+        text += f"; did you mean {' or '.join(repr(c) for c in close)}?"
+    if known:
+        shown = ", ".join(list(known)[:30]) + (", …" if len(known) > 30 else "")
+        text += f" Known: {shown}." if close else f"; known: {shown}."
+    else:
+        text += f"; there is no {kind} at all here."
+    return text
+
+
+def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
+    """Numbers as text, with as many digits as it takes to tell those that differ from each other.
+
+    "160.0 is outside; allowed: -160.0 to 160.0" explains nothing: 160.04 does.
+
+    Args:
+        values: A value and its limits, say.
+        digits: At least so many behind the point (``form`` "f") or in all ("g").
+        form: As of ``format``.
+    """
+    texts: list[str] = []
+    for count in range(digits, 18):
+        texts = [f"{value:.{count}{form}}" for value in values]
+        if len(set(texts)) >= len(set(values)):
+            break
+    return texts
+
+
+class RobotIkError(Exception):
+    """Root of all errors of this package.
+
+    Attributes:
+        hint: What to try next, one or two lines; empty when the message says it all.
+    """
+
+    def __init__(self, message: str, *, hint: str = "") -> None:
+        super().__init__(message)
+        self.hint = hint
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return f"{text}\n{self.hint}" if self.hint else text
+
+
+# ------------------------------------------------------------------------------------------
+# Errors between the lens and the goal.
+
+
+class CameraError(RobotIkError):
+    """Root of everything that can go wrong between the lens and the goal."""
+
+
+class CameraNotFoundError(CameraError):
+    """The camera, file or URL cannot be opened; the hint lists what exists."""
+
+
+class FrameTimeoutError(CameraError):
+    """The source stopped delivering pictures."""
+
+
+class FrameSizeError(CameraError):
+    """Pictures have another size than asked for, or than the calibration is made for."""
+
+
+class MarkerNotFoundError(CameraError):
+    """A picture was taken but the wanted marker is not in it."""
+
+
+class CalibrationError(CameraError):
+    """A calibration is missing, malformed, implausible or made for another camera."""
+
+
+# ------------------------------------------------------------------------------------------
+# Errors of files, settings, optional packages and windows.
+
+
+class ConfigError(RobotIkError, ValueError):
+    """A configuration file is wrong.
+
+    Attributes:
+        file: The file.
+        key: Dotted key, or empty when the whole file is meant.
+        allowed: What would be right, in words.
+    """
+
+    def __init__(
+        self, problem: str, *, file: Path | str, key: str = "", allowed: str = "", hint: str = ""
+    ) -> None:
+        self.file = file
+        self.key = key
+        self.allowed = allowed
+        where = f"{file}: {key}: " if key else f"{file}: "
+        super().__init__(
+            where + problem + (f"; allowed: {allowed}" if allowed else ""),
+            hint=hint,
+        )
+
+
+class MissingExtraError(RobotIkError, ImportError):
+    """An optional package is not installed; the message is the command that installs it."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        self.package = package
+        self.extra = extra
+        super().__init__(
+            f"{purpose} needs the package {package!r}, which is not installed",
+            hint=f'install it with: pip install "robot_ik[{extra}]"',
+        )
+
+
+class ViewerError(RobotIkError):
+    """A window cannot be opened; the hint says what to run instead."""
+
+
+class OutputError(RobotIkError, OSError):
+    """A result cannot be written where it was asked for."""
+
+
+# ------------------------------------------------------------------------------------------
+# Errors between the joint angles and the servos.
+
+
+class HardwareError(RobotIkError):
+    """Root of everything that can go wrong between the joint angles and the servos."""
+
+
+class BusNotOpenError(HardwareError):
+    """The port is missing, not a serial port, not permitted or already in use."""
+
+
+class BusDisconnectedError(HardwareError):
+    """The port went away while it was in use (cable pulled, adapter reset)."""
+
+
+class BusTimeoutError(HardwareError):
+    """A servo did not answer.
+
+    Attributes:
+        joint, id, register, port: Who was asked what, and where.
+        last_good: Seconds since the last good reply, ``None`` if there never was one.
+        everyone: Nobody else answers either.
+    """
+
+    def __init__(
+        self,
+        *,
+        id: int,
+        register: str,
+        port: str,
+        joint: str = "",
+        last_good: float | None = None,
+        everyone: bool = False,
+        hint: str = "check power, cable, id and baud rate",
+    ) -> None:
+        self.id = id
+        self.register = register
+        self.port = port
+        self.joint = joint
+        self.last_good = last_good
+        self.everyone = everyone
+        who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
+        when = "it never answered" if last_good is None else f"last answer {last_good:.2f} s ago"
+        asked = f"no servo answers on {port}" if everyone else f"no answer from {who} on {port} ({register})"
+        super().__init__(f"{asked}; {when}", hint=hint)
+
+
+class BusCorruptError(HardwareError):
+    """An answer came but cannot be trusted (checksum, length); nothing of it was used."""
+
+
+class ServoRefusedError(HardwareError):
+    """A servo answered an instruction with an error number (Protocol 2.0, ERR bits 0-6).
+
+    Attributes:
+        id, register: Who and what.
+        code: The number; ``reason`` is its name in the manual.
+    """
+
+    def __init__(self, *, id: int, register: str, code: int, reason: str, joint: str = "") -> None:
+        self.id = id
+        self.register = register
+        self.code = code
+        self.reason = reason
+        self.joint = joint
+        who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
+        super().__init__(f"{who} refused {register}: {reason} (error {code})")
+
+
+class ServoMismatchError(HardwareError):
+    """The servos found on the bus are not the ones that the arm file, or another ``source``, names.
+
+    Attributes:
+        expected: Servo id -> "joint: model" as the source says.
+        found: Servo id -> model as the bus says.
+    """
+
+    def __init__(
+        self,
+        expected: Mapping[int, str],
+        found: Mapping[int, str],
+        *,
+        port: str,
+        hint: str = "",
+        source: str = "the arm file",
+    ) -> None:
+        self.expected = dict(expected)
+        self.found = dict(found)
+        self.port = port
+        ids = sorted({*expected, *found})
+        width = max([len(expected.get(i, "")) for i in ids] + [8])
+        rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
+        rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
+        super().__init__(
+            f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows),
+            hint=hint
+            or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
+        )
+
+
+class MotorFaultError(HardwareError):
+    """A servo has shut down or the arm has latched a fault.
+
+    Attributes:
+        joint: Joint name; ``status``: decoded hardware error names.
+    """
+
+    def __init__(self, joint: str, status: Sequence[str], *, hint: str = "") -> None:
+        self.joint = joint
+        self.status = tuple(status)
+        super().__init__(f"joint {joint!r} is in fault: {', '.join(status)}", hint=hint)
+
+
+class StopRequestedError(HardwareError):
+    """Somebody asked the arm to stop: ``robot-ik stop``, a key, another thread."""
+
+
+class UnsafeCommandError(HardwareError, ValueError):
+    """A command that must not be obeyed even in part; nothing was sent."""
+
+    def __init__(self, asked: str, allowed: str) -> None:
+        self.asked = asked
+        self.allowed = allowed
+        super().__init__(f"refused: {asked}; allowed: {allowed}. Nothing was sent to any servo.")
+
+
+class ArmStateError(HardwareError):
+    """The arm is not in a state in which this can be done."""
+
+
+# ------------------------------------------------------------------------------------------
+# Errors of models, goals and solving.
+
+
+class ModelError(RobotIkError):
+    """A robot model cannot be found, read or used.
+
+    Attributes:
+        path: The file, when there is one.
+        reason: What the reader (usually MuJoCo) said.
+    """
+
+    def __init__(
+        self, message: str, *, path: Path | str | None = None, reason: str = "", hint: str = ""
+    ) -> None:
+        super().__init__(message, hint=hint)
+        self.path = path
+        self.reason = reason
+
+
+class InvalidModelError(ModelError, ValueError):
+    """No model can be made of these values."""
+
+
+class InvalidPoseError(RobotIkError, ValueError):
+    """A pose of the wrong shape, of numbers that are not finite, or of no orientation."""
+
+
+class _UnknownName(ModelError, LookupError):
+    kind = "name"
+
+    def __init__(self, name: str, known: Iterable[str], *, hint: str = "") -> None:
+        self.name = name
+        self.known = tuple(known)
+        self.close = tuple(close_matches(name, self.known))
+        super().__init__(unknown_name_text(self.kind, name, self.known), hint=hint)
+
+
+class UnknownRobotError(_UnknownName, ValueError):
+    """No robot of that name in the catalogue, or what was given is no name at all."""
+
+    kind = "robot"
+
+
+class UnknownFrameError(_UnknownName):
+    """The robot has no frame (tool, site or body) of that name."""
+
+    kind = "frame"
+
+
+class UnknownJointError(_UnknownName):
+    """The robot has no joint of that name."""
+
+    kind = "joint"
+
+
+class UnsupportedJointError(ModelError):
+    """A joint exists but cannot be used in the way asked."""
+
+
+class GoalError(RobotIkError, ValueError):
+    """Something is wrong with what was asked of the robot."""
+
+
+class InvalidGoalError(GoalError):
+    """The goal itself is malformed: shape, NaN, zero quaternion, negative weight."""
+
+
+class UnsupportedGoalError(GoalError):
+    """The solver cannot serve this kind of goal; the message names the ones that can."""
+
+    def __init__(self, solver: str, goal: str, able: Iterable[str]) -> None:
+        self.solver = solver
+        self.goal = goal
+        self.able = tuple(able)
+        super().__init__(
+            f"solver {solver!r} cannot serve {goal}",
+            hint=f"these can: {', '.join(self.able)}" if self.able else "no solver can yet",
+        )
+
+
+class ProblemInUseError(RobotIkError):
+    """A call on a ``Problem`` began while another thread's had not ended; nothing was changed."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "this Problem is being solved by another thread: its arrays are in use",
+            hint="give each thread a Problem of its own (copy.copy(problem)), or let them take turns",
+        )
+
+
+class UnknownSolverError(RobotIkError, LookupError):
+    """No solver of that name in the ``SOLVERS`` table."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        self.name = name
+        self.known = tuple(known)
+        self.close = tuple(close_matches(name, self.known))
+        super().__init__(unknown_name_text("solver", name, self.known))
+
+
+class NotConvergedError(RobotIkError):
+    """Raised only by ``Solution.require()``; carries the solution that was found."""
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+class TrajectoryError(RobotIkError):
+    """No path within the limits joins the given configurations or poses."""

@@ -1,0 +1,1 @@
+"""The moving figure: it sees a ball, decides, and reaches, bends, jumps or walks."""

@@ -1,0 +1,328 @@
+"""What a figure can do: reach standing, bend, jump; computed from its own model, and kept as a map on disk.
+
+All balls here are seen from the middle between the feet, x ahead: what a figure can do depends on nothing
+else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.figure import GRAVITY, Figure, Rows
+from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
+from robot_ik.figure.poses import AT_BALL, BEND, REACH, Pose, find_pose
+from robot_ik.kernels.jit import cache_folder
+
+Array = NDArray[np.float64]
+
+_GRID = 0.15  # m
+# No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
+_BEHIND = -0.1
+_VERSION = 3
+ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
+POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
+# From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
+_FARTHEST = 1.7
+MAP_FILE = "abilities.npz"
+"""Beside a model that ships: its maps."""
+_FAR = -32768
+# A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
+_SLACK = 0.08
+# A point that misses by more has no ball in its cell that is not surely out of reach, m.
+_NO_DOUBT = 0.16
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball.
+
+    Attributes:
+        origin: (3,) first point of the grid.
+        miss: (i, j, k) m; -1 where the hand comes there, but not in an admissible pose.
+    """
+
+    origin: Array
+    miss: NDArray[np.float32]
+
+    def nearest(self, ball: Array) -> tuple[float, float]:
+        """Miss of the nearest grid point (inf outside the grid) and how far that point is."""
+        index = np.rint((ball - self.origin) / _GRID).astype(int)
+        if (index < 0).any() or (index >= self.miss.shape).any():
+            return np.inf, 0.0
+        away = float(np.linalg.norm(self.origin + index * _GRID - ball))
+        return float(self.miss[tuple(index)]), away
+
+    def surely_out(self, ball: Array) -> bool:
+        """No pose reaches the ball: a point nearby is farther out of reach than it is away."""
+        miss, away = self.nearest(ball)
+        return miss > away + _SLACK
+
+    def comfortable(self, z: float) -> Array:
+        """(n, 2) grid points at that height that are in reach, and their neighbours."""
+        inside = self.miss == 0.0
+        for axis in (0, 1):
+            inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
+        k = int(np.rint((z - self.origin[2]) / _GRID))
+        if not 0 <= k < inside.shape[2]:
+            return np.zeros((0, 2))
+        return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, k]) * _GRID)
+
+
+@dataclass(frozen=True, eq=False)
+class Abilities:
+    """Maps of a figure, by kind and arm.
+
+    Attributes:
+        figure: Whose.
+        maps: ``(kind, arm)`` to its map.
+        ahead: How far before its middle the centre of mass takes off, m.
+        raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a
+            straight arm.
+    """
+
+    figure: Figure
+    maps: dict[tuple[str, str], Map]
+    ahead: float
+    raised: dict[str, tuple[Array, float]] = field(repr=False)
+
+    @cached_property
+    def shoulders(self) -> dict[str, Array]:
+        """(3,) of each arm at home."""
+        return {arm: shoulder_of(self.figure, arm) for arm in self.figure.hands}
+
+    def can(self, kind: str, ball: Array, arm: str) -> Pose | None:
+        """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
+        if self.maps[kind, arm].surely_out(ball):
+            return None
+        pose = find_pose(self.figure, ball, arm, kind)
+        return None if pose.flaw else pose
+
+    def take_off(self, ball: Array, arm: str) -> float | None:
+        """Speed at take-off that brings the palm to a ball overhead, m/s.
+
+        None where no jump does, or needs to.
+        """
+        shoulder, length = self.raised[arm]
+        if ball[0] - self.ahead < _BEHIND:
+            return None
+        aside = float(np.linalg.norm(ball[:2] - [self.ahead, 0.0] - shoulder[:2]))
+        if aside >= length:
+            return None
+        height = shoulder[2] + float(np.sqrt(length**2 - aside**2))
+        squared = 2 * GRAVITY * (ball[2] - height - highest_take_off(self.figure))
+        return float(np.sqrt(squared)) if 0.0 < squared <= TAKE_OFF**2 else None
+
+
+def shoulder_of(figure: Figure, arm: str) -> Array:
+    """(3,) the place about which an arm turns, at home.
+
+    The third place from the hand about which joints turn.
+    """
+    return _shoulder_at(figure, figure.home, arm)
+
+
+def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
+    model, data = figure.model, figure.data
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    anchors: list[Array] = []
+    body = figure.robot.frame(figure.hands[arm]).body
+    trunk = figure.robot.frame(figure.trunk).body
+    while body not in (0, trunk):
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            if not any(np.linalg.norm(data.xanchor[joint] - a) < 1e-3 for a in anchors):
+                anchors.append(data.xanchor[joint].copy())
+        body = int(model.body_parentid[body])
+    return anchors[min(2, len(anchors) - 1)]  # wrist, elbow, shoulder
+
+
+def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
+    """The shoulder beside the centre of mass with the arm stretched up, and the length of the arm."""
+    steps = 16
+    start, s = figure.posture({f"{arm}_shoulder_pitch": 2.6}), np.linspace(1 / steps, 1.0, steps)
+    rows = Rows(figure, steps)
+    center, shoulder = figure.center(start), shoulder_of(figure, arm)
+    hand = figure.pose(start, figure.hands[arm])[0]
+    top = np.array([center[0], shoulder[1], hand[2] + 0.6])
+    rows.position(figure.hands[arm], hand + (top - hand) * s[:, None], 100.0)
+    rows.center(center)
+    rows.turned(figure.trunk, np.eye(3))
+    stiff = figure.stiffnesses({"*": 0.01, "*hip*": 1.0, "*knee*": 1.0, "*ankle*": 1.0})
+    q = rows.solve(start, stiff, start, speeds=None, steps=20).q[-1]
+    palm, at = figure.pose(q, figure.hands[arm])[0], _shoulder_at(figure, q, arm)
+    # Not quite straight and not quite up: a stretched arm has nowhere to go.
+    return at - figure.center(q) - [0.0, 0.0, 0.03], 0.95 * float(np.linalg.norm(palm - at))
+
+
+def load_abilities(
+    figure: Figure, *, progress: Callable[[int, int], None] | None = None, folder: Path | None = None
+) -> Abilities:
+    """Maps that lie beside the model or in the user's cache.
+
+    Made if need be, some minutes, once for each model.
+
+    Args:
+        figure: Whose.
+        progress: Called with points done and points in all.
+        folder: Where maps are kept; default: the user's cache.
+    """
+    where = folder or cache_folder().parents[1] / "abilities"
+    digest = _digest(figure)
+    kept = where / f"{figure.robot.name}-{digest}.npz"
+    keys = [(kind, arm) for arm in figure.hands for kind in (REACH, BEND)]
+    found = next((m for f in (figure.robot.folder / MAP_FILE, kept) if (m := _read(f, digest, keys))), None)
+    if found is None and keys:
+        found = _make_maps(figure, keys, progress)
+        write_maps(kept, digest, found)
+    raised = {arm: _raised(figure, arm) for arm in figure.hands}
+    return Abilities(figure, found or {}, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+
+
+def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[str, str], Map] | None:
+    if not file.is_file():
+        return None
+    with np.load(file) as stored:
+        if str(stored["digest"]) != digest:
+            return None
+        out = {}
+        for kind, arm in keys:
+            code = stored[f"{kind}-{arm}"]
+            miss = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
+            out[kind, arm] = Map(stored["origin"], miss)
+    return out
+
+
+def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
+    """Maps as whole millimetres; -1000 mm is -1, what is not worth a look is ``_FAR``."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
+    for (kind, arm), found in maps.items():
+        code = np.full(found.miss.shape, _FAR, dtype=np.int16)
+        near = np.isfinite(found.miss)
+        # Rounded down: a miss that is told too small only costs a solve.
+        code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
+        arrays |= {f"{kind}-{arm}": code, "origin": found.origin}
+    part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
+    np.savez_compressed(part, allow_pickle=False, **arrays)
+    part.replace(file)
+
+
+def _digest(figure: Figure) -> str:
+    """Of all that the maps depend on.
+
+    The model, which frames are its hands and feet, and how they are made.
+    """
+    robot = figure.robot
+    if robot.path.is_file():
+        model = robot.path.read_bytes()
+    else:
+        buffer = np.empty(mujoco.mj_sizeModel(robot.model), dtype=np.uint8)
+        mujoco.mj_saveModel(robot.model, None, buffer)
+        model = buffer.tobytes()
+    what = (_VERSION, _GRID, sorted(figure.hands.items()), [f.frame for f in figure.feet.values()])
+    return hashlib.sha256(model + repr(what).encode()).hexdigest()[:16]
+
+
+def _make_maps(
+    figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
+) -> dict[tuple[str, str], Map]:
+    """Every map; of a figure that is its own mirror image one arm's, and the other's by reflection."""
+    mirrored = _is_mirrored(figure)
+    arms = [arm for arm in figure.hands if not mirrored or arm == "right"]
+    jobs = {arm: _points_near(figure, arm) for arm in arms}
+    flat = {key: np.full(len(POINTS), np.inf, dtype=np.float32) for key in keys}
+    chunks = [(arm, part) for arm, at in jobs.items() for part in np.array_split(at, max(1, len(at) // 100))]
+    workers = min(2, os.cpu_count() or 1)
+
+    def work(chunk: tuple[str, NDArray[np.int64]], mine: Figure) -> int:
+        arm, at = chunk
+        for i in at:
+            # What is out of reach for a bend, is so standing; and a palm that misses a point by so much
+            # misses
+            # all points nearer to that one.
+            bent = _bound(flat[BEND, arm], i)
+            flat[BEND, arm][i] = bent = bent if bent > _NO_DOUBT else grade(mine, POINTS[i], arm, BEND)
+            flat[REACH, arm][i] = bent if bent > 0.0 else grade(mine, POINTS[i], arm, REACH)
+        return len(at)
+
+    figures, done = [figure.copy() for _ in range(workers)], 0
+    with ThreadPoolExecutor(workers) as pool:
+        for first in range(0, len(chunks), workers):
+            for count in pool.map(work, chunks[first : first + workers], figures):
+                done += count
+                if progress is not None:
+                    progress(done, sum(len(at) for at in jobs.values()))
+    maps = {key: Map(ORIGIN, values.reshape(SHAPE)) for key, values in flat.items()}
+    if mirrored:  # the grid is its own mirror image
+        maps |= {
+            (kind, "left"): Map(ORIGIN, maps[kind, "right"].miss[:, ::-1].copy()) for kind in (REACH, BEND)
+        }
+    return maps
+
+
+def _bound(known: NDArray[np.float32], i: int) -> float:
+    """What the points graded so far say that the miss at a point is at least."""
+    at = np.flatnonzero(np.isfinite(known) & (known > 0.0))
+    if not len(at):
+        return 0.0
+    return float((known[at] - np.linalg.norm(POINTS[at] - POINTS[i], axis=1)).max())
+
+
+def grade(figure: Figure, point: Array, arm: str, kind: str) -> float:
+    """What the map says of a point.
+
+    0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m.
+    """
+    pose = find_pose(figure, point, arm, kind)
+    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
+
+
+def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:
+    """Points that an arm and what the trunk can do may bring a palm to, in a random order.
+
+    The first tell most.
+    """
+    near = np.flatnonzero(np.linalg.norm(POINTS - shoulder_of(figure, arm), axis=1) < _FARTHEST)
+    return np.asarray(np.random.default_rng(0).permutation(near))
+
+
+def _is_mirrored(figure: Figure) -> bool:
+    """Whether left is the mirror image of right: the model, by its masses, joints and frames at home."""
+    if set(figure.hands) != {"left", "right"}:
+        return False
+    model, data = figure.model, figure.data
+    data.qpos[:] = figure.home
+    mujoco.mj_forward(model, data)
+    names = [model.body(b).name for b in range(1, model.nbody)]
+    flip = np.array([1.0, -1.0, 1.0])
+    for name in names:
+        other = (
+            "right" + name[4:]
+            if name.startswith("left")
+            else "left" + name[5:]
+            if name.startswith("right")
+            else name
+        )
+        if other not in names:
+            return False
+        a, b = model.body(name), model.body(other)
+        same = np.allclose(data.xpos[a.id], flip * data.xpos[b.id], atol=1e-9) and np.isclose(
+            a.mass[0], b.mass[0]
+        )
+        ranges = [model.jnt_range[int(x.jntadr[0]) : int(x.jntadr[0]) + int(x.jntnum[0])] for x in (a, b)]
+        if not same or (name != other and not np.allclose(*ranges)):
+            return False
+    return True

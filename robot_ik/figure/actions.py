@@ -1,0 +1,338 @@
+"""Reach, bend, jump and rest: each a run of frames with an exact end; and how one goes over into the next.
+
+All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end, so that a
+motion does
+not depend on place and heading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.balance import compensate, smooth, zero_moment_points
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.gait import FLAT, WALK, Gait, Print, Walk, walk
+from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned
+from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
+
+Array = NDArray[np.float64]
+
+# Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
+# durations, s.
+_REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
+# Fastest glance, rad/s (head turns of 3 to 6, a usual value).
+_GLANCE = 2.5
+# A zero-moment point off its plan by less than this, m, is let be.
+_STEADY = 0.015
+# A motion that is left decays into the next in this time, s.
+BLEND = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Frames of an action.
+
+    Attributes:
+        action: ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``.
+        q: (n, nq).
+        contact: (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
+        miss: (n,) largest miss of what must hold, m or rad.
+        zmp: (n, 2) planned zero-moment point.
+        free: (n,) whether the motion may be left after this frame.
+        arm: The hand that acts.
+        target: (3,) what it acts on.
+        speeds: Set of joint speed limits that it holds.
+    """
+
+    action: str
+    q: Array
+    contact: NDArray[np.int64]
+    miss: Array
+    zmp: Array
+    free: NDArray[np.bool_]
+    arm: str | None = None
+    target: Array | None = None
+    speeds: str = "daily"
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
+    """``q`` seen from the middle between its feet, and that stance (x, y, heading)."""
+    stance = figure.stance(q)
+    return _unplaced(figure, q, stance), stance
+
+
+def _unplaced(figure: Figure, q: Array, stance: Array) -> Array:
+    x, y = -(rotation("z", -stance[2])[:2, :2] @ stance[:2])
+    return figure.placed(q, x, y, -stance[2])
+
+
+def seen_from(stance: Array, point: Array) -> Array:
+    """A point (3,) of the world seen from a stance."""
+    return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
+
+
+def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
+    """A motion of a figure at the origin, put where its stance is."""
+    turn = rotation("z", float(stance[2]))
+    q = np.array([figure.placed(row, *stance) for row in motion.q])
+    target = None if motion.target is None else turn @ motion.target + [stance[0], stance[1], 0.0]
+    return replace(motion, q=q, zmp=motion.zmp @ turn[:2, :2].T + stance[:2], target=target)
+
+
+def _standing(action: str, frames: Frames, center: Array, **more: object) -> Motion:
+    n = len(frames.q)
+    return Motion(
+        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)).copy(),
+        np.ones(n, dtype=bool), **more,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
+    """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
+    if figure.gaze is None:
+        return
+    eyes, turn = figure.pose(q, figure.gaze)
+    far = max(float(np.linalg.norm(ball - eyes)), 0.1)
+    ahead, to = turn[:, 0], (ball - eyes) / far
+    angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
+    s = minimum_jerk(t / max(within, 1.875 * angle / _GLANCE))[:, None]
+    # Along the arc: half way between two points that are seen in opposite directions lies the head.
+    arc = (
+        np.sin((1 - s) * angle) * ahead + np.sin(s * angle) * to if angle > 1e-3 else (1 - s) * ahead + s * to
+    )
+    arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
+    rows.aim(figure.gaze, (eyes + far * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
+
+
+def _times(duration: float, hold: float, dt: float) -> Array:
+    return np.arange(1, round((duration + hold) / dt) + 1, dtype=np.float64) * dt
+
+
+def _duration(distance: float, speed: float) -> float:
+    """Of a minimum-jerk path: its peak speed is 15/8 of the mean."""
+    return max(_LEAST, 1.875 * distance / speed)
+
+
+def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
+    """Back to standing at ease, the feet where they are."""
+    start, stance = to_stance(figure, q)
+    way = figure.robot.difference(start, figure.home)[6:]
+    limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
+    duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
+    t = _times(duration, 0.1, dt)
+    s = minimum_jerk(t / duration)
+    here, home = figure.center(start)[:2], figure.center_at_home[:2]
+    turn = figure.pose(start, figure.trunk)[1]
+
+    def solve(center: Array) -> Frames:
+        rows = Rows(figure, len(t))
+        pinned(figure, start, rows)
+        rows.center(_flat(center), axes="xy")
+        rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
+        if look is not None:
+            _look(figure, rows, start, seen_from(stance, look), t)
+        return rows.solve(start + (figure.home - start) * s[:, None], figure.stiffnesses(STIFF), start, dt=dt)
+
+    frames = _balanced(figure, solve, here + (home - here) * s[:, None], dt)
+    return placed_motion(figure, _standing("rest", frames, home), stance)
+
+
+def _turned(start: Array, end: Array, s: Array) -> Array:
+    """(n, 3, 3) from one rotation to another along the shortest way."""
+    vector = rotation_log(matrix_to_quat(end @ start.T))
+    return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
+
+
+def _balanced(figure: Figure, solve: Callable[[Array], Frames], center: Array, dt: float) -> Frames:
+    """Frames over a planned centre of mass (n, 2), corrected once by the whole body's own dynamics."""
+    frames = solve(center)
+    points, _ = zero_moment_points(figure, frames.q, dt)
+    error = smooth(np.clip(points - center, -0.12, 0.12), 0.02 / dt)
+    error[:2], error[-2:] = 0.0, 0.0
+    if np.abs(error).max() < _STEADY:
+        return frames
+    omega2 = np.full(len(error), GRAVITY / figure.center_at_home[2])
+    return solve(center + compensate(error, omega2, dt))
+
+
+def _flat(xy: Array) -> Array:
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def reach(
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
+) -> Motion:
+    """The hand to the ball, standing, along a nearly straight line of least jerk."""
+    return _take(figure, q, ball, arm, REACH, hold, dt)
+
+
+def bend(
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
+) -> Motion:
+    """The hand to a low ball, hips back."""
+    return _take(figure, q, ball, arm, BEND, hold, dt)
+
+
+def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: float, dt: float) -> Motion:
+    """The hand to the ball: the end is solved for first, and the posture led there.
+
+    A hand that must follow its line asks too much of the joints on the way; this one is drawn to it.
+    """
+    start, stance = to_stance(figure, q)
+    ball = seen_from(stance, np.asarray(ball, dtype=float))
+    hand = figure.pose(start, figure.hands[arm])[0]
+    end = find_pose(figure, ball, arm, kind).q
+    way = figure.robot.difference(start, end)[6:]
+    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if kind == REACH else 3.0)
+    slowest = 1.875 * float((np.abs(way) / limit).max())
+    duration = max(
+        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if kind == REACH else _BEND_SPEED), slowest
+    )
+    t = _times(duration, hold, dt)
+    s = minimum_jerk(t / duration)
+    here, there = figure.center(start)[:2], figure.center(end)[:2]
+    turns = _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s)
+    stiff = figure.stiffnesses(STIFF if kind == REACH else STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
+
+    def solve(center: Array) -> Frames:
+        rows = Rows(figure, len(t))
+        pinned(figure, start, rows)
+        rows.center(_flat(center), axes="xy")
+        rows.turned(figure.trunk, turns, 20.0 if kind == REACH else 3.0)
+        if kind == REACH:
+            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
+        _look(figure, rows, start, ball, t, within=0.6 if kind == REACH else 0.7 * duration)
+        return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
+
+    frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+    return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
+
+
+def walk_motion(
+    figure: Figure, q: Array, prints: list[Print], gait: Gait = WALK, *, look: Array | None = None,
+    dt: float = 1.0 / RATE,
+) -> tuple[Motion, Walk]:  # fmt: skip
+    """A walk as a motion; it may be left when both feet stand flat."""
+    found = walk(figure, q, prints, gait, look=look, dt=dt)
+    done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
+    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done), found
+
+
+def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
+    """(6, ...) coefficients, highest first, of a quintic with place, speed, acceleration of both ends."""
+    matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
+    right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
+    return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
+
+
+def decay(x0: Array, v0: Array, duration: float) -> Callable[[Array], Array]:
+    """An offset (k,) with its speed that comes to rest at zero: (n,) times to (n, k) offsets.
+
+    The quintic of inertialisation without acceleration at its start (Bollo, *Inertialization*, GDC 2018).
+    """
+    T = duration
+    a = -(6 * x0 + 3 * v0 * T) / T**5
+    b = (15 * x0 + 8 * v0 * T) / T**4
+    c = -(10 * x0 + 6 * v0 * T) / T**3
+
+    def at(t: Array) -> Array:
+        u = t[:, None]
+        return np.where(u >= T, 0.0, ((a * u + b) * u + c) * u**3 + v0 * u + x0)
+
+    return at
+
+
+def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:
+    """``motion`` after another that was at ``second`` and then at ``first`` (nq,), without a jump.
+
+    Where the old motion would go on to, less where the new one is, decays joint by joint, and its speed
+    with it; the
+    feet are pinned again to what the new motion says.
+    """
+    n = min(len(motion), round(BLEND / dt) + 3)
+    speed = figure.robot.difference(second, first) / dt
+    ahead = figure.robot.integrate(first, speed * dt)
+    gap = figure.robot.difference(motion.q[0], ahead)
+    own = figure.robot.difference(motion.q[0], motion.q[1]) / dt if len(motion) > 1 else 0 * speed
+    if n < 2 or max(np.abs(speed - own).max(), np.abs(gap).max()) < 1e-3:
+        return motion
+    t = np.arange(n, dtype=np.float64) * dt
+    offset = decay(gap, speed - own, BLEND)(t)
+    wanted = np.array(
+        [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
+    )
+    rows = Rows(figure, n)
+    poses = {s: [figure.pose(row, f.frame) for row in motion.q[:n]] for s, f in figure.feet.items()}
+    rows.feet(
+        {s: np.array([p for p, _ in found]) for s, found in poses.items()},
+        {s: np.array([r for _, r in found]) for s, found in poses.items()},
+    )  # fmt: skip
+    center = np.array([figure.center(row) for row in motion.q[:n]])
+    was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
+    shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
+    rows.center(center + shift, axes="xy")
+    rows.turned(figure.trunk, np.array([figure.pose(row, figure.trunk)[1] for row in wanted]), 1.0)
+    stiff = np.concatenate([np.zeros(6), np.ones(figure.robot.nv - 6)])
+    frames = rows.solve(wanted, stiff, first, second, speeds=motion.speeds, dt=dt)
+    q, miss = motion.q.copy(), motion.miss.copy()
+    q[:n], miss[:n] = frames.q, frames.miss
+    return replace(motion, q=q, miss=miss)
+
+
+def stop_walk(
+    figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE
+) -> tuple[Motion, Walk]:
+    """The rest of a walk that ends with the step in hand, a short one and the closing one.
+
+    The feet move as they did until then, so that the walk may be left at any frame: only the centre of
+    mass goes
+    over into its new plan (``join``).
+
+    Args:
+        figure: Who walks.
+        start: (nq,) where the walk began.
+        found: The walk.
+        frame: The last frame that was shown.
+        gait: How it walks.
+        dt: Time between frames, s.
+    """
+    now = (frame + 1) * dt
+    landing = next((k for k, strike in enumerate(found.strikes) if strike > now), len(found.strikes))
+    keep = landing + 3  # the two where it stood, those that landed, and the one that swings
+    prints = list(found.prints)
+    if keep + 2 < len(prints):
+        swinging, after = prints[keep - 1], prints[keep]
+        between = prints[keep - 2]
+        short = Print(after.side, *(between_prints(between, after, 0.75)))
+        half = figure.apart
+        sign = 1 - 2 * short.side
+        beside = Print(
+            swinging.side, short.x + sign * 2 * half * np.sin(short.yaw),
+            short.y - sign * 2 * half * np.cos(short.yaw), short.yaw,
+        )  # fmt: skip
+        prints = [*prints[:keep], short, beside]
+    walked = walk(figure, start, prints, gait, dt=dt)
+    done = np.arange(1, len(walked.frames.q) + 1) * dt > walked.strikes[-1] + 0.5
+    whole = Motion("walk", walked.frames.q, walked.contact, walked.frames.miss, walked.zmp, done)
+    return rest_of(whole, frame + 1), walked
+
+
+def between_prints(a: Print, b: Print, share: float) -> tuple[float, float, float]:
+    """(x, y, yaw) of b drawn towards a, which the same foot left."""
+    return a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.yaw + (b.yaw - a.yaw) * share
+
+
+def rest_of(motion: Motion, frame: int) -> Motion:
+    """The frames from ``frame`` on."""
+    cut = slice(frame, None)
+    return replace(
+        motion, q=motion.q[cut], contact=motion.contact[cut], miss=motion.miss[cut], zmp=motion.zmp[cut],
+        free=motion.free[cut],
+    )  # fmt: skip

@@ -1,0 +1,230 @@
+"""Balance: the centre of mass for a wanted zero-moment point, and the zero-moment point of given frames.
+
+The linear inverted pendulum x'' = ω² (x − p) with ω² = g / z: planned backwards by its divergent component
+ξ = x + x' / ω (Englsberger et al., *Trajectory generation for continuous leg forces*, Humanoids 2014), and
+corrected by the zero-moment point that MuJoCo's inverse dynamics finds for the whole body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CenterPlan:
+    """The centre of mass over a piecewise linear zero-moment point.
+
+    Attributes:
+        times: (k + 1,) where the pieces begin, and the end.
+        start, slope: (k, 2) zero-moment point at the beginning of each piece, and its speed.
+        growing, shrinking: (k, 2) factors of e^{ωu} and e^{−ωu}.
+        omega: ω, 1/s.
+    """
+
+    times: Array
+    start: Array
+    slope: Array
+    growing: Array
+    shrinking: Array
+    omega: float
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """(n, 2) centre of mass and (n, 2) zero-moment point at times (n,)."""
+        piece = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.start) - 1)
+        u = (np.clip(t, self.times[0], self.times[-1]) - self.times[piece])[:, None]
+        point = self.start[piece] + self.slope[piece] * u
+        e = np.exp(self.omega * u)
+        return point + self.growing[piece] * e + self.shrinking[piece] / e, point
+
+
+def plan_center(
+    nodes: Sequence[tuple[float, Array]], x: Array, omega: float, speed: Array | None = None
+) -> CenterPlan:
+    """Centre of mass for a zero-moment point that runs straight from node to node and rests at the last.
+
+    In the first piece the zero-moment point is constant, wherever it must be for a body at ``x`` with
+    ``speed`` to meet the second: this is the shift backwards and to the swinging foot before the first step.
+
+    Args:
+        nodes: (time, (2,) zero-moment point); the first gives the time of the start only.
+        x: (2,) the centre of mass at the start.
+        omega: ω, 1/s.
+        speed: (2,) its speed; default: at rest.
+    """
+    times = np.array([t for t, _ in nodes])
+    points = np.array([p for _, p in nodes])
+    count = len(nodes) - 1
+    slope = (points[1:] - points[:-1]) / np.diff(times)[:, None]
+    diverging = np.empty((count + 1, 2))
+    diverging[-1] = points[-1]
+    for k in range(count - 1, 0, -1):
+        shift = slope[k] / omega
+        diverging[k] = (
+            points[k]
+            + shift
+            + (diverging[k + 1] - points[k + 1] - shift) * np.exp(-omega * (times[k + 1] - times[k]))
+        )
+    start = points[:-1].copy()
+    here = x + (0.0 if speed is None else speed / omega)
+    e = np.exp(-omega * (times[1] - times[0]))
+    start[0], slope[0], diverging[0] = (diverging[1] * e - here) / (e - 1.0), 0.0, here
+    growing, shrinking, at = np.empty((count, 2)), np.empty((count, 2)), x.copy()
+    for k in range(count):
+        growing[k] = (diverging[k] - start[k] - slope[k] / omega) / 2
+        shrinking[k] = at - start[k] - growing[k]
+        u = times[k + 1] - times[k]
+        at = start[k] + slope[k] * u + growing[k] * np.exp(omega * u) + shrinking[k] * np.exp(-omega * u)
+    return CenterPlan(times, start, slope, growing, shrinking, omega)
+
+
+def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Central speeds and accelerations, and forward speeds, (n, nv) each.
+
+    Zero where neighbours are missing.
+    """
+    n, nv = len(q), figure.model.nv
+    forward, speed, change = np.zeros((n, nv)), np.zeros((n, nv)), np.zeros((n, nv))
+    for i in range(n - 1):
+        mujoco.mj_differentiatePos(figure.model, forward[i], dt, q[i], q[i + 1])
+    for i in range(1, n - 1):
+        mujoco.mj_differentiatePos(figure.model, speed[i], 2 * dt, q[i - 1], q[i + 1])
+    change[1:-1] = (forward[1:-1] - forward[:-2]) / dt
+    return speed, change, forward
+
+
+def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Array]:
+    """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by inverse dynamics.
+
+    The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends,
+    where
+    there is no acceleration, they are those of rest.
+    """
+    model, data = figure.model, figure.data
+    speed, change, _ = derivatives(figure, q, dt)
+    points, force = np.empty((len(q), 2)), np.empty(len(q))
+    flags, off = model.opt.disableflags, mujoco.mjtDisableBit
+    model.opt.disableflags = flags | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT
+    try:
+        for i in range(len(q)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q[i], speed[i], change[i]
+            mujoco.mj_inverse(model, data)
+            push = data.qfrc_inverse[:3]
+            moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
+            force[i] = push[2]
+            up = push[2] if abs(push[2]) > 1.0 else 1.0
+            points[i] = (
+                q[i, 0] - (moment[1] + q[i, 2] * push[0]) / up,
+                q[i, 1] - (q[i, 2] * push[1] - moment[0]) / up,
+            )
+    finally:
+        model.opt.disableflags = flags
+    return points, force
+
+
+def compensate(error: Array, omega2: Array, dt: float) -> Array:
+    """(n, 2) shift s of the centre of mass that takes an error (n, 2) off the zero-moment point.
+
+    s − s'' / ω² = −error with s = 0 at both ends: one tridiagonal system (Thomas's elimination).
+    """
+    k = 1.0 / (omega2 * dt * dt)
+    n, shift = len(error), -error.copy()
+    shift[0] = shift[-1] = 0.0
+    upper = np.zeros(n)
+    for i in range(1, n - 1):
+        pivot = 1.0 + 2.0 * k[i] + k[i] * upper[i - 1]
+        upper[i] = -k[i] / pivot
+        shift[i] = (shift[i] + k[i] * shift[i - 1]) / pivot
+    for i in range(n - 2, 0, -1):
+        shift[i] -= upper[i] * shift[i + 1]
+    return shift
+
+
+def hull(points: Array) -> Array:
+    """(h, 2) corners of the convex hull of (n, 2) points, counter-clockwise (Andrew's monotone chain)."""
+    points = np.unique(points, axis=0)
+    if len(points) < 3:
+        return points
+
+    def half(ordered: Array) -> list[Array]:
+        out: list[Array] = []
+        for p in ordered:
+            while len(out) > 1:
+                a, b = out[-1] - out[-2], p - out[-2]
+                if a[0] * b[1] - a[1] * b[0] > 1e-12:
+                    break
+                out.pop()
+            out.append(p)
+        return out[:-1]
+
+    return np.array(half(points) + half(points[::-1]))
+
+
+def hull_margin(points: Array, z: Array) -> float:
+    """Distance of z (2,) to the border of the hull of (n, 2) points: positive inside."""
+    corners = hull(points)
+    if len(corners) == 1:
+        return -float(np.linalg.norm(z - corners[0]))
+    edge = np.roll(corners, -1, axis=0) - corners
+    away = z - corners
+    t = np.clip((away * edge).sum(1) / (edge * edge).sum(1), 0.0, 1.0)
+    distance = float(np.linalg.norm(away - t[:, None] * edge, axis=1).min())
+    inside = len(corners) > 2 and bool((edge[:, 0] * away[:, 1] - edge[:, 1] * away[:, 0] >= 0).all())
+    return distance if inside else -distance
+
+
+def smooth(values: Array, sigma: float) -> Array:
+    """Values along the first axis under a Gaussian of ``sigma`` samples; the ends go on as they are."""
+    reach = int(4 * sigma + 0.5)
+    if reach == 0:
+        return values
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    weights /= weights.sum()
+    padded = np.pad(values, [(reach, reach)] + [(0, 0)] * (values.ndim - 1), mode="edge")
+    columns = padded.reshape(len(padded), -1).T
+    out = np.stack([np.convolve(column, weights, mode="valid") for column in columns], axis=1)
+    return out.reshape(values.shape)
+
+
+def monotone_curve(knots: Array, values: Array, t: Array) -> Array:
+    """Cubic curve through the knots that overshoots none.
+
+    Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980.
+    """
+    h, d = np.diff(knots), np.diff(values) / np.diff(knots)
+    slope = np.zeros(len(knots))
+    same = d[:-1] * d[1:] > 0
+    w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope[1:-1] = np.where(same, (w1 + w2) / (w1 / d[:-1] + w2 / d[1:]), 0.0)
+    return _hermite(knots, values, slope, t)
+
+
+def clamped_curve(knots: Array, values: Array, t: Array) -> Array:
+    """Cubic spline through the knots, smooth to the second derivative, at rest at both ends."""
+    h, n = np.diff(knots), len(knots)
+    matrix, right = np.eye(n), np.zeros(n)
+    for i in range(1, n - 1):
+        matrix[i, i - 1 : i + 2] = 1 / h[i - 1], 2 / h[i - 1] + 2 / h[i], 1 / h[i]
+        right[i] = 3 * ((values[i] - values[i - 1]) / h[i - 1] ** 2 + (values[i + 1] - values[i]) / h[i] ** 2)
+    return _hermite(knots, values, np.asarray(np.linalg.solve(matrix, right), dtype=float), t)
+
+
+def _hermite(knots: Array, values: Array, slope: Array, t: Array) -> Array:
+    t = np.clip(t, knots[0], knots[-1])
+    k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
+    h = knots[k + 1] - knots[k]
+    s = (t - knots[k]) / h
+    a, b = values[k], values[k + 1]
+    return np.asarray(
+        (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * h * slope[k]
+        + s * s * (3 - 2 * s) * b + s * s * (s - 1) * h * slope[k + 1]
+    )  # fmt: skip

@@ -1,0 +1,373 @@
+"""``decide``: reach, bend, jump, walk or nothing, by where a ball is and what the figure can do.
+
+In this order: a ball that a hand reaches standing is reached; else one that it reaches bending; else one
+that a jump
+brings the palm to; else, where some free stand point nearby has one of these, the figure walks there; else
+it does
+nothing.  Among the arms the one whose shoulder is nearer; within 20 mm the one that acted last, else the
+right.
+Pađen (2011) decides by fixed regions; here the regions are the model's own (``abilities``), and every
+"reach", "bend"
+and "jump" is confirmed before it is said.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import InvalidGoalError
+from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.figure import Figure, rotation
+from robot_ik.figure.poses import BEND, REACH
+
+Array = NDArray[np.float64]
+
+ACTIONS = ("reach", "bend", "jump", "walk", "nothing")
+
+HYSTERESIS = 0.03
+"""A figure that reaches, bends or jumps goes on until the ball is so far outside what that action can do,
+m."""
+WORKSPACE = 8.0
+"""A ball farther away than this does not concern the figure, m."""
+_SAME_ARM = 0.02
+# Stand points: headings in steps of 15 degrees; the body as a disc; a degree costs as much as so many metres.
+_HEADINGS = np.radians(np.arange(-180.0, 180.0, 15.0))
+_RADIUS, _PER_RADIAN, _TALL = 0.35, 0.35, 1.9
+_CELL = 0.1
+# How many of the best stand points are tried by a solve.
+_TRIES = 6
+# Where a ball for a jump lies before the middle of the feet and to the side of the arm, m.
+_JUMP_AT = (0.2, 0.2)
+
+
+@dataclass(frozen=True)
+class Box:
+    """An obstacle: a box on or above the floor.
+
+    Attributes:
+        center: (3,) m.
+        half: (3,) half its edges.
+        heading_deg: Turned about the vertical.
+    """
+
+    center: tuple[float, float, float]
+    half: tuple[float, float, float]
+    heading_deg: float = 0.0
+
+    def distance(self, xy: Array) -> Array:
+        """(n,) distances of places on the floor, 0 inside; inf where the figure passes under or over it."""
+        if self.center[2] - self.half[2] > _TALL or self.center[2] + self.half[2] < 0.0:
+            return np.full(len(xy), np.inf)
+        local = (xy - np.array(self.center[:2])) @ rotation("z", np.radians(self.heading_deg))[:2, :2]
+        return np.linalg.norm(np.maximum(np.abs(local) - np.array(self.half[:2]), 0.0), axis=1)
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """An obstacle: all that is behind a wall, whose normal (horizontal) points to where one may stand."""
+
+    point: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    def distance(self, xy: Array) -> Array:
+        """(n,) distances of places on the floor, negative behind the wall."""
+        n = np.array(self.normal[:2]) / max(float(np.linalg.norm(self.normal[:2])), 1e-12)
+        return np.asarray((xy - np.array(self.point[:2])) @ n)
+
+
+Obstacle = Box | HalfSpace
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a figure does, and why.
+
+    Attributes:
+        action: ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``.
+        arm: The arm that acts, after the walk if it walks.
+        reason: A sentence for the user.
+        stand_point: (x, y, heading) to walk to.
+        way: Stand points on the way there, the last is ``stand_point``.
+        then: What it will do there.
+        speed: At take-off of a jump, m/s.
+    """
+
+    action: str
+    arm: str | None
+    reason: str
+    stand_point: tuple[float, float, float] | None = None
+    way: tuple[tuple[float, float, float], ...] = ()
+    then: str | None = None
+    speed: float | None = None
+
+
+class Decider:
+    """Decides for one figure among obstacles.
+
+    Args:
+        abilities: What it can do.
+        obstacles: What it may not walk through.
+        workspace: Radius about the figure, m.
+    """
+
+    def __init__(
+        self, abilities: Abilities, obstacles: Sequence[Obstacle] = (), workspace: float = WORKSPACE
+    ) -> None:
+        self.abilities, self.obstacles, self.workspace = abilities, tuple(obstacles), workspace
+
+    @property
+    def figure(self) -> Figure:
+        """Who."""
+        return self.abilities.figure
+
+    def decide(
+        self, ball: ArrayLike | None, stance: ArrayLike = (0.0, 0.0, 0.0), last: Decision | None = None
+    ) -> Decision:
+        """The decision for a ball.
+
+        Args:
+            ball: (3,) in the world, m; None or NaN where none is seen.
+            stance: (x, y, heading) of the middle between the feet.
+            last: The decision before, for the choice of the arm and the hysteresis.
+
+        Raises:
+            InvalidGoalError: Not three numbers.
+        """
+        stance = np.asarray(stance, dtype=float)
+        point, refusal = self._look(ball, stance)
+        if refusal:
+            return Decision("nothing", None, refusal)
+        local = rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0])
+        arms = self._arms(local, last)
+        found = self._here(local, arms)
+        if last is not None and last.arm in arms and last.action in (REACH, BEND, "jump"):
+            lesser = found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action)
+            found = (self._still(local, last) if lesser else None) or found
+        return found or self._walk(point, stance)
+
+    def _look(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:
+        """The ball as numbers, or why it concerns nobody."""
+        try:
+            point = np.full(3, np.nan) if ball is None else np.asarray(ball, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InvalidGoalError(f"a ball is three numbers, not {ball!r}") from error
+        if point.shape != (3,):
+            raise InvalidGoalError(
+                f"a ball is three numbers, not {ball!r}", hint="one ball at a time: (x, y, z)"
+            )
+        if not np.isfinite(point).all():
+            return point, "no ball is seen"
+        if not self.figure.hands:
+            return point, "the figure has no hands"
+        away = float(np.linalg.norm(point[:2] - stance[:2]))
+        if point[2] < 0.0:
+            return point, f"the ball is {-100 * point[2]:.0f} cm under the floor"
+        if away > self.workspace:
+            return point, f"the ball is {away:.1f} m away, outside the workspace of {self.workspace:g} m"
+        part = inside_body(self.figure, rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
+        return point, f"the ball is inside its {part}" if part else ""
+
+    def _arms(self, local: Array, last: Decision | None) -> list[str]:
+        """Arms, the one to use first."""
+        far = {arm: float(np.linalg.norm(at - local)) for arm, at in self.abilities.shoulders.items()}
+        arms = sorted(far, key=lambda arm: (far[arm], arm != "right"))
+        if len(arms) == 2 and far[arms[1]] - far[arms[0]] < _SAME_ARM:
+            first = last.arm if last is not None and last.arm in arms else "right"
+            arms.sort(key=lambda arm: arm != first)
+        return arms
+
+    def _here(self, local: Array, arms: Sequence[str]) -> Decision | None:
+        """What can be done without a step."""
+        able = self.abilities
+        for kind in (REACH, BEND):
+            for arm in arms:
+                if able.can(kind, local, arm) is not None:
+                    how = (
+                        "reaches the ball standing" if kind == REACH else "reaches the ball only bending down"
+                    )
+                    return Decision(kind, arm, f"the {arm} hand {how}")
+        for arm in arms:
+            speed = able.take_off(local, arm)
+            if speed is not None:
+                reason = f"the ball is overhead: a jump of {speed:.1f} m/s brings the {arm} hand to it"
+                return Decision("jump", arm, reason, speed=speed)
+        return None
+
+    def _still(self, local: Array, last: Decision) -> Decision | None:
+        """The last action again for a ball that is hardly outside what it can do."""
+        assert last.arm is not None
+        nearest = self.abilities.shoulders[last.arm]
+        drawn = local + (nearest - local) * (
+            HYSTERESIS / max(float(np.linalg.norm(nearest - local)), HYSTERESIS)
+        )
+        if last.action == "jump":
+            speed = self.abilities.take_off(drawn, last.arm)
+            return None if speed is None else Decision("jump", last.arm, last.reason, speed=speed)
+        if self.abilities.can(last.action, drawn, last.arm) is None:
+            return None
+        return Decision(last.action, last.arm, f"the ball is at the edge of what the {last.arm} hand reaches")
+
+    def _walk(self, ball: Array, stance: Array) -> Decision:
+        """To the cheapest free stand point from which the ball can be had, on a free path."""
+        for kind, verb in ((REACH, "reached"), (BEND, "reached bending"), ("jump", "reached jumping")):
+            for stand, arm, local in self._stands(kind, ball, stance)[:_TRIES]:
+                if kind == "jump":
+                    if self.abilities.take_off(local, arm) is None:
+                        continue
+                elif self.abilities.can(kind, local, arm) is None:
+                    continue
+                way = self.path(stance, stand)
+                if way is not None:
+                    far = float(np.linalg.norm(ball[:2] - stance[:2]))
+                    reason = f"the ball is {far:.2f} m away: it can be {verb} with the {arm} hand from nearer"
+                    return Decision("walk", arm, reason, way[-1], way, kind)
+        if self.obstacles:
+            return Decision("nothing", None, "no free stand point brings the ball within reach")
+        return Decision(
+            "nothing", None, f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
+        )
+
+    def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
+        """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
+        stands, balls, names = [], [], []
+        for arm in self.figure.hands:
+            if kind == "jump":
+                side = 1.0 if arm == "left" else -1.0
+                cells = np.array([[_JUMP_AT[0], side * _JUMP_AT[1]]])
+            else:
+                cells = self.abilities.maps[kind, arm].comfortable(float(ball[2]))
+            if not len(cells):
+                continue
+            for heading in _HEADINGS + stance[2]:
+                at = ball[:2] - cells @ rotation("z", heading)[:2, :2].T
+                stands.append(np.column_stack([at, np.full(len(at), heading)]))
+                balls.append(np.column_stack([cells, np.full(len(cells), ball[2])]))
+                names += [arm] * len(cells)
+        if not stands:
+            return []
+        points, locals_ = np.concatenate(stands), np.concatenate(balls)
+        way = points[:, :2] - stance[:2]
+        turn = np.abs((points[:, 2] - stance[2] + np.pi) % (2 * np.pi) - np.pi)
+        far = np.linalg.norm(way, axis=1)
+        # Comfortable: the ball before the chest on the side of the arm, half an arm away.
+        aside = np.array([0.2 if name == "left" else -0.2 for name in names])
+        comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - aside)
+        cost = far + _PER_RADIAN * turn + 0.8 * comfort
+        cost[~self.free(points[:, :2])] = np.inf
+        order = np.argsort(cost, kind="stable")[: 4 * _TRIES]
+        picks = [i for i in order if np.isfinite(cost[i])]
+        # Alternatives that differ: the best, then those some way from it.
+        spread = [i for n, i in enumerate(picks) if n < 2 or n % 4 == 0]
+        return [(points[i], names[i], locals_[i]) for i in spread]
+
+    def free(self, xy: Array) -> NDArray[np.bool_]:
+        """(n,) whether the body, a disc, may stand there."""
+        out = np.ones(len(xy), dtype=bool)
+        for obstacle in self.obstacles:
+            out &= obstacle.distance(xy) > _RADIUS
+        return out
+
+    def clear(self, a: Array, b: Array) -> bool:
+        """Whether the straight way is free."""
+        n = max(2, int(np.linalg.norm(b - a) / 0.05) + 1)
+        return bool(self.free(a + (b - a) * np.linspace(0, 1, n)[:, None])[1:].all())
+
+    def path(self, start: Array, end: Array) -> tuple[tuple[float, float, float], ...] | None:
+        """Stand points from one to the other round the obstacles; None where there is no free path."""
+        goal = (float(end[0]), float(end[1]), float(end[2]))
+        if self.clear(start[:2], end[:2]):
+            return (goal,)
+        cells = self._search(start[:2], end[:2])
+        if cells is None:
+            return None
+        corners, here = [], start[:2]
+        for k in range(len(cells) - 1):  # pull the string tight
+            if not self.clear(here, cells[k + 1]):
+                corners.append(cells[k])
+                here = cells[k]
+        corners.append(end[:2])
+        out: list[tuple[float, float, float]] = []
+        for a, b in zip([start[:2], *corners], corners, strict=False):
+            out.append((float(b[0]), float(b[1]), float(np.arctan2(*(b - a)[::-1]))))
+        out[-1] = goal
+        return tuple(out)
+
+    def _search(self, a: Array, b: Array) -> list[Array] | None:
+        """A* over a grid of 0.1 m between two places and a margin about them."""
+        low = np.minimum(a, b) - 3.0
+        shape = np.ceil((np.maximum(a, b) + 3.0 - low) / _CELL).astype(int) + 1
+        grid = low + np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1) * _CELL
+        free = self.free(grid.reshape(-1, 2)).reshape(tuple(shape))
+        start, goal = (tuple(int(v) for v in np.rint((p - low) / _CELL)) for p in (a, b))
+        free[start] = free[goal] = True
+        cost: dict[tuple[int, ...], float] = {start: 0.0}
+        came: dict[tuple[int, ...], tuple[int, ...]] = {}
+        queue = [(0.0, start)]
+        steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+        while queue:
+            _, here = heapq.heappop(queue)
+            if here == goal:
+                out = [b]
+                while here in came:
+                    here = came[here]
+                    out.append(low + np.array(here) * _CELL)
+                return out[::-1]
+            for i, j in steps:
+                there = (here[0] + i, here[1] + j)
+                if not (0 <= there[0] < shape[0] and 0 <= there[1] < shape[1]) or not free[there]:
+                    continue
+                new = cost[here] + float(np.hypot(i, j))
+                if new < cost.get(there, np.inf):
+                    cost[there], came[there] = new, here
+                    heapq.heappush(
+                        queue, (new + float(np.hypot(there[0] - goal[0], there[1] - goal[1])), there)
+                    )
+        return None
+
+
+def inside_body(figure: Figure, local: Array) -> str:
+    """Name of the body part, arms aside, that holds a point seen from the feet; empty where none does."""
+    model, data = figure.model, figure.data
+    data.qpos[:] = figure.home
+    mujoco.mj_kinematics(model, data)
+    arms: set[int] = set()
+    trunk = figure.robot.frame(figure.trunk).body
+    for frame in figure.hands.values():
+        body = figure.robot.frame(frame).body
+        while body not in (0, trunk):
+            arms.add(body)
+            body = int(model.body_parentid[body])
+    kinds = mujoco.mjtGeom
+    for g in range(model.ngeom):
+        body = int(model.geom_bodyid[g])
+        away = local - data.geom_xpos[g]
+        if not model.geom_contype[g] or body in arms or away @ away > model.geom_rbound[g] ** 2:
+            continue
+        x, size = data.geom_xmat[g].reshape(3, 3).T @ away, model.geom_size[g]
+        kind = model.geom_type[g]
+        if kind == kinds.mjGEOM_BOX:
+            held = bool((np.abs(x) <= size).all())
+        elif kind == kinds.mjGEOM_CAPSULE:
+            x[2] -= np.clip(x[2], -size[1], size[1])
+            held = bool(x @ x <= size[0] ** 2)
+        elif kind == kinds.mjGEOM_ELLIPSOID:
+            held = bool(((x / size) ** 2).sum() <= 1.0)
+        else:
+            held = bool(x @ x <= size[0] ** 2)
+        if held:
+            return str(model.body(body).name).replace("_", " ")
+    return ""
+
+
+def decide(
+    abilities: Abilities, ball: ArrayLike | None, stance: ArrayLike = (0.0, 0.0, 0.0),
+    obstacles: Sequence[Obstacle] = (), last: Decision | None = None,
+) -> Decision:  # fmt: skip
+    """One decision; ``Decider`` keeps obstacles and workspace for many."""
+    return Decider(abilities, obstacles).decide(ball, stance, last)

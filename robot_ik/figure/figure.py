@@ -1,0 +1,513 @@
+"""``Figure``: a model with feet and hands, the shapes of its soles, and frames of its whole body.
+
+Everything is found in the model and in the table ``[figure]`` of its ``robot.toml``; any model that names
+two feet
+there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatch
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import ModelError
+from robot_ik.kernels import whole_body
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.kernels.whole_body import HARD
+from robot_ik.robot import Robot, load_robot
+
+Array = NDArray[np.float64]
+
+SIDES = ("left", "right")
+GRAVITY = 9.81
+RATE = 60.0
+"""Frames a second."""
+
+_PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
+_GEOM = mujoco.mjtGeom
+
+
+def rotation(axis: str, angle: ArrayLike) -> Array:
+    """(..., 3, 3) rotation matrices about a world axis, angles (...)."""
+    angle = np.asarray(angle, dtype=float)
+    c, s, out = np.cos(angle), np.sin(angle), np.zeros((*angle.shape, 3, 3))
+    i, j, k = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}[axis]
+    out[..., i, i] = out[..., j, j] = c
+    out[..., i, j], out[..., j, i], out[..., k, k] = -s, s, 1.0
+    return out
+
+
+def minimum_jerk(s: ArrayLike) -> Array:
+    """0 to 1 with no speed and no acceleration at both ends (Flash & Hogan 1985)."""
+    s = np.clip(s, 0.0, 1.0)
+    return np.asarray(s * s * s * (10.0 + s * (6.0 * s - 15.0)))
+
+
+def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
+    """(a, g) heights and (a, g, 3) places of the lowest points of geoms, in their body's frame.
+
+    Args:
+        model: The model.
+        geoms: Spheres, capsules, ellipsoids, boxes, cylinders.
+        up: (a, 3) what is up, seen from the body.
+
+    Raises:
+        ModelError: A geom of another kind (a mesh has no exact lowest point here).
+    """
+    places = np.empty((len(up), len(geoms), 3))
+    for index, g in enumerate(geoms):
+        turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
+        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
+        axes = turn.reshape(3, 3)
+        down = -up @ axes
+        if kind == _GEOM.mjGEOM_SPHERE:
+            local = size[0] * down
+        elif kind == _GEOM.mjGEOM_CAPSULE:
+            local = size[0] * down + np.sign(down[:, 2:]) * [0.0, 0.0, size[1]]
+        elif kind == _GEOM.mjGEOM_ELLIPSOID:
+            local = size**2 * down / np.linalg.norm(size * down, axis=1, keepdims=True)
+        elif kind == _GEOM.mjGEOM_BOX:
+            local = np.sign(down) * size
+        elif kind == _GEOM.mjGEOM_CYLINDER:
+            flat = np.linalg.norm(down[:, :2], axis=1, keepdims=True)
+            local = np.column_stack(
+                [size[0] * down[:, :2] / np.maximum(flat, 1e-12), np.sign(down[:, 2]) * size[1]]
+            )
+        else:
+            raise ModelError(
+                f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
+                hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
+            )
+        places[:, index] = model.geom_pos[g] + local @ axes.T
+    return np.einsum("agk,ak->ag", places, up), places
+
+
+@dataclass(frozen=True)
+class Sole:
+    """How a foot rolls on a floor: its frame when the foot, pitched, stands on its lowest point.
+
+    Attributes:
+        pitch: (a,) toes down positive.
+        height: (a,) of the foot's frame over the floor.
+        rolled: (a,) how far the frame has come forward from flat: the integral of the height, for a
+            point that rolls without slip moves by dx = h dθ.
+        front, rear: (x, half width) of the flat part where the weight may stand, in the foot's frame.
+    """
+
+    pitch: Array
+    height: Array
+    rolled: Array
+    front: float
+    rear: float
+
+    def stand(self, pitch: ArrayLike) -> tuple[Array, Array]:
+        """(forward, height) of the foot's frame at ``pitch``."""
+        at = np.asarray(pitch, dtype=float)
+        return np.interp(at, self.pitch, self.rolled), np.interp(at, self.pitch, self.height)
+
+
+@dataclass(frozen=True)
+class Foot:
+    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it.
+
+    Attributes:
+        frame: Name of the frame on the sole under the ankle, x to the toes, z up.
+        parts: Body and collision geoms of each rigid part: the foot, then its toes.
+        toes: Index in q and in dq of the hinge of the toes, if there is one.
+        sole: How it rolls.
+        thigh, shank: Lengths, m.
+        ankle: (3,) the ankle seen from the frame.
+        hip: (3,) the hip seen from the frame ``pelvis``.
+    """
+
+    side: str
+    frame: str
+    parts: tuple[tuple[int, tuple[int, ...]], ...]
+    toes: tuple[int, int] | None
+    sole: Sole
+    thigh: float
+    shank: float
+    ankle: Array
+    hip: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """What a figure is.  Made by ``load_figure``; never changes.
+
+    Attributes:
+        robot: Its model, all joints active.
+        hands: Frame of each hand by side; empty for a figure without arms.
+        feet: ``Foot`` by side, left and right.
+        gaze, neck: Frame whose x axis looks, and the joints that may serve it.
+        pelvis, trunk: Frames.
+        home, bent: (nq,) standing at ease and deeply bent.
+        speeds: (nv,) joint speed limits, rad/s, by name of the set.
+        stance: (3,) x, y, heading of the middle between the feet at home.
+        apart: Half the distance of the feet at home.
+    """
+
+    robot: Robot
+    hands: Mapping[str, str]
+    feet: Mapping[str, Foot]
+    gaze: str | None
+    neck: tuple[str, ...]
+    pelvis: str
+    trunk: str
+    home: Array
+    bent: Array
+    speeds: Mapping[str, Array]
+    apart: float
+    inertia: Array = field(repr=False)
+    data: mujoco.MjData = field(repr=False)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model."""
+        return self.robot.model
+
+    def copy(self) -> Figure:
+        """The same with work space of its own, for another thread."""
+        return replace(self, data=mujoco.MjData(self.model))
+
+    @property
+    def mass(self) -> float:
+        """Of the whole body, kg."""
+        return float(self.inertia[:, 0].sum())
+
+    def place(self, name: str) -> tuple[int, int]:
+        """Where a hinge or slide stands in q and in dq."""
+        node = self.robot.joints.index(name)
+        return int(self.robot.tree.qadr[node]), int(self.robot.tree.vadr[node])
+
+    def posture(self, angles: Mapping[str, float], base: Array | None = None) -> Array:
+        """(nq,) ``base`` (default: home) with some joints elsewhere; ``both_…`` names a pair, left and right.
+
+        Joints that the model does not have are left out: a figure without clavicles reaches without them.
+        """
+        q = (self.home if base is None else base).copy()
+        for key, value in angles.items():
+            names = [f"{s}_{key.removeprefix('both_')}" for s in SIDES] if key.startswith("both_") else [key]
+            for name in names:
+                if name in self.robot.joints:
+                    q[self.place(name)[0]] = value
+        return q
+
+    def stiffnesses(self, rows: Mapping[str, float]) -> Array:
+        """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
+        key = f"figure.stiffness {list(rows.items())}"
+        known = self.robot.memory.get(key)
+        if known is None:
+            known = self.robot.memory[key] = _by_pattern(self.robot, rows, 0.0)
+        return np.asarray(known)
+
+    def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
+        """(3,) place and (3, 3) rotation of a frame."""
+        at = self.robot.forward(q, frame)
+        return np.asarray(at.position), np.asarray(at.rotation)
+
+    @cached_property
+    def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
+        """Place and rotation of the feet at home."""
+        return {side: self.pose(self.home, foot.frame) for side, foot in self.feet.items()}
+
+    @cached_property
+    def hands_at_home(self) -> dict[str, Array]:
+        """(3,) places of the hands at home."""
+        return {side: self.pose(self.home, frame)[0] for side, frame in self.hands.items()}
+
+    @cached_property
+    def center_at_home(self) -> Array:
+        """(3,) centre of mass at home."""
+        return self.center(self.home)
+
+    def center(self, q: Array) -> Array:
+        """(3,) centre of mass, by MuJoCo."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        return np.array(self.data.subtree_com[0])
+
+    def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
+        """``q`` (nq,) moved as a whole: turned about the world's origin by ``heading``, then shifted."""
+        moved = q.copy()
+        turn = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+        moved[:3] = rotation("z", heading) @ q[:3] + [x, y, 0.0]
+        mujoco.mju_mulQuat(moved[3:7], turn, np.ascontiguousarray(q[3:7]))
+        return moved
+
+    def stance(self, q: Array) -> Array:
+        """(3,) x, y and heading of the middle between the feet."""
+        poses = [self.pose(q, foot.frame) for foot in self.feet.values()]
+        middle = (poses[0][0] + poses[1][0]) / 2
+        ahead = poses[0][1][:, 0] + poses[1][1][:, 0]
+        return np.array([middle[0], middle[1], np.arctan2(ahead[1], ahead[0])])
+
+
+def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
+    """A figure by catalogue name, by path, or of a robot.
+
+    Raises:
+        ModelError: It names no two feet, has no floating base, or joints other than hinges and slides.
+        UnknownRobotError, UnknownFrameError, UnknownJointError: With the close names.
+    """
+    robot = name if isinstance(name, Robot) else load_robot(name)
+    parts = robot.file.figure
+    if parts is None or set(parts.feet) != set(SIDES):
+        raise ModelError(
+            f"{robot.name!r} is no figure: its robot.toml names no left and right foot",
+            path=robot.path, hint='add [figure] with feet = { left = "…", right = "…" }, pelvis and trunk',
+        )  # fmt: skip
+    kinds = robot.tree.kind
+    if robot.nq != robot.model.nq or kinds[0] != FREE or not np.isin(kinds[1:], (HINGE, SLIDE)).all():
+        raise ModelError(
+            f"{robot.name!r} cannot move as a figure: it needs a free base and hinges that all move",
+            path=robot.path, hint="load it without `joints=`; split ball joints into hinges",
+        )  # fmt: skip
+    feet = {side: _foot(robot, side, parts.feet[side], parts.pelvis) for side in SIDES}
+    bent = robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy()
+    apart = (
+        abs(
+            float(
+                (
+                    robot.forward(robot.home, parts.feet["left"]).position
+                    - robot.forward(robot.home, parts.feet["right"]).position
+                )[1]
+            )
+        )
+        / 2
+    )
+    return Figure(
+        robot=robot,
+        hands={side: parts.hands[side] for side in SIDES if side in parts.hands},
+        feet=feet,
+        gaze=parts.gaze,
+        neck=parts.neck,
+        pelvis=parts.pelvis,
+        trunk=parts.trunk,
+        home=robot.home.copy(),
+        bent=bent,
+        speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()}
+        or {"daily": np.full(robot.nv, np.inf)},
+        apart=apart,
+        inertia=robot.inertias(),
+        data=mujoco.MjData(robot.model),
+    )  # fmt: skip
+
+
+def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
+    """(nv,) values of joints by patterns of their names, a later pattern wins; ``free`` for the base."""
+    found = np.full(robot.nv, free)
+    for node, name in enumerate(robot.joints):
+        if robot.tree.kind[node] != FREE:
+            for pattern, value in rows.items():
+                if fnmatch(name, pattern):
+                    found[robot.tree.vadr[node]] = value
+    return found
+
+
+def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
+    model, data = robot.model, mujoco.MjData(robot.model)
+    mujoco.mj_forward(model, data)
+    body = robot.frame(frame).body
+    below = [b for b in range(model.nbody) if model.body_parentid[b] == body and model.body_jntnum[b] == 1]
+    parts = tuple(
+        (b, tuple(g for g in range(model.ngeom) if model.geom_bodyid[g] == b and model.geom_contype[g]))
+        for b in (body, *below[:1])
+    )
+    if not parts[0][1]:
+        raise ModelError(f"the foot {frame!r} has no collision shape", path=robot.path)
+    toes = None
+    if below:
+        joint = int(model.body_jntadr[below[0]])
+        toes = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    place, turn = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
+    hip, knee, ankle = _leg(model, data, body, robot.frame(pelvis).body, frame)
+    foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+    at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
+    return Foot(
+        side, frame, parts, toes, _sole(model, parts[0][1], place, np.asarray(turn)),
+        float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
+    )  # fmt: skip
+
+
+def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, name: str) -> list[Array]:
+    """Hip, knee and ankle in the world at qpos0: the three places about which the joints of a leg turn."""
+    found: list[Array] = []
+    while foot not in (0, pelvis):
+        first = int(model.body_jntadr[foot])
+        for joint in range(first, first + int(model.body_jntnum[foot])):
+            anchor = data.xanchor[joint]
+            if not any(np.linalg.norm(anchor - other) < 1e-3 for other in found):
+                found.append(anchor.copy())
+        foot = int(model.body_parentid[foot])
+    if len(found) != 3:
+        raise ModelError(
+            f"the leg of {name!r} turns about {len(found)} places, not about hip, knee and ankle"
+        )
+    return found[::-1]
+
+
+def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, turn: Array) -> Sole:
+    """``place`` and ``turn``: the foot's frame in its body."""
+    up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ turn.T
+    lowest, points = lowest_points(model, list(geoms), up)
+    height = up @ place - lowest.min(axis=1)
+    steps = (height[1:] + height[:-1]) / 2 * np.diff(_PITCHES)
+    rolled = np.concatenate([[0.0], np.cumsum(steps)])
+    flat = int(np.abs(_PITCHES).argmin())
+    # Where the sole ends: the lowest points just before and behind flat.
+    ends = [float(((points[i, lowest[i].argmin()] - place) @ turn)[0]) for i in (flat - 8, flat + 8)]
+    return Sole(_PITCHES, height, rolled - rolled[flat], front=ends[1], rear=ends[0])
+
+
+class Rows:
+    """What a run of frames shall do: rows of ``kernels.whole_body``, frame by frame."""
+
+    def __init__(self, figure: Figure, frames: int) -> None:
+        self.figure, self.frames = figure, frames
+        self._kind: list[int] = []
+        self._node: list[int] = []
+        self._local: list[Array] = []
+        self._axes: list[int] = []
+        self._share: list[Array] = []
+        self._target: list[Array] = []
+        self._weight: list[Array] = []
+
+    def _add(
+        self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
+        joints: tuple[str, ...] | None = None,
+    ) -> None:  # fmt: skip
+        node, local = self.figure.robot.attachment(frame) if frame else (-1, np.zeros(12))
+        share = np.ones(self.figure.robot.nv)
+        if joints is not None:
+            share[:] = 0.0
+            share[[self.figure.place(joint)[1] for joint in joints]] = 1.0
+        row = np.zeros((self.frames, 12))
+        row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
+        self._kind.append(kind)
+        self._node.append(node)
+        self._local.append(local)
+        self._axes.append(sum(1 << "xyz".index(axis) for axis in axes))
+        self._share.append(share)
+        self._target.append(row)
+        self._weight.append(np.broadcast_to(np.asarray(weight, dtype=float), self.frames))
+
+    def position(self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
+        """A frame's origin at (3,) or (n, 3)."""
+        self._add(whole_body.POSITION, frame, target, weight, axes)
+
+    def turned(self, frame: str, target: Array, weight: ArrayLike = HARD) -> None:
+        """A frame's rotation (3, 3) or (n, 3, 3)."""
+        self._add(whole_body.ROTATION, frame, target.reshape(*target.shape[:-2], 9), weight)
+
+    def center(self, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
+        """The centre of mass at (3,) or (n, 3)."""
+        self._add(whole_body.CENTER_OF_MASS, None, target, weight, axes)
+
+    def aim(
+        self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None
+    ) -> None:
+        """The x axis of a frame at (3,) or (n, 3), served by some joints only.
+
+        Eyes that follow bend no trunk.
+        """
+        self._add(whole_body.AIM, frame, target, weight, joints=joints)
+
+    def momentum(self, weight: ArrayLike = HARD) -> None:
+        """No angular momentum about the centre of mass between a frame and the one before."""
+        self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
+
+    def feet(self, place: Mapping[str, Array], turn: Mapping[str, Array]) -> None:
+        """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
+        for side, foot in self.figure.feet.items():
+            self.position(foot.frame, place[side])
+            self.turned(foot.frame, turn[side])
+
+    def solve(
+        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+    ) -> Frames:  # fmt: skip
+        """The frames.
+
+        Args:
+            posture: (nq,) or (n, nq) wanted where the rows leave freedom.
+            stiffness: (nv,) weights of the posture.
+            start: (nq,) the frame before the first.
+            second: (nq,) the frame before that; default: at rest.
+            limits: (nv,) lower and upper limits inside the model's.
+            speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
+            dt: Time between frames, s.
+            steps: Most steps a frame.
+            rest: A step shorter than this (rad, m) was the last …
+            close: … if hard rows are this close.
+        """
+        figure, n = self.figure, self.frames
+        target = np.ascontiguousarray(np.stack(self._target, axis=1).reshape(-1, 12))
+        weight = np.ascontiguousarray(np.stack(self._weight, axis=1))
+        postures = np.ascontiguousarray(np.broadcast_to(posture, (n, figure.robot.nq)))
+        q, miss, used = np.empty((n, figure.robot.nq)), np.empty(n), np.empty(n, dtype=np.int64)
+        body = self._table(
+            stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits
+        )
+        before = start if second is None else second
+        whole_body.solve_frames(
+            figure.robot.tree.handle, body, target, weight, postures, q, start.copy(), before.copy(),
+            steps, rest, close, miss, used,
+        )  # fmt: skip
+        return Frames(q, miss, used)
+
+    def _table(
+        self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
+    ) -> NDArray[np.int64]:
+        robot, groups = self.figure.robot, len(self._kind)
+        lower, upper = limits or (robot.tree.lower, robot.tree.upper)
+        n, nv, hard = robot.tree.size, robot.nv, 3 * groups
+        arrays: dict[str, NDArray[Any]] = {
+            "kind": np.array(self._kind, dtype=np.int64),
+            "node": np.array(self._node, dtype=np.int64),
+            "local": np.array(self._local).reshape(groups, 12),
+            "axes": np.array(self._axes, dtype=np.int64),
+            "share": np.array(self._share),
+            "inertia": self.figure.inertia,
+            "stiffness": np.ascontiguousarray(stiffness),
+            "lower": lower,
+            "upper": upper,
+            "stride": np.ascontiguousarray(stride),
+            "held": np.zeros(nv, dtype=np.int64),
+        }
+        for name, shape in {
+            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
+            "row": (3, nv),
+            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "turned": (hard, nv),
+            "schur": (hard, hard),
+            "center": (3,), "previous": (robot.nq,), "way": (nv,), "miss": (3,), "wanted": (hard,),
+            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
+            "multiplier": (hard,),
+        }.items():  # fmt: skip
+            arrays[name] = np.zeros(shape)
+        return whole_body.WHOLE_BODY.pack(arrays)
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What ``Rows.solve`` found.
+
+    Attributes:
+        q: (n, nq).
+        miss: (n,) largest miss of a hard row in each frame, m or rad.
+        steps: (n,) steps taken.
+    """
+
+    q: Array
+    miss: Array
+    steps: NDArray[np.int64]

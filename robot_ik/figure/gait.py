@@ -1,0 +1,511 @@
+"""Walking: footsteps, feet that roll, the centre of mass over them, and the frames of the whole body.
+
+A foot rolls on its true sole (``figure.Sole``), so that it neither slips nor sinks by construction; in the
+air its
+lowest point follows the same curve with a clearance.  The centre of mass is planned over a zero-moment
+point under
+the feet and corrected twice by the whole body's own dynamics (``balance``).  The pelvis goes as high as legs
+let it.  Human numbers: ``docs/figure.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.balance import (
+    CenterPlan,
+    clamped_curve,
+    compensate,
+    monotone_curve,
+    plan_center,
+    smooth,
+    zero_moment_points,
+)
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
+
+Array = NDArray[np.float64]
+
+AIR, HEEL, FLAT, TOE = range(4)
+CONTACTS = ("air", "heel", "flat", "toe")
+
+# Share of the cycle that a foot stands (Schwartz et al. 2008: 60 to 61 %).
+_STANCE = 0.61
+# Before the first step, and after the last strike, s: the body needs some e^{-ωt} to come to rest.
+_LEAN, _SETTLE = 0.75, 1.4
+
+
+@dataclass(frozen=True)
+class Gait:
+    """How it walks.  Lengths m, times s, angles degrees; flat and rise are shares of the cycle.
+
+    Attributes:
+        length, width: Of a step; distance of the feet's lines.
+        time, double: From strike to strike, and of that on both feet.
+        strike_deg, off_deg: Sole's pitch at heel strike (toes up) and at toe off.
+        peak: Largest pitch as a multiple of that at toe off.
+        flat, rise: When the sole is flat, and when the heel leaves the floor.
+        lift: Clearance of the lowest point in mid swing.
+        gap: Least distance of the swinging foot from the line of the standing one.
+        knee_deg: Least bend of the knees.
+        toe_out_deg: Toes outwards.
+        pressure: Zero-moment point under the foot, from and to, before the ankle.
+        dip, bob: When the pelvis is lowest after a strike, and how far it goes up and down.
+        late: How much later than by a cosine the foot arrives: one that waits before its strike holds the
+            hips down.
+        turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
+        lean_deg: Of the chest forwards.
+        swing_deg: Of the arms.
+    """
+
+    length: float = 0.7
+    width: float = 0.095
+    time: float = 0.567
+    double: float = 0.085
+    strike_deg: float = 13.4
+    off_deg: float = 46.3
+    peak: float = 1.41
+    flat: float = 0.069
+    rise: float = 0.442
+    lift: float = 0.061
+    gap: float = 0.11
+    knee_deg: float = 12.4
+    toe_out_deg: float = 5.0
+    pressure: tuple[float, float] = (0.024, 0.157)
+    dip: float = 0.006
+    bob: float = 0.028
+    late: float = 0.014
+    turn_deg: float = 4.5
+    lean_deg: float = -0.4
+    swing_deg: float = 15.0
+
+
+WALK = Gait()
+"""The best of some thousand seeded random trials against the figures of ``robot-ik bench figure``."""
+SHUFFLE = replace(
+    WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
+    knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0,
+)  # fmt: skip
+"""Small steps to any side, and turning on the spot."""
+
+
+@dataclass(frozen=True)
+class Print:
+    """Where a foot stands: the frame on the sole under the ankle, seen from above."""
+
+    side: int
+    x: float
+    y: float
+    yaw: float
+
+    def on(self, ahead: float) -> Array:
+        """(2,) a point that far before the ankle."""
+        return np.array([self.x + ahead * np.cos(self.yaw), self.y + ahead * np.sin(self.yaw)])
+
+
+def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Print:
+    """The print of a foot ``half`` beside the middle ``stance`` (x, y, heading)."""
+    sign = 1 - 2 * side
+    x, y, heading = stance
+    return Print(
+        side, x - sign * half * np.sin(heading), y + sign * half * np.cos(heading), heading + sign * toe_out
+    )
+
+
+def prints_of(figure: Figure, q: Array) -> tuple[Print, Print]:
+    """Where the feet stand at q."""
+    found = []
+    for side, name in enumerate(SIDES):
+        place, turn = figure.pose(q, figure.feet[name].frame)
+        found.append(Print(side, float(place[0]), float(place[1]), float(np.arctan2(turn[1, 0], turn[0, 0]))))
+    return found[0], found[1]
+
+
+def stance_of(left: Print, right: Print) -> Array:
+    """(3,) x, y, heading of the middle."""
+    heading = left.yaw + _wrapped(right.yaw - left.yaw) / 2
+    return np.array([(left.x + right.x) / 2, (left.y + right.y) / 2, heading])
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: Gait = WALK) -> list[Print]:
+    """Footsteps along a curve to a stance a metre or more away, turned by a right angle at most.
+
+    The first step is shorter and so is the last; the foot inside the turn begins, so that legs do not cross.
+    """
+    a, half = stance_of(*start), figure.apart
+    b = np.array([goal[0], goal[1], a[2] + _wrapped(goal[2] - a[2])])
+    d = float(np.linalg.norm(b[:2] - a[:2]))
+    u = np.linspace(0.0, 1.0, 400)[:, None]
+    ta, tb = (d * np.array([np.cos(p[2]), np.sin(p[2])]) for p in (a, b))
+    curve = (
+        (2 * u**3 - 3 * u**2 + 1) * a[:2]
+        + (u**3 - 2 * u**2 + u) * ta
+        + (3 * u**2 - 2 * u**3) * b[:2]
+        + (u**3 - u**2) * tb
+    )
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    tangent = np.gradient(curve, axis=0)
+    yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    yaw += a[2] - yaw[0] + round((yaw[0] - a[2]) / (2 * np.pi)) * 0.0
+    n = max(2, int(np.ceil(s[-1] / gait.length + 0.7)))
+    share = np.ones(n)
+    share[0], share[-1] = 0.75, 0.6
+    share = np.cumsum(share) / share.sum()
+    foot = 0 if np.interp(share[0] * s[-1], s, yaw) > yaw[0] else 1
+    out = list(start)
+    for k in range(n):
+        last = k == n - 1
+        middle = (
+            b
+            if last
+            else np.array([np.interp(share[k] * s[-1], s, v) for v in (curve[:, 0], curve[:, 1], yaw)])
+        )
+        width, toes = (half, 0.0) if last else (gait.width / 2, np.radians(gait.toe_out_deg))
+        out.append(print_of(middle, foot, width, toes))
+        foot = 1 - foot
+    out.append(print_of(b, foot, half))
+    return out
+
+
+def shuffle_prints(figure: Figure, start: tuple[Print, Print], goal: Array) -> list[Print]:
+    """Small steps to a stance nearby: to any side, and turning on the spot, at most 30 degrees a step.
+
+    The foot on the side of the motion goes first and the other follows beside it, so that legs never cross.
+    """
+    a, half = stance_of(*start), figure.apart
+    turn, way = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
+    c, s = np.cos(a[2]), np.sin(a[2])
+    ahead, aside = c * way[0] + s * way[1], -s * way[0] + c * way[1]
+    n = max(1, int(np.ceil(max(abs(turn) / np.radians(30.0), abs(ahead) / 0.3, abs(aside) / 0.2) - 1e-6)))
+    foot = 0 if (aside if abs(aside) > 0.03 else turn) > 0 else 1
+    out = list(start)
+    for k in range(1, n + 1):
+        middle = np.array([*(a[:2] + way * k / n), a[2] + turn * k / n])
+        out += [print_of(middle, side, half) for side in (foot, 1 - foot)]
+    return out
+
+
+@dataclass
+class _Footfall:
+    print: Print
+    strike: float
+    off: float
+    first: bool
+    last: bool
+
+
+class _Plan:
+    """Times and places of the feet, the zero-moment point and the centre of mass, of all frames at once."""
+
+    def __init__(self, figure: Figure, prints: Sequence[Print], gait: Gait, x: Array, dt: float) -> None:
+        self.figure, self.prints, self.gait = figure, prints, gait
+        steps = len(prints) - 2
+        self.lifts = [_LEAN + k * gait.time for k in range(steps)]
+        self.strikes = [t + gait.time - gait.double for t in self.lifts]
+        self.end = self.strikes[-1] + _SETTLE
+        self.times = np.arange(1, int(self.end / dt) + 1, dtype=np.float64) * dt
+        self.omega = float(np.sqrt(GRAVITY / figure.center(figure.home)[2]))
+        self.falls: tuple[list[_Footfall], list[_Footfall]] = ([], [])
+        for k, at in enumerate(prints):
+            mine = self.falls[at.side]
+            if mine:
+                mine[-1].off = self.lifts[k - 2]
+            strike = self.strikes[k - 2] if k > 1 else -9.0
+            mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2))
+        self.center: CenterPlan = plan_center(self._pressure(), x, self.omega)
+        self.com, self.zmp = self.center.at(self.times)
+        self.place = np.empty((2, len(self.times), 3))
+        self.yaw, self.pitch = np.empty((2, len(self.times))), np.empty((2, len(self.times)))
+        self.toes = np.zeros((2, len(self.times)))
+        self.contact = np.full((2, len(self.times)), FLAT)
+        for side in (0, 1):
+            self._foot(side)
+        self.phase, self.going = self._phases()
+
+    def _pressure(self) -> list[tuple[float, Array]]:
+        """Nodes of the zero-moment point: along the sole while on one foot, across while on both."""
+        gait, prints = self.gait, self.prints
+        standing = next(p for p in prints[:2] if p.side != prints[2].side)
+        # Over the standing foot before the other's heel leaves the floor.
+        nodes = [(0.0, standing.on(0.03)), (_LEAN - (_STANCE - gait.rise) * 2 * gait.time, standing.on(0.03))]
+        for k in range(len(prints) - 2):
+            under, last = (prints[k + 1] if k else standing), k == len(prints) - 3
+            begin = 0.03 if k == 0 else gait.pressure[0]
+            end = 0.05 if last else gait.pressure[1]
+            nodes.append((self.lifts[k], under.on(begin)))
+            if not last:  # at the toes when the heel leaves the floor
+                heel_off = self.lifts[k + 1] - (_STANCE - gait.rise) * 2 * gait.time
+                if self.lifts[k] + 0.02 < heel_off < self.strikes[k] - 0.02:
+                    nodes.append((heel_off, under.on(end)))
+            nodes.append((self.strikes[k], under.on(end)))
+        middle = (prints[-1].on(0.03) + prints[-2].on(0.03)) / 2
+        return [*nodes, (self.strikes[-1] + 0.35, middle), (self.end, middle)]
+
+    def _foot(self, side: int) -> None:
+        """Place, yaw, pitch, bend of the toes and contact of one foot at all times."""
+        gait, t, falls = self.gait, self.times, self.falls[side]
+        sole = self.figure.feet[SIDES[side]].sole
+        on, off_ = -np.radians(gait.strike_deg), np.radians(gait.off_deg)
+        xy, yaw, pitch = np.empty((len(t), 2)), np.empty(len(t)), np.zeros(len(t))
+        clear, air = np.zeros(len(t)), np.zeros(len(t), dtype=bool)
+        for i, fall in enumerate(falls):
+            here = t >= fall.strike
+            xy[here], yaw[here] = (fall.print.x, fall.print.y), fall.print.yaw
+            pitch[here] = 0.0
+            if not fall.first:
+                low = fall.strike + gait.flat * 2 * gait.time
+                share = minimum_jerk((t - fall.strike) / (low - fall.strike))
+                pitch[here] = (on * (0.3 if fall.last else 1.0) * (1 - share))[here]
+            if not np.isfinite(fall.off):
+                continue
+            after = falls[i + 1]
+            rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
+            top = off_ * (0.75 if fall.first else 1.0)
+            knots = np.array([rise, fall.off, fall.off + 0.14 * swing, fall.off + 0.6 * swing, after.strike])
+            values = np.array([0.0, top, top * gait.peak, 0.1 * top, on * (0.3 if after.last else 1.0)])
+            rolling = (t > rise) & (t < after.strike)
+            pitch[rolling] = clamped_curve(knots, values, t[rolling])
+            away = (t >= fall.off) & (t < after.strike)
+            xy[away], yaw[away] = self._swing(side, fall, after, (t[away] - fall.off) / swing)
+            s = (t[away] - fall.off) / swing
+            clear[away], air[away] = gait.lift * 64 * (s * (1 - s)) ** 3, True
+            level = np.maximum(pitch, 0.0) * (1 - minimum_jerk((t - fall.off) / 0.3))
+            self.toes[side, rolling] = level[rolling]
+        rolled, height = sole.stand(pitch)
+        self.place[side] = np.column_stack(
+            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), height + clear]
+        )
+        self.yaw[side], self.pitch[side] = yaw, pitch
+        self.contact[side] = np.where(
+            air, AIR, np.where(pitch < -1e-4, HEEL, np.where(pitch > 1e-4, TOE, FLAT))
+        )
+
+    def _swing(self, side: int, fall: _Footfall, after: _Footfall, s: Array) -> tuple[Array, Array]:
+        """From print to print by a cosine, round the standing foot where the chord comes too near it."""
+        share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
+        start = np.array([fall.print.x, fall.print.y])
+        way = np.array([after.print.x, after.print.y]) - start
+        other = max(
+            (f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9), key=lambda f: f.strike
+        ).print
+        beside = np.array([-np.sin(other.yaw), np.cos(other.yaw)]) * (1 - 2 * side)
+        to = np.array([other.x, other.y])
+        u = float(np.clip((to - start) @ way / max(way @ way, 1e-9), 0.0, 1.0))
+        bulge = max(0.0, self.gait.gap - float((start + u * way - to) @ beside))
+        out = start + way * share[:, None] + beside * (bulge * 64 * (share * (1 - share)) ** 3)[:, None]
+        return out, fall.print.yaw + (after.print.yaw - fall.print.yaw) * share
+
+    def _phases(self) -> tuple[Array, Array]:
+        """Phase of the gait in cycles (left strikes are whole numbers), and how much it walks, 0 to 1."""
+        strikes, span = np.array(self.strikes), 4 * self.gait.time
+        phase = 0.5 * (np.arange(len(strikes)) - self.prints[2].side)
+        knots = np.concatenate([[strikes[0] - span], strikes, [strikes[-1] + span]])
+        lin = np.interp(self.times, knots, np.concatenate([[phase[0] - 2], phase, [phase[-1] + 2]]))
+        go = minimum_jerk((self.times - _LEAN + 0.2) / 0.7) * (
+            1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7)
+        )
+        return lin, go
+
+    def trunk(self) -> tuple[Array, Array, Array]:
+        """Rotations of pelvis and chest (n, 3, 3), and the heading (n,)."""
+        heading = self.yaw.mean(axis=0)
+        angle, size = 2 * np.pi * self.phase, self.going * self.gait.swing_deg / 15.0
+        turn, lean = (
+            np.radians(self.gait.turn_deg) * size * np.cos(angle),
+            np.radians(4.0) * size * np.sin(angle - 0.35),
+        )
+        tilt = np.radians(4.0) * self.going
+        pelvis = rotation("z", heading - turn) @ rotation("x", lean) @ rotation("y", tilt)
+        chest = (
+            rotation("z", heading + 0.8 * turn)
+            @ rotation("x", 0.15 * lean)
+            @ rotation("y", np.radians(self.gait.lean_deg) * self.going)
+        )
+        return pelvis, chest, heading
+
+    def pelvis_height(self, pelvis: Array, offset: Array, knee_deg: float) -> Array:
+        """The highest pelvis that leaves the knees bent by that, as one wave a step.
+
+        Offset (n, 2) from the centre.
+        """
+        gait, t = self.gait, self.times
+        top = np.full(len(t), np.inf)
+        for side, name in enumerate(SIDES):
+            foot = self.figure.feet[name]
+            leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(np.radians(knee_deg))
+            turn = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
+            ankle, hip = self.place[side] + turn @ foot.ankle, pelvis @ foot.hip
+            flat = ((ankle[:, :2] - (self.com + offset) - hip[:, :2]) ** 2).sum(axis=1)
+            top = np.minimum(top, ankle[:, 2] - hip[:, 2] + np.sqrt(np.maximum(leg - flat, 0.3)))
+        stand = float(self.figure.pose(self.figure.home, self.figure.pelvis)[0][2])
+        top = np.minimum(top, stand)
+        dips = np.array(self.strikes) + gait.dip
+        dips = np.concatenate([[dips[0] - gait.time], dips])
+        wave = lambda at, k: gait.bob / 2 * (1 - np.cos(2 * np.pi * (at - dips[k]) / gait.time))  # noqa: E731
+        low = []
+        for k, dip in enumerate(dips):
+            near = np.abs(t - dip) <= 0.6 * gait.time
+            low.append(float((top[near] - wave(t[near], k)).min()))
+        knots = np.concatenate([[-1.0, min(0.0, dips[0] - 0.3)], dips, [dips[-1] + 0.9, dips[-1] + 5]])
+        base = monotone_curve(knots, np.array([top[0], top[0], *low, top[0], top[0]]), t)
+        rate = 1.0 / (t[1] - t[0])
+        z = smooth(base, 0.12 * rate) + self.going * wave(t, 0)
+        over = np.maximum(0.0, z - top)
+        reach = int(0.1 * rate)
+        padded = np.pad(over, reach, mode="edge")
+        widest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
+        return np.asarray(z - smooth(widest, 0.06 * rate))
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A walk from rest to rest.
+
+    Attributes:
+        frames: Its frames and how well their hard rows hold.
+        contact: (n, 2) AIR, HEEL, FLAT or TOE of each foot.
+        center, zmp: (n, 2) planned centre of mass and zero-moment point.
+        prints: Where the feet come to stand, the first two where they stood.
+        strikes: Times of the heel strikes, s.
+        falls: (print, strike, off) of every footfall by side: what a judge of the gait needs.
+    """
+
+    frames: Frames
+    contact: NDArray[np.int64]
+    center: Array
+    zmp: Array
+    prints: tuple[Print, ...]
+    strikes: tuple[float, ...]
+    falls: tuple[tuple[tuple[Print, float, float], ...], ...]
+
+
+_STIFF = {"*": 0.02, "torso*": 0.05, "pelvis*": 0.05, "head*": 3.0}
+_STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
+
+
+def walk(
+    figure: Figure, q: Array, prints: Sequence[Print], gait: Gait = WALK, *, look: Array | None = None,
+    second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 2,
+) -> Walk:  # fmt: skip
+    """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
+
+    Args:
+        figure: Who walks.
+        q: (nq,) standing still.
+        prints: Footsteps, alternating sides after the first two.
+        gait: How.
+        look: (3,) what it looks at; default: ahead.
+        second: (nq,) the frame before q.
+        dt: Time between frames, s.
+        corrections: Rounds of the dynamics filter.
+    """
+    plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
+    shift = np.zeros_like(plan.com)
+    pelvis, _, heading = plan.trunk()
+    offset = -0.012 * rotation("z", heading)[:, :2, 0]
+    frames = None
+    for knee in (
+        22.0,
+        gait.knee_deg + 4.0,
+        gait.knee_deg,
+    ):  # first passes learn where the pelvis is beside the centre
+        frames = _solve(plan, q, second, plan.pelvis_height(pelvis, offset, knee), shift, look, dt)
+        if knee != gait.knee_deg:
+            offset = _pelvis_place(figure, frames.q) - plan.com
+    height = plan.pelvis_height(pelvis, offset, gait.knee_deg)
+    for _ in range(corrections):
+        assert frames is not None
+        points, _ = zero_moment_points(figure, frames.q, dt)
+        error = smooth(np.clip(points - plan.zmp, -0.12, 0.12), 0.02 / dt)
+        error[:2], error[-2:] = 0.0, 0.0
+        shift = shift + compensate(error, np.full(len(error), plan.omega**2), dt)
+        frames = _solve(plan, q, second, height, shift, look, dt)
+    assert frames is not None
+    falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
+    return Walk(
+        frames, plan.contact.T.copy(), plan.com + shift, plan.zmp, tuple(prints), tuple(plan.strikes), falls
+    )
+
+
+def solve_walk_once(
+    figure: Figure, prints: Sequence[Print], gait: Gait = WALK, dt: float = 1.0 / RATE
+) -> int:
+    """Solves the frames of a walk over ``prints`` once, without corrections.
+
+    Returns how many: what a frame costs.
+    """
+    plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
+    pelvis, _, heading = plan.trunk()
+    height = plan.pelvis_height(pelvis, -0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
+    return len(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt).q)
+
+
+def _pelvis_place(figure: Figure, q: Array) -> Array:
+    return np.array([figure.pose(row, figure.pelvis)[0][:2] for row in q])
+
+
+def _solve(
+    plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, look: Array | None, dt: float
+) -> Frames:
+    figure, go = plan.figure, plan.going
+    rows = Rows(figure, len(plan.times))
+    rows.feet(
+        {name: plan.place[side] for side, name in enumerate(SIDES)},
+        {s: rotation("z", plan.yaw[k]) @ rotation("y", plan.pitch[k]) for k, s in enumerate(SIDES)},
+    )  # fmt: skip
+    rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
+    pelvis, chest, heading = plan.trunk()
+    # What it does not come from at once: the pose it begins in goes over into the walk.
+    start = minimum_jerk(plan.times / 0.5)
+    rows.turned(figure.pelvis, pelvis, 60.0 * start + 1e-3)
+    rows.turned(figure.trunk, chest, 60.0 * start + 1e-3)
+    here = float(figure.pose(q, figure.pelvis)[0][2])
+    z = here + (height - here) * start
+    rows.position(figure.pelvis, np.column_stack([0 * z, 0 * z, z]), 2000.0, axes="z")
+    if figure.gaze is not None:
+        eyes, turn = figure.pose(q, figure.gaze)
+        before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * turn[:, 0]
+        ahead = (
+            np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
+            + 3.0 * rotation("z", heading)[:, :, 0]
+        )
+        to = ahead if look is None else np.broadcast_to(look, ahead.shape)
+        rows.aim(
+            figure.gaze,
+            before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None],
+            5.0,
+            figure.neck or None,
+        )
+    rows_posture = _posture(plan, q, start, go)
+    return rows.solve(rows_posture, figure.stiffnesses(_STIFF), q, second, dt=dt)
+
+
+def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
+    """(n, nq): from the pose it stood in to home with swinging arms and level toes."""
+    figure = plan.figure
+    swing = np.radians(plan.gait.swing_deg) / 0.26 * 0.26
+    # An arm is foremost when the other side's heel strikes.
+    wave = np.cos(2 * np.pi * plan.phase + 0.15)
+    postures = np.tile(figure.home, (len(plan.times), 1))
+    for side, name in enumerate(SIDES):
+        mine = -wave if side == 0 else wave
+        moves = {
+            f"{name}_shoulder_pitch": go * (swing * mine - 0.7 * swing),
+            f"{name}_elbow_pitch": go * (1.3 * swing + 0.77 * swing * mine),
+        }
+        for joint, angles in moves.items():
+            if joint in figure.robot.joints:
+                postures[:, figure.place(joint)[0]] += angles
+    postures = q + (postures - q) * start[:, None]
+    for side, name in enumerate(SIDES):
+        toes = figure.feet[name].toes
+        if toes is not None:
+            postures[:, toes[0]] = plan.toes[side]
+    return np.asarray(postures)

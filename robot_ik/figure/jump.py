@@ -1,0 +1,383 @@
+"""The jump: crouch, push, flight with the palm on the ball at the apex, landing.
+
+The centre of mass goes by quintics up to take-off and from landing, and by the parabola between; forwards
+it follows a
+zero-moment point from mid foot to the toes and back.  In flight the angular momentum is kept at zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import InvalidGoalError
+from robot_ik.figure.actions import Motion, placed_motion, quintic, seen_from, to_stance
+from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_points
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.gait import AIR, FLAT, TOE
+from robot_ik.figure.poses import STIFF
+from robot_ik.kernels.whole_body import HARD
+
+Array = NDArray[np.float64]
+
+TAKE_OFF = 2.6
+"""Fastest take-off of the centre of mass, m/s: trained men without run-up reach 2.4 to 2.9 (Bobbert et al.
+1996)."""
+_CROUCH, _READY, _STRETCH, _CALM = 0.18, 0.02, 0.015, 0.4
+"""How far the centre goes down before the push; how much lower than home it waits, for straight knees hold no
+height; what is left of the legs at take-off; m; and how long the body takes to turn upright after landing,
+s."""
+_PITCH_DEG, _LANDED = 50.0, 0.75
+"""Sole at take-off, and the share of it at landing."""
+_TUCK = 0.07
+"""How far the feet are drawn up in flight, m."""
+_LEAST = 1.7
+"""A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
+a bent arm."""
+_FINE = 0.002
+_MIDDLE = 0.01
+"""Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
+crouch."""
+
+
+@dataclass(frozen=True, eq=False)
+class JumpPlan:
+    """Times and heights of a jump, all in closed form.
+
+    Attributes:
+        speed: Of the centre of mass at take-off, m/s.
+        low, high, landed: Height of the centre in the crouch, at take-off and when the landing is
+            absorbed, m.
+        ends: Times at which waiting, crouch, push, flight, absorption and rising end, s.
+        rising: From when on before take-off the heels rise, s.
+        palm: (3,) the ball seen from the centre of mass at the apex.
+    """
+
+    figure: Figure = field(repr=False)
+    ready: Array = field(repr=False)
+    ball: Array
+    arm: str
+    speed: float
+    wait: float
+    low: float
+    high: float
+    landed: float
+    ends: Array
+    rising: float
+
+    @property
+    def flight(self) -> float:
+        """Time in the air, s."""
+        return 2 * self.speed / GRAVITY
+
+    @property
+    def apex(self) -> float:
+        """Time of the apex, s."""
+        return float(self.ends[2]) + self.flight / 2
+
+    def height(self, t: Array) -> Array:
+        """(n,) height of the centre of mass."""
+        n, v = np.array, self.speed
+        d, e = self.high - self.low, self.high - self.landed
+        push, absorb = 1.5 * v * v / (2 * d), 1.35 * v * v / (2 * e)
+        spans = np.diff(np.concatenate([[0.0], self.ends]))
+        rest = (n(self.wait), n(0.0), n(0.0))
+        pieces = [
+            quintic(*rest, *rest, spans[0]),
+            quintic(*rest, n(self.low), n(0.0), n(push), spans[1]),
+            quintic(n(self.low), n(0.0), n(push), n(self.high), n(v), n(-GRAVITY), spans[2]),
+            np.array([0.0, 0.0, 0.0, -GRAVITY / 2, v, self.high]),
+            quintic(n(self.high), n(-v), n(-GRAVITY), n(self.landed), n(0.0), n(absorb), spans[4]),
+            quintic(n(self.landed), n(0.0), n(absorb), *rest, spans[5]),
+            quintic(*rest, *rest, 1.0),
+        ]
+        starts = np.concatenate([[0.0], self.ends])
+        which = np.clip(np.searchsorted(self.ends, t, side="left"), 0, 6)
+        return np.array([np.polyval(pieces[k], u - starts[k]) for k, u in zip(which, t, strict=True)])
+
+
+def highest_take_off(figure: Figure) -> float:
+    """Height of the centre of mass at take-off: legs all but straight, heels up, m."""
+    wait = float(figure.center(figure.home)[2]) - _READY
+    return wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
+
+
+def forward_at_take_off(figure: Figure) -> float:
+    """How far before the middle of the feet the centre of mass takes off, m, in a jump of middling height."""
+    plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)
+    return _forward(plan).jump
+
+
+def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
+    """A jump of a figure at home in its own frame with that speed at take-off, m/s.
+
+    Raises:
+        InvalidGoalError: Faster than a man jumps.
+    """
+    if not 0.0 < speed <= TAKE_OFF:
+        raise InvalidGoalError(
+            f"the ball at {ball[2]:.2f} m needs {speed:.2f} m/s at take-off, more than {TAKE_OFF} m/s",
+            hint="a lower ball",
+        )
+    speed = max(speed, _LEAST)
+    ready = _ready(figure)
+    wait = float(figure.center(ready)[2])
+    high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
+    crouch = _CROUCH * float(np.clip(speed / 2.0, 0.5, 1.0))
+    low, d = wait - crouch, high - wait + crouch
+    landed = high - 0.8 * d
+    push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
+    brake = 1.35 * speed**2 / (1.6 * d)
+    rise = min(0.7, float(np.sqrt(17 * (wait - landed) / brake)))  # longer overshoots: a0 <= 20 d / T²
+    ends = np.cumsum([0.45, 0.5, push, flight, absorb, rise])
+    return JumpPlan(figure, ready, ball, arm, speed, wait, low, high, landed, ends, 0.7 * push)
+
+
+def _ready(figure: Figure) -> Array:
+    """Standing with slightly bent knees."""
+    rows = Rows(figure, 12)
+    home = figure.home
+    poses = {side: figure.pose(home, foot.frame) for side, foot in figure.feet.items()}
+    rows.feet({s: p[0] for s, p in poses.items()}, {s: p[1] for s, p in poses.items()})
+    center = figure.center(home)
+    share = minimum_jerk(np.linspace(0.1, 1, 12))[:, None]
+    goal = np.array([_MIDDLE, 0.0, center[2] - _READY])
+    rows.center(center + (goal - center) * share)
+    rows.turned(figure.trunk, np.eye(3), 40.0)
+    return rows.solve(home, figure.stiffnesses(STIFF), home, speeds=None).q[-1]
+
+
+@dataclass(eq=False)
+class _Forward:
+    """The centre of mass forwards, and the zero-moment point that moves it."""
+
+    t: Array
+    x: Array
+    p: Array
+    jump: float
+
+
+def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forward:
+    """x'' = ω² (x − p), ω² = (g + z'') / z: at rest at take-off, after landing and at the end.
+
+    p goes from mid foot to the toes and back, and bumps of it meet the end conditions, which are linear in
+    their
+    sizes.  ``error``: times and what the whole body's zero-moment point was off by.
+    """
+    T, dt = plan.ends, _FINE
+    t = np.arange(0, T[5] + 0.3, dt)
+    z = plan.height(t)
+    w2 = (np.gradient(np.gradient(z, dt), dt) + GRAVITY) / z
+    off = np.zeros(len(t)) if error is None else np.interp(t, *error)
+    sole = plan.figure.feet["left"].sole
+    toe, mid = sole.front - 0.017, _MIDDLE
+    out = np.zeros(len(t))
+    up, down, n = int(T[2] / dt), int(T[3] / dt), len(t)
+
+    def bump(a: float, b: float) -> Array:
+        return 64 * (np.clip((t - a) / (b - a), 0, 1) * np.clip((b - t) / (b - a), 0, 1)) ** 3
+
+    def run(p: Array, x: float, i: int, j: int) -> tuple[float, float]:
+        v = 0.0
+        for k, (w, q) in enumerate(zip(w2[i:j].tolist(), p[i:j].tolist(), strict=True), start=i):
+            out[k] = x
+            v += w * (x - q) * dt
+            x += v * dt
+        return x, v
+
+    p = mid + (toe - mid) * minimum_jerk((t - T[1]) / (T[2] - plan.rising * 0.7 - T[1])) - off
+    b = bump(T[0], T[2] - plan.rising)
+    v0, v1 = run(p, mid, 0, up)[1], run(p + b, mid, 0, up)[1]
+    size = -v0 / (v1 - v0)
+    x = run(p + size * b, mid, 0, up)[0]
+    out[up:down] = x
+    absorb = T[4] - T[3]
+    s = minimum_jerk((t - T[3]) / (0.9 * absorb))
+    early = bump(T[3] + 0.3 * absorb, T[5])
+    after = lambda a, m: toe * (1 - s) + m * s + a * early - off  # noqa: E731
+    miss = lambda a, m: np.array(run(after(a, m), x, down, n)) - [m, 0.0]  # noqa: E731
+    r0 = miss(0.0, 0.0)
+    sizes = np.linalg.solve(np.stack([miss(1.0, 0.0) - r0, miss(0.0, 1.0) - r0], axis=1), -r0)
+    miss(*sizes)
+    wanted = np.where(t < T[2], p + size * b, after(*sizes)) + off
+    return _Forward(t, out, wanted, x)
+
+
+def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Pitch, height over the floor of the lowest point and contact of both feet."""
+    up, down, absorb = plan.ends[2], plan.ends[3], plan.ends[4] - plan.ends[3]
+    top = np.radians(_PITCH_DEG)
+    air = (t > up) & (t < down)
+    s = np.clip((t - up) / plan.flight, 0, 1)
+    rising = top * minimum_jerk((t - up + plan.rising) / plan.rising)
+    falling = _LANDED * top * (1 - minimum_jerk((t - down) / (0.9 * absorb)))
+    pitch = np.where(air, top * (1 - (1 - _LANDED) * minimum_jerk(s)), np.where(t <= up, rising, falling))
+    lift = np.where(
+        air,
+        plan.height(t) - plan.high + _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3,
+        0.0,
+    )
+    contact = np.where(air, AIR, np.where(pitch > 1e-4, TOE, FLAT))
+    return pitch, lift, contact
+
+
+def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
+    """Angles of the arms: backwards in the crouch, forwards and up in the push.
+
+    The acting one to its angle at the apex.
+    """
+    figure, arm, T = plan.figure, plan.arm, plan.ends
+    other = "left" if arm == "right" else "right"
+    knots = np.array(
+        [0.0, T[1], T[2] - 0.03, plan.apex - 0.05, plan.apex + 0.05, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3]
+    )
+    grid = np.arange(0.0, knots[-1] + 0.1, 0.005)
+
+    def curve(values: list[float]) -> Array:
+        return np.interp(t, grid, smooth(monotone_curve(knots, np.array(values), grid), 0.03 / 0.005))
+
+    way = {"shoulder_pitch": [-0.6, 1.1, 1.2, 0.5], "elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
+    out: dict[str, Array] = {}
+    for joint in figure.robot.joints:
+        part = joint.removeprefix(f"{arm}_")
+        if part != joint and any(k in part for k in ("shoulder", "elbow", "wrist", "clavicle")):
+            a = figure.place(joint)[0]
+            x0, x1 = float(figure.home[a]), float(top[a])
+            w = way.get(part, [x0, x0 + 0.3 * (x1 - x0), x0 + 0.3 * (x1 - x0), x0])
+            out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
+    for joint, values in {
+        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 1.3, 1.3, 0.9, 0.5, 0.02],
+        f"{other}_elbow_pitch": [0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3],
+    }.items():
+        if joint in figure.robot.joints:
+            out[joint] = curve(values)
+    return out
+
+
+def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
+    """(nq,) the arm's angles with the palm at its place beside the centre of mass, the trunk upright."""
+    figure, arm = plan.figure, plan.arm
+    q = figure.home
+    raised = {f"{arm}_shoulder_pitch": 2.75, f"{arm}_elbow_pitch": 0.3, f"{arm}_clavicle_roll": 0.5}
+    for _ in range(3):
+        rows = Rows(figure, 8)
+        hand, goal = figure.pose(q, figure.hands[arm])[0], figure.center(q) + palm
+        rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
+        rows.turned(figure.trunk, np.eye(3))
+        rows.center(figure.center(q))
+        q = rows.solve(figure.posture(raised), figure.stiffnesses(STIFF), q, speeds=None, steps=20).q[-1]
+    return q
+
+
+def _frames(
+    plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
+) -> tuple[Frames, NDArray[np.int64]]:
+    figure, T = plan.figure, plan.ends
+    n = len(t)
+    pitch, lift, contact = _feet(plan, t)
+    rows = Rows(figure, n)
+    sole = figure.feet["left"].sole
+    ahead, height = sole.stand(pitch)
+    air = contact == AIR
+    place = {}
+    for side, foot in figure.feet.items():
+        at = figure.pose(plan.ready, foot.frame)[0]
+        place[side] = np.column_stack([at[0] + ahead, np.full(n, at[1]), height + lift])
+    turn = rotation("y", pitch)
+    rows.feet(place, {side: turn for side in SIDES})
+    z, x = plan.height(t), np.interp(t, forward.t, forward.x)
+    center = np.column_stack([x, np.zeros(n), z])
+    begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
+    was = figure.center(start)
+    rows.center(was + (center - was) * begin)
+    rows.momentum(np.where(air, HARD, 0.0))
+    # Before and after the flight it comes and goes by and by: rows that are there at once snap the trunk.
+    still = minimum_jerk((t - (T[1] + T[2]) / 2) / ((T[2] - T[1]) / 2)) * (t <= T[2])
+    still = still + (1 - minimum_jerk((t - T[3]) / _CALM)) * (t >= T[3])
+    rows.momentum(500.0 * still**2)
+    deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
+    rows.turned(
+        figure.trunk,
+        rotation("y", np.radians(60.0) * deep),
+        np.where(air, 4.0, 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
+    )
+    if figure.gaze is not None:
+        eyes, look = figure.pose(start, figure.gaze)
+        seen = eyes + look[:, 0] * np.linalg.norm(plan.ball - eyes)
+        rows.aim(
+            figure.gaze, seen + (plan.ball - seen) * minimum_jerk(t / 0.6)[:, None], 6.0, figure.neck or None
+        )
+    palm = plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
+    # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
+    near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
+    near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
+    rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (7.5 * near - 3))
+    posture = _posture(plan, t, deep, palm, pitch, contact)
+    posture = start + (posture - start) * begin
+    stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
+    return rows.solve(posture, stiff, start, speeds="jump", dt=dt, steps=20), contact
+
+
+def _posture(
+    plan: JumpPlan, t: Array, deep: Array, palm: Array, pitch: Array, contact: NDArray[np.int64]
+) -> Array:
+    figure = plan.figure
+    out = np.tile(figure.home, (len(t), 1))
+    bent = {"hip_pitch": 0.06 + 1.2 * deep, "knee_pitch": 0.12 + 1.5 * deep, "ankle_pitch": 0.06 + 0.4 * deep}
+    level = pitch * np.where(t > plan.ends[3], 1.0, 1 - minimum_jerk((t - plan.ends[2]) / 0.3))
+    back = minimum_jerk((t - plan.apex) / (plan.ends[3] - plan.apex))  # level again before they touch
+    level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
+    moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bent.items()}
+    moves |= _arms(plan, t, _arm_at_apex(plan, palm))
+    for joint, angle in moves.items():
+        if joint in figure.robot.joints:
+            out[:, figure.place(joint)[0]] = angle
+    for foot in figure.feet.values():
+        if foot.toes is not None:
+            out[:, foot.toes[0]] = level
+    return out
+
+
+def jump(
+    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
+    corrections: int = 3,
+) -> Motion:  # fmt: skip
+    """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
+
+    Args:
+        figure: Who jumps.
+        q: (nq,) standing near home.
+        ball: (3,) in the world.
+        arm: Which hand.
+        speed: At take-off, m/s (``Abilities.take_off`` knows it).
+        dt: Time between frames, s.
+        corrections: Rounds of the dynamics filter.
+
+    Raises:
+        InvalidGoalError: Faster than a man jumps.
+    """
+    start, stance = to_stance(figure, q)
+    ball = seen_from(stance, np.asarray(ball, dtype=float))
+    plan = plan_jump(figure, ball, arm, speed)
+    # A frame at the apex: the moment of the touch.
+    t = np.arange(1, int((plan.ends[5] + 0.3) / dt) + 1) * dt
+    t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
+    error: tuple[Array, Array] | None = None
+    for k in range(corrections + 1):
+        forward = _forward(plan, error)
+        frames, contact = _frames(plan, forward, t, start, dt)
+        if k == corrections:
+            break
+        points, force = zero_moment_points(figure, frames.q, dt)
+        held = (contact != AIR) & (force > 0.42 * figure.mass * GRAVITY)
+        off = np.where(held, np.clip(points[:, 0] - np.interp(t, forward.t, forward.p), -0.25, 0.25), 0.0)
+        off[:2], off[-2:] = 0.0, 0.0
+        off = smooth(off, 0.02 / dt)
+        error = (t, off if error is None else error[1] + 0.7 * off)
+    zmp = np.column_stack([np.interp(t, forward.t, forward.p), np.zeros(len(t))])
+    both = np.column_stack([contact, contact])
+    free = (t > plan.ends[5] + 0.1) | (t < 0.2)
+    motion = Motion("jump", frames.q, both, frames.miss, zmp, free, arm, ball, "jump")
+    return placed_motion(figure, motion, stance)

@@ -1,0 +1,252 @@
+"""The lion: a paw reaches a ball while the other three stand, and he looks at it.
+
+After the one of Šimunić's thesis.  Key poses first (relaxed, leaning onto three paws with his eyes on the
+ball, reaching), the motion through them next (``Keyframes``), then each of its frames again by inverse
+kinematics, with the standing paws and the centre of mass as needed goals and the frame itself as posture.
+Any model serves whose ``robot.toml`` names tools that end in ``_paw``, and one that is called ``gaze``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import ModelError, TrajectoryError
+from robot_ik.goals import AimGoal, CenterOfMassGoal, Goal, HalfSpaceGoal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.inverse_kinematics import solve
+from robot_ik.motion.keyframes import Keyframes
+from robot_ik.ports import Array
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers import make_solver
+
+# m: the centre of mass stays so far inside the triangle of the standing paws.
+MARGIN = 0.03
+# m: so near a paw's sole must come to the ball's middle.
+NEAR = 2e-3
+# s: leaning over, reaching, holding.
+LEAN, REACH, HOLD = 0.7, 0.9, 0.4
+# rad/s: quick for a lion, slow for his joints.
+_SPEED = 4.0
+# Farther aside than this from straight ahead he does not try to look, degrees.
+_ASIDE_DEG = 100.0
+# A paw whose pose is not found by then is taken to be out of reach.
+_SEARCH = Budget(iterations=1200, restarts=6)
+_FRAME = Budget(iterations=60, restarts=0)
+
+
+@dataclass(frozen=True)
+class PawDecision:
+    """Which paw reaches.
+
+    Attributes:
+        paw: Its frame; None: the ball is in the reach set of none.
+        reason: A sentence.
+    """
+
+    paw: str | None
+    reason: str
+
+
+class Lion:
+    """Reaches for balls from his relaxed pose.
+
+    Attributes:
+        robot: The model.
+        relaxed: (nq,) home, all paws on the floor.
+        paws: Frames of the paws.
+    """
+
+    def __init__(self, robot: Robot | None = None) -> None:
+        """Takes the lion that ships, or another model.
+
+        Raises:
+            ModelError: It has not four paws and a gaze.
+        """
+        self.robot = robot or load_robot("lion")
+        self.relaxed = np.array(self.robot.home)
+        self.paws = tuple(name for name in self.robot.file.tools if name.endswith("_paw"))
+        if len(self.paws) != 4 or "gaze" not in self.robot.frames:
+            raise ModelError(
+                f"{self.robot.name!r} has the paws {', '.join(self.paws) or 'none'}", path=self.robot.path,
+                hint="name four tools …_paw and one gaze in its robot.toml",
+            )  # fmt: skip
+        self._prints = {paw: self.robot.forward(self.relaxed, paw) for paw in self.paws}
+        self._span = {paw: self._way_from_root(paw) for paw in self.paws}
+        self._solver = make_solver("lm")
+
+    def decide(self, ball: ArrayLike) -> PawDecision:
+        """The paw that reaches ``ball`` (3,), the nearest first; each is tried by solving for its pose."""
+        place = _ball(ball)
+        if place is None:
+            return PawDecision(None, "there is no ball: its place is not finite")
+        if place[2] < 0.0:
+            return PawDecision(None, f"the ball lies {-1e3 * place[2]:.0f} mm under the floor")
+        for paw in sorted(self.paws, key=lambda p: float(np.linalg.norm(self._prints[p].position - place))):
+            if self._reaching(paw, place) is not None:
+                distance = float(np.linalg.norm(self._prints[paw].position - place))
+                return PawDecision(paw, f"{paw} is {distance:.2f} m away, and reaches it on the other three")
+        return PawDecision(None, "no paw reaches it while the other three stand")
+
+    def reach(self, ball: ArrayLike, paw: str | None = None, *, rate: float = 60.0) -> Keyframes:
+        """The whole motion: leans over, reaches, holds, and comes back to the relaxed pose.
+
+        Args:
+            ball: (3,) world, metres.
+            paw: Which; None: as ``decide`` says.
+            rate: Frames a second.
+
+        Raises:
+            TrajectoryError: No paw, or not this one, reaches the ball; says why.
+        """
+        if paw is None:
+            decision = self.decide(ball)
+            if decision.paw is None:
+                raise TrajectoryError(f"he does not reach {np.asarray(ball).tolist()}: {decision.reason}")
+            paw = decision.paw
+        elif paw not in self.paws:
+            raise TrajectoryError(f"there is no paw {paw!r}", hint=f"his paws: {', '.join(self.paws)}")
+        place = _ball(ball)
+        end = None if place is None else self._reaching(paw, place)
+        if place is None or end is None:
+            raise TrajectoryError(f"{paw} does not reach {np.asarray(ball).tolist()} while the others stand")
+        lean = self._leaning(paw, place)
+        keys = [self.relaxed, lean, end, end, lean, self.relaxed]
+        plan = Keyframes.through(
+            self.robot, keys, durations=(LEAN, REACH, HOLD, REACH, LEAN), velocity=_SPEED
+        )
+        return self._standing(plan, paw, rate)
+
+    def look(self, ball: ArrayLike) -> Array:
+        """(nq,) relaxed, with his eyes on the ball as far as his neck goes, and all paws where they are."""
+        place = _ball(ball)
+        return (
+            np.array(self.relaxed) if place is None else self._posed(self.paws, place, self._mass(None), [])
+        )
+
+    def support(self, paw: str | None) -> Array:
+        """(3, 2) or (4, 2): where the paws stand that do, the others than ``paw``."""
+        return np.array([self._prints[p].position[:2] for p in self.paws if p != paw])
+
+    # --------------------------------------------------------------------------- poses
+
+    def _reaching(self, paw: str, ball: Array) -> Array | None:
+        """The pose with the paw at the ball; None: not found."""
+        goals: list[Goal] = [PositionGoal(paw, ball)]
+        rest = [p for p in self.paws if p != paw]
+        for p in rest:  # farther than all bones from a standing paw to this one, laid end to end
+            if float(np.linalg.norm(self._prints[p].position - ball)) > self._span[p] + self._span[paw]:
+                return None
+        q = self._posed(rest, ball, self._mass(paw), goals)
+        near = float(np.linalg.norm(self.robot.measure(q, paw).position - ball)) < NEAR
+        stands = all(self.robot.measure(q, p).distance(self._prints[p])[0] < NEAR for p in rest)
+        return q if near and stands else None
+
+    def _way_from_root(self, frame: str) -> float:
+        """Length of the bones between the free base and a frame."""
+        model, at = self.robot.model, self.robot.frame(frame)
+        body, total = at.body, float(np.linalg.norm(at.local.position))
+        while model.body_parentid[body] != 0:
+            total += float(np.linalg.norm(model.body_pos[body]))
+            body = int(model.body_parentid[body])
+        return total
+
+    def _leaning(self, paw: str, ball: Array) -> Array:
+        """All paws on the floor, the weight on the other three, his eyes on the ball."""
+        return self._posed(self.paws, ball, self._mass(paw), [])
+
+    def _posed(self, standing: Sequence[str], ball: Array, mass: Array, more: Sequence[Goal]) -> Array:
+        goals = [
+            *self._needed(standing, mass), *more,
+            AimGoal("gaze", self._looked_at(ball), axis="x", soft=True),
+            PostureGoal(self.relaxed, joints={_root(self.robot): 0.3}, soft=True, priority=1),
+        ]  # fmt: skip
+        return np.array(solve(self.robot, goals, solver="lm", start=self.relaxed, budget=_SEARCH).q)
+
+    def _looked_at(self, ball: Array) -> Array:
+        """The ball, or where he looks at most when it lies behind him."""
+        eye = self.robot.forward(self.relaxed, "gaze").position
+        way = ball - eye
+        ahead = self.robot.forward(self.relaxed, _body_of(self.robot)).rotation[:, 0]
+        most, aside = np.radians(_ASIDE_DEG), way - float(way @ ahead) * ahead
+        if np.linalg.norm(aside) < 1e-9 or np.arctan2(np.linalg.norm(aside), way @ ahead) <= most:
+            return ball
+        across = aside / np.linalg.norm(aside)
+        return np.asarray(eye + np.linalg.norm(way) * (np.cos(most) * ahead + np.sin(most) * across))
+
+    def _needed(self, standing: Sequence[str], mass: Array) -> list[Goal]:
+        prints: list[Goal] = [PoseGoal.at(paw, self._prints[paw]) for paw in standing]
+        return [*prints, CenterOfMassGoal(None, mass, axes="xy")]
+
+    def _mass(self, paw: str | None) -> Array:
+        """Where the centre of mass shall be: as relaxed, but ``MARGIN`` inside the triangle without a paw."""
+        centre = self.robot.center_of_mass(self.relaxed)
+        if paw is not None:
+            centre[:2] = inside_triangle(self.support(paw), centre[:2], MARGIN)
+        return centre
+
+    def _standing(self, plan: Keyframes, paw: str, rate: float) -> Keyframes:
+        """The frames of a plan, each with the paws that stand exactly where they stand."""
+        relaxed, leaning = self._mass(None), self._mass(paw)
+        up, down = float(plan.times[1]), float(plan.times[4])
+        times = np.arange(0.0, plan.duration, 1.0 / rate)
+        problems: dict[bool, Problem] = {}
+        rows, q = [self.relaxed], self.relaxed
+        for t in times[1:].tolist():
+            lifted = up < t < down
+            share = min(1.0, t / up, (plan.duration - t) / (plan.duration - down))
+            share = share**3 * (10.0 - 15.0 * share + 6.0 * share * share)
+            standing = [p for p in self.paws if p != paw or not lifted]
+            goals = self._needed(standing, relaxed + share * (leaning - relaxed))
+            if lifted:
+                goals.append(HalfSpaceGoal(paw, (0.0, 0.0, 0.0), "z"))
+            goals.append(PostureGoal(plan.at(t), soft=True))
+            if lifted not in problems:
+                problems[lifted] = Problem(self.robot, goals, budget=_FRAME)
+            problems[lifted].exchange(goals)
+            q = np.array(self._solver.solve(problems[lifted], q).q)
+            rows.append(q)
+        rows.append(self.relaxed)
+        return Keyframes(self.robot, np.append(times, plan.duration), rows)
+
+
+def inside_triangle(corners: Array, point: Array, margin: float) -> Array:
+    """``point`` (2,), or the first place on the way to the incentre that is ``margin`` inside all sides.
+
+    Args:
+        corners: (3, 2).
+        point: (2,).
+        margin: m; no more than the incircle allows.
+    """
+    sides = np.array([np.linalg.norm(corners[(k + 1) % 3] - corners[(k + 2) % 3]) for k in range(3)])
+    incentre = sides @ corners / sides.sum()
+    share = 0.0
+    for k in range(3):
+        edge = corners[(k + 1) % 3] - corners[k]
+        normal = np.array([-edge[1], edge[0]]) / np.linalg.norm(edge)
+        middle, here = float(normal @ (incentre - corners[k])), float(normal @ (point - corners[k]))
+        if middle < 0.0:
+            middle, here = -middle, -here
+        least = min(margin, middle)
+        if here < least:
+            share = max(share, (least - here) / (middle - here) if middle > here else 1.0)
+    return np.asarray(point + share * (incentre - point))
+
+
+def _ball(ball: ArrayLike) -> Array | None:
+    """Its place, if it has one."""
+    place = np.asarray(ball, dtype=float)
+    return place if place.shape == (3,) and bool(np.isfinite(place).all()) else None
+
+
+def _body_of(robot: Robot) -> str:
+    """The body that the free base carries."""
+    joint = int(robot.tree.joint_ids[0])
+    return str(robot.model.body(int(robot.model.jnt_bodyid[joint])).name)
+
+
+def _root(robot: Robot) -> str:
+    return robot.joints[0]

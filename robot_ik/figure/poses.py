@@ -1,0 +1,252 @@
+"""Poses that take a ball: the hand as near as it comes, the feet where they are.
+
+All balls here are seen from the middle between the feet, x ahead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.balance import hull, hull_margin
+from robot_ik.figure.figure import Figure, Rows, lowest_points, rotation
+from robot_ik.kernels.whole_body import HARD
+
+Array = NDArray[np.float64]
+
+AT_BALL, BALANCED, TOUCHING = 0.005, 0.010, 0.002
+"""Palm at most so far from the ball, centre of mass at least so far inside the soles' hull, self-contact
+at most so
+deep, m: what an admissible pose is."""
+REACH, BEND = "reach", "bend"
+
+# Posture weights: the girdle and the wrists are moved last, the arm first.
+STIFF = {
+    "*": 0.1, "*shoulder*": 0.15, "*elbow*": 0.15, "*clavicle*": 2.0, "*wrist*": 3.0, "head*": 3.0,
+    "torso*": 1.0, "pelvis*": 1.0, "*toe*": 100.0,
+}  # fmt: skip
+# Steps towards the ball; the hand's weight grows a hundredfold on the way, so that it goes as far as it can.
+_STEPS = 12
+# A hand that stays farther away comes no nearer by leaning, m; frames of the last millimetres.
+_HOPELESS, _POLISH = 0.3, 24
+
+
+def pinned(figure: Figure, q: Array, rows: Rows) -> None:
+    """Both feet stay where they are at q."""
+    poses = {side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()}
+    rows.feet(
+        {side: pose[0] for side, pose in poses.items()}, {side: pose[1] for side, pose in poses.items()}
+    )
+
+
+def support_middle(figure: Figure) -> Array:
+    """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
+    sole = figure.feet["left"].sole
+    return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
+
+
+def upright_limits(figure: Figure) -> tuple[Array, Array]:
+    """Joint limits of a figure that reaches without bending: what separates ``reach`` from ``bend``."""
+    if "figure.upright" not in figure.robot.memory:
+        figure.robot.memory["figure.upright"] = _upright(figure)
+    found: tuple[Array, Array] = figure.robot.memory["figure.upright"]
+    return found
+
+
+def _upright(figure: Figure) -> tuple[Array, Array]:
+    lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
+    box = {
+        "knee_pitch": (0.0, 25.0),
+        "hip_pitch": (-15.0, 30.0),
+        "torso_pitch": (-10.0, 10.0),
+        "pelvis_pitch": (-10.0, 10.0),
+    }
+    for joint in figure.robot.joints:
+        for part, (low, high) in box.items():
+            if joint.endswith(part):
+                v = figure.place(joint)[1]
+                lower[v], upper[v] = max(lower[v], np.radians(low)), min(upper[v], np.radians(high))
+    return lower, upper
+
+
+def depth(figure: Figure, ball: Array) -> float:
+    """How deep to bend for a ball, 0 to 1, by its height against the hanging hand and the floor."""
+    hanging = float(figure.pose(figure.home, next(iter(figure.hands.values())))[0][2])
+    return float(np.clip(0.15 + 0.85 * (hanging - ball[2] + 0.1) / hanging, 0.15, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """How a figure would take a ball.
+
+    Attributes:
+        q: (nq,) at home in its own frame.
+        miss: Distance of palm and ball, m.
+        flaw: Why it is not admissible, in words; empty where it is.
+    """
+
+    q: Array
+    miss: float
+    flaw: str
+
+
+def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
+    """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
+
+    Feet where they are.
+    """
+    limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
+    pose = _attempt(figure, ball, arm, kind, limits)
+    if not pose.flaw or pose.miss > _HOPELESS:
+        return pose
+    if pose.miss > AT_BALL or pose.flaw.startswith("balance"):
+        pose = _farther(figure, ball, arm, kind, limits, pose)
+    if pose.miss <= AT_BALL and pose.flaw:  # another swivel of the arm, or a flat hand
+        flat = pose.flaw.endswith("floor")
+        for aside in (0.0,) if flat else (0.7, 1.2):
+            other = _attempt(figure, ball, arm, kind, limits, aside=aside, flat=flat)
+            if other.flaw and other.miss < _HOPELESS:
+                other = _polished(figure, ball, arm, limits, other.q)
+            if not other.flaw:
+                return other
+    return pose
+
+
+def _farther(
+    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], pose: Pose
+) -> Pose:
+    """Leaning and stretching as far as balance allows: from two poses, then the balance put right."""
+    found = [pose]
+    for share in (1.0, 0.3) if kind == BEND else (1.0,):
+        lean = _attempt(figure, ball, arm, kind, limits, upright=0.5, share=share)
+        lean = _polished(figure, ball, arm, limits, lean.q)
+        if lean.flaw.startswith("balance"):
+            center = _inside(_support(figure), figure.center(lean.q)[:2], BALANCED + 0.002)
+            lean = _polished(figure, ball, arm, limits, lean.q, center)
+        if not lean.flaw:
+            return lean
+        found.append(lean)
+    return min(found, key=lambda one: one.miss)
+
+
+def _polished(
+    figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array, center: Array | None = None
+) -> Pose:
+    """From a pose nearby, with hardly any posture of its own: the hand first, then the centre of mass."""
+    rows = Rows(figure, _POLISH)
+    feet = figure.feet_at_home
+    rows.feet({side: at[0] for side, at in feet.items()}, {side: at[1] for side, at in feet.items()})
+    to = support_middle(figure) if center is None else center
+    rows.center(np.array([*to, 0.0]), 0.5 if center is None else HARD, axes="xy")
+    rows.position(figure.hands[arm], ball, 1e4)
+    frames = rows.solve(
+        q, np.minimum(figure.stiffnesses(STIFF), 0.01), q, limits=limits, speeds=None, steps=6
+    )
+    return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
+
+
+def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
+    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
+    return Pose(q, miss, flaw_of(figure, q, ball, arm, hard))
+
+
+def _attempt(
+    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], *,
+    aside: float = 0.0, flat: bool = False, upright: float = 30.0, share: float = 1.0,
+) -> Pose:  # fmt: skip
+    start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
+    deep = 0.0 if kind == REACH else share * depth(figure, ball)
+    rows = Rows(figure, _STEPS)
+    feet = figure.feet_at_home
+    rows.feet({s: pose[0] for s, pose in feet.items()}, {s: pose[1] for s, pose in feet.items()})
+    here = figure.center_at_home[:2]
+    way = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
+    rows.center(way, upright, axes="xy")
+    hand = figure.hands_at_home[arm]
+    rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
+    rows.turned(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
+    if figure.gaze is not None:
+        rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
+    goal = start + (figure.bent - start) * deep
+    goal[:7] = start[:7]
+    if flat:
+        rows.turned(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
+    if aside:
+        goal = figure.posture({f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside}, goal)
+    posture = start + (goal - start) * s[:, None]
+    stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
+    frames = rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=6)
+    return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
+
+
+def _support(figure: Figure) -> Array:
+    """(h, 2) hull of the soles at home."""
+    known = figure.robot.memory.get("figure.support")
+    if known is None:
+        found, data = [], figure.data
+        data.qpos[:] = figure.home
+        mujoco.mj_kinematics(figure.model, data)
+        for foot in figure.feet.values():
+            for body, geoms in foot.parts:
+                turn = data.xmat[body].reshape(3, 3)
+                _, points = lowest_points(figure.model, list(geoms), turn[2:3])
+                world = data.xpos[body] + points[0] @ turn.T
+                found.append(world[world[:, 2] < 0.003, :2])
+        known = figure.robot.memory["figure.support"] = hull(np.concatenate(found))
+    return np.asarray(known)
+
+
+def _inside(corners: Array, point: Array, margin: float) -> Array:
+    """The point, moved towards the middle of the hull until it is so far inside."""
+    middle = corners.mean(axis=0)
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        half = (low + high) / 2
+        if hull_margin(corners, middle + (point - middle) * half) >= margin:
+            low = half
+        else:
+            high = half
+    return np.asarray(middle + (point - middle) * low)
+
+
+def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:
+    """Why a pose is not admissible, by MuJoCo; empty where it is."""
+    model, data = figure.model, figure.data
+    corners = _support(figure)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    hand = figure.robot.frame(figure.hands[arm])
+    palm = data.xpos[hand.body] + data.xmat[hand.body].reshape(3, 3) @ hand.local.position
+    miss = float(np.linalg.norm(palm - ball))
+    if miss > AT_BALL:
+        return f"the hand stays {100 * miss:.0f} cm away"
+    if hard > 1e-4:
+        return "the feet would move"
+    margin = hull_margin(corners, data.subtree_com[0][:2])
+    if margin < BALANCED:
+        return "balance would be lost"
+    for c in range(data.ncon):
+        if data.contact[c].dist < -TOUCHING:
+            names = sorted(
+                model.body(model.geom_bodyid[g]).name.replace("_", " ") for g in data.contact[c].geom
+            )
+            return f"its {names[0]} would run into its {names[1]}"
+    low = _lowest(figure, data)
+    return f"the {low} would go under the floor" if low else ""
+
+
+def _lowest(figure: Figure, data: mujoco.MjData) -> str:
+    """Name of a body that is under the floor; soles may touch it."""
+    model = figure.model
+    soles = {body for foot in figure.feet.values() for body, _ in foot.parts}
+    for g in range(model.ngeom):
+        body = int(model.geom_bodyid[g])
+        if model.geom_contype[g] and body not in soles and data.geom_xpos[g, 2] < model.geom_rbound[g]:
+            up = data.xmat[body].reshape(3, 3)[2:3]
+            low, _ = lowest_points(model, [g], up)
+            if low[0, 0] + data.xpos[body, 2] < 0.0:
+                return str(model.body(body).name).replace("_", " ")
+    return ""

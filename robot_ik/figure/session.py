@@ -1,0 +1,347 @@
+"""A figure that runs: commands in, frames and the decision out; no front end, camera or bus is known here.
+
+    session = FigureSession(load_abilities(load_figure()))
+    session.send(SetBall((1.5, 0.4, 1.2)))
+    frame = session.step()            # 60 times a second
+
+*Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the
+ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues; ``step`` acts.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.actions import Motion, bend, join, reach, rest, stop_walk, walk_motion
+from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
+from robot_ik.figure.figure import RATE, Figure
+from robot_ik.figure.gait import FLAT, SHUFFLE, WALK, Gait, Walk, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.jump import jump
+from robot_ik.ports import JointSink
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SetBall:
+    """Puts the ball somewhere, m; None takes it away."""
+
+    ball: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
+class SetMode:
+    """``active`` or ``passive``; leaving passive mode frees the ball."""
+
+    mode: str
+
+
+@dataclass(frozen=True)
+class Start:
+    """Passive mode: freezes the ball where it is, and acts."""
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Back to where the figure began, at rest, without a ball."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Puts the figure somewhere, at rest: m, m, rad."""
+
+    x: float
+    y: float
+    heading: float
+
+
+@dataclass(frozen=True)
+class SetObstacles:
+    """What it may not walk through."""
+
+    obstacles: tuple[Obstacle, ...]
+
+
+Command = SetBall | SetMode | Start | Reset | Place | SetObstacles
+
+
+@dataclass(frozen=True, eq=False)
+class FigureFrame:
+    """One frame.
+
+    Attributes:
+        t: Time since the session began, s.
+        q: (nq,).
+        action: What it does: ``stand``, ``reach``, ``bend``, ``jump``, ``walk``, ``rest``.
+        phase: 0 to 1 within the action.
+        contact: (2,) of the feet: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
+        zmp: (2,) planned zero-moment point, or NaN.
+        ball: (3,) what it acts on, or NaN.
+        decision: The latest.
+        speeds: Set of joint speed limits that holds.
+    """
+
+    t: float
+    q: Array
+    action: str
+    phase: float
+    contact: NDArray[np.int64]
+    zmp: Array
+    ball: Array
+    decision: Decision
+    speeds: str = "daily"
+
+
+# A ball that moved by less than this is where it was, m; a motion is not replaced more often than this,
+# frames.
+_MOVED, _OFTEN = 0.01, 6
+# Nearer than this to home, rad, it need not stand up first; farther than this from a stand point, it steps
+# there.
+_AT_EASE, _AT_STAND = 0.25, 0.01
+# Below this distance, m, and beyond this turn, rad, steps are small ones.
+_NEAR, _TURN = 1.0, np.radians(50.0)
+_WAITING = Decision("nothing", None, "nothing has been asked yet")
+
+
+class FigureSession:
+    """Runs one figure.
+
+    Args:
+        abilities: Of the figure.
+        obstacles: What it may not walk through.
+        mode: ``active`` or ``passive``.
+        place: (x, y, heading) where it stands at first.
+        rate: Frames a second.
+    """
+
+    def __init__(
+        self, abilities: Abilities, *, obstacles: Sequence[Obstacle] = (), mode: str = "active",
+        place: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: float = RATE, workspace: float = WORKSPACE,
+    ) -> None:  # fmt: skip
+        self.decider = Decider(abilities, obstacles, workspace)
+        self.mode, self.dt, self._began = mode, 1.0 / rate, place
+        self._commands: deque[Command] = deque()
+        self._count = self._index = self._since = 0
+        self._q: Array = self.figure.home
+        self._reset(place)
+
+    @property
+    def figure(self) -> Figure:
+        """Who."""
+        return self.decider.figure
+
+    @property
+    def ball(self) -> Array | None:
+        """(3,) the ball that counts: in passive mode the frozen one, or none before ``Start``."""
+        return self._ball if self.mode == "active" else self._frozen
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being done or about to be."""
+        return self._motion is not None or bool(self._way) or bool(self._commands) or self._asked()
+
+    def send(self, command: Command) -> None:
+        """Queues a command for the next frame."""
+        self._commands.append(command)
+
+    def step(self) -> FigureFrame:
+        """The next frame."""
+        while self._commands:
+            self._obey(self._commands.popleft())
+        if self._motion is not None and self._leave():
+            self._choose()
+        if self._motion is None:
+            self._next()
+        self._before = self._q
+        motion, k = self._motion, self._index
+        nan = np.full(3, np.nan)
+        if motion is None:
+            frame = self._frame("stand", 1.0, np.array([FLAT, FLAT]), nan[:2], "daily")
+        else:
+            self._q = motion.q[k]
+            self._index += 1
+            frame = self._frame(
+                motion.action, (k + 1) / len(motion), motion.contact[k], motion.zmp[k], motion.speeds
+            )
+            if self._index == len(motion):
+                self._end()
+        self._count += 1
+        self._since += 1
+        return frame
+
+    def run(self, seconds: float, sink: JointSink | None = None) -> list[FigureFrame]:
+        """Frames of some time, each also put into a sink."""
+        out = []
+        for _ in range(round(seconds / self.dt)):
+            out.append(self.step())
+            if sink is not None:
+                sink.send(out[-1].q, out[-1].t)
+        return out
+
+    def _reset(self, place: tuple[float, float, float]) -> None:
+        self._q = self._before = self.figure.placed(self.figure.home, *place)
+        self._ball: Array | None = None
+        self._frozen: Array | None = None
+        self._motion: Motion | None = None
+        self._index, self._since = 0, 0
+        self._way: list[tuple[float, float, float]] = []
+        self._walk: tuple[Array, Walk, Gait, int] | None = None
+        self._after: Decision | None = None
+        self._served: Array | None = None
+        self.decision = _WAITING
+
+    def _obey(self, command: Command) -> None:
+        match command:
+            case SetBall(ball):
+                self._ball = None if ball is None else np.asarray(ball, dtype=float)
+            case SetMode(mode):
+                if mode != self.mode:
+                    self.mode, self._frozen = mode, None
+            case Start():
+                self._frozen = None if self._ball is None else self._ball.copy()
+                self._served = None
+            case Reset():
+                self._reset(self._began)
+            case Place(x, y, heading):
+                self._began = (x, y, heading)
+                self._reset(self._began)
+            case SetObstacles(obstacles):
+                self.decider.obstacles = obstacles
+                self._served = None
+
+    def _frame(
+        self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str
+    ) -> FigureFrame:
+        ball = np.full(3, np.nan) if self.ball is None else self.ball
+        return FigureFrame(
+            (self._count + 1) * self.dt, self._q, action, phase, contact, zmp, ball, self.decision, speeds
+        )
+
+    def _asked(self) -> bool:
+        """Whether the ball is not where it was when last decided upon."""
+        ball = self.ball
+        if ball is None or not np.isfinite(ball).all():
+            return self._served is not None
+        return self._served is None or float(np.linalg.norm(ball - self._served)) > _MOVED
+
+    def _leave(self) -> bool:
+        """Whether the motion under way is to be left now for a ball that moved."""
+        motion = self._motion
+        assert motion is not None
+        if self._since < _OFTEN or not self._asked():
+            return False
+        if motion.action == "walk" and not motion.free[self._index - 1]:
+            self._stop_walking()
+            return False
+        return bool(motion.free[max(self._index - 1, 0)])
+
+    def _stop_walking(self) -> None:
+        """The walk ends with the next steps; what to do then is decided there."""
+        if self._walk is None:
+            return
+        start, walked, gait, shift = self._walk
+        self._walk, self._way, self._after = None, [], None
+        left = len(walked.frames.q) - (shift + self._index)
+        if left < 1.2 * _settled(walked, self.dt):
+            return
+        motion, _ = stop_walk(self.figure, start, walked, shift + self._index - 1, gait, self.dt)
+        if len(motion) < left:
+            self._begin(motion)
+
+    def _next(self) -> None:
+        """What comes when nothing is under way."""
+        if self._way and not self._asked():
+            self._step_on()
+        elif self._after is not None and not self._asked():
+            decision, self._after = self._after, None
+            self._act(decision)
+        elif self._asked():
+            self._choose()
+
+    def _choose(self) -> None:
+        """Decides, and begins what it decided."""
+        ball = self.ball
+        seen = ball is not None and bool(np.isfinite(ball).all())
+        self._served = ball.copy() if ball is not None and seen else None
+        self.decision = self.decider.decide(ball, self.figure.stance(self._q), self.decision)
+        self._way, self._after = [], None
+        self._act(self.decision)
+
+    def _act(self, decision: Decision) -> None:
+        figure, q, ball = self.figure, self._q, self.ball
+        away = np.abs(q - figure.home)
+        away[[*range(7), *(figure.place(joint)[0] for joint in figure.neck)]] = 0.0
+        ease = float(away.max())
+        if decision.action in ("walk", "jump", "nothing") and ease > _AT_EASE:
+            self._begin(rest(figure, q, look=ball, dt=self.dt))
+            self._after = None if decision.action == "nothing" else decision
+        elif decision.action == "walk":
+            self._way = list(decision.way)
+            self._step_on()
+        elif decision.action == "nothing":
+            self._motion = None
+        else:
+            assert ball is not None and decision.arm is not None
+            if decision.action == "reach":
+                motion = reach(figure, q, ball, decision.arm, dt=self.dt)
+            elif decision.action == "bend":
+                motion = bend(figure, q, ball, decision.arm, dt=self.dt)
+            else:
+                motion = jump(figure, q, ball, decision.arm, decision.speed or 0.0, dt=self.dt)
+            self._begin(motion)
+
+    def _step_on(self) -> None:
+        """The next walk on the way: a turn on the spot, a walk along a curve, or small steps."""
+        figure, q = self.figure, self._q
+        here, goal = figure.stance(q), np.array(self._way[0])
+        way = goal[:2] - here[:2]
+        far = float(np.linalg.norm(way))
+        course = float(np.arctan2(way[1], way[0]))
+        gait, prints = SHUFFLE, prints_of(figure, q)
+        if far < _NEAR:
+            self._way.pop(0)
+            if far < _AT_STAND and abs(_turn(here[2], goal[2])) < 0.02:
+                self._end()
+                return
+            steps = shuffle_prints(figure, prints, goal)
+        elif abs(_turn(here[2], course)) > _TURN:
+            steps = shuffle_prints(figure, prints, np.array([here[0], here[1], course]))
+        else:
+            gait = WALK
+            turned = abs(_turn(course, goal[2])) <= _TURN
+            if turned:
+                self._way.pop(0)
+            end = goal if turned else np.array([goal[0], goal[1], course])
+            steps = walk_prints(figure, prints, end, gait)
+            if not turned:
+                self._way[0] = (float(goal[0]), float(goal[1]), float(goal[2]))
+        motion, walked = walk_motion(figure, q, steps, gait, look=None, dt=self.dt)
+        self._begin(motion)
+        self._walk = (q, walked, gait, 0)
+
+    def _begin(self, motion: Motion) -> None:
+        self._motion = join(self.figure, self._before, self._q, motion, self.dt)
+        self._index = self._since = 0
+        self._walk = None
+
+    def _end(self) -> None:
+        """A motion is over: after a walk it decides anew where it came to."""
+        walked = self._motion is not None and self._motion.action == "walk"
+        self._motion, self._walk = None, None
+        if walked and not self._way:
+            self._served = None
+
+
+def _turn(a: float, b: float) -> float:
+    return float((b - a + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _settled(walked: Walk, dt: float) -> int:
+    """Frames from the last strike to the end of a walk."""
+    return len(walked.frames.q) - int(walked.strikes[-1] / dt)

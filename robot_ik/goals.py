@@ -1,0 +1,777 @@
+"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, ClassVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import InvalidGoalError, UnknownJointError
+from robot_ik.geometry import Pose, turn_z_to
+from robot_ik.kernels.residuals import (
+    AIMED,
+    ALL_AXES,
+    NO_PLACE,
+    NO_TURN,
+    OF_FRAME,
+    OF_JOINTS,
+    OF_MASS,
+    OF_PRIOR,
+    ONE_AXIS,
+    ONE_SIDE,
+    SOME_AXES,
+    WHOLE,
+)
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE, V_WIDTH
+from robot_ik.pose_prior import PosePrior
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+
+# ------------------------------------------------------------------------------------------
+# What every goal has, and the checks of what it is made from.
+#
+# A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
+# Targets are in the world, metres and unit quaternions (w, x, y, z).
+
+
+Array = NDArray[np.float64]
+
+# Squares of larger numbers, or of longer vectors, leave the range of floats.
+LARGEST = 1e100
+# Made once: goals are made in loops.
+_WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What counts as reached: every goal within ``position`` metres and ``angle`` radians."""
+
+    position: float = 1e-4
+    angle: float = 1e-3
+
+    def __post_init__(self) -> None:
+        try:
+            positive = self.position > 0 and self.angle > 0
+        except TypeError:
+            positive = False
+        if not positive:
+            raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
+
+
+def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
+    """A new array of floats; raises ``InvalidGoalError`` in words for text or uneven rows."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidGoalError(f"{what} must be {wanted}, not {values!r}") from error
+
+
+def vector(values: ArrayLike, size: int, what: str) -> Array:
+    """A read-only finite array (size,); raises ``InvalidGoalError`` in words for anything else."""
+    array = numbers(values, what, f"{size} numbers")
+    if array.shape != (size,):
+        found = array.size if array.size != size else f"an array of shape {array.shape}"
+        raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
+    found = array.tolist()  # Python's own numbers are quicker for so few
+    if not math.hypot(*found) <= LARGEST:  # NaN too
+        bound = f"below {LARGEST:g}" if all(map(math.isfinite, found)) else "finite"
+        raise InvalidGoalError(f"{what} must be {bound}, not {found}")
+    array.setflags(write=False)
+    return array
+
+
+def rotation_matrix(values: Array, what: str) -> Array:
+    """``values`` (3, 3) if they turn and do nothing else; raises ``InvalidGoalError`` otherwise."""
+    if not (np.abs(values.T @ values - np.eye(3)).max() < 1e-5 and np.linalg.det(values) > 0.0):
+        raise InvalidGoalError(f"{what} has a matrix that does not turn: it scales or mirrors")
+    return values
+
+
+def unit_quaternion(values: ArrayLike, what: str) -> Array:
+    """A read-only unit quaternion (4,), w first; raises ``InvalidGoalError`` for anything else."""
+    array = vector(values, 4, what)
+    w, x, y, z = array.tolist()
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if norm < 1e-9:
+        raise InvalidGoalError(
+            f"{what} is a zero quaternion, which is no orientation",
+            hint="quaternions are w, x, y, z; 1 0 0 0 turns nothing",
+        )
+    if norm == 1.0:
+        return array
+    unit = array / norm
+    unit.flags.writeable = False
+    return unit
+
+
+def positive_number(value: float, what: str) -> float:
+    """A finite number, zero or more; raises ``InvalidGoalError`` for anything else."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = -1.0
+    if not 0.0 <= number < math.inf:
+        raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
+    return number
+
+
+def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
+    """A unit vector (3,) from "x", "-z" … or three numbers.
+
+    Raises:
+        InvalidGoalError: No such axis, or a zero vector.
+    """
+    if isinstance(axis, str):
+        letter, sign = axis.lstrip("+-"), -1.0 if axis.startswith("-") else 1.0
+        if letter not in ("x", "y", "z"):
+            raise InvalidGoalError(f"{what} must be x, y, z, -x, -y, -z or three numbers, not {axis!r}")
+        return sign * np.eye(3)["xyz".index(letter)]
+    array = vector(axis, 3, what)
+    norm = float(np.linalg.norm(array))
+    if norm < 1e-9:
+        raise InvalidGoalError(f"{what} is a zero vector, which has no direction")
+    return np.asarray(array / norm)
+
+
+def axes_mask(axes: object) -> tuple[float, float, float]:
+    """1 for each coordinate named in ``axes`` ("xy"), 0 for the others.
+
+    Raises:
+        InvalidGoalError: No axis, an axis twice, or a letter that is none.
+    """
+    if not isinstance(axes, str) or not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
+        raise InvalidGoalError(f"axes must be some of the letters x, y and z, not {axes!r}")
+    return tuple(float(letter in axes) for letter in "xyz")  # type: ignore[return-value]
+
+
+def _plain(value: object) -> object:
+    """A field's value as something that can be compared and hashed."""
+    if isinstance(value, Mapping):
+        return tuple(sorted(value.items()))
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        return value
+    return tuple(np.asarray(value, dtype=float).ravel().tolist())
+
+
+def _short(value: object) -> str:
+    """A field's value in few signs."""
+    if not isinstance(value, tuple):
+        return repr(value)
+    some = ", ".join(f"{v:.6g}" if isinstance(v, float) else repr(v) for v in value[:8])
+    return f"({some}{f', … {len(value) - 8} more' if len(value) > 8 else ''})"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which rows a goal makes: all that the kernels know of its kind (``kernels/residuals.py``).
+
+    Attributes:
+        place, turn, of: Codes: what of the position and of the orientation is asked for, and of what.
+        mask: (3,) which coordinates count, in the axes of the target.
+        axis: (3,) the axis of the frame that is turned to the target's, or aimed at it.
+    """
+
+    place: int = NO_PLACE
+    turn: int = NO_TURN
+    of: int = OF_FRAME
+    mask: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    @property
+    def whole(self) -> bool:
+        """A whole position, orientation or pose of a frame: what every method understands."""
+        return self.place in (NO_PLACE, WHOLE) and self.turn in (NO_TURN, ALL_AXES) and self.of == OF_FRAME
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Goal:
+    """Something wanted of the robot, mostly of one of its frames.
+
+    Attributes:
+        frame: Name of the frame; None means the robot's tool.
+        priority: Goals of 0 are served first; those of 1 get what freedom is left, and so on.
+        tolerance: What counts as reached for this goal; None = as the problem says.
+        soft: Wanted, not needed: it gets what freedom all other goals leave, never counts for ``converged``,
+            and is not searched for.  Soft goals have priorities among themselves.
+        length: Metres that count as much as one radian; None = 0.15 of the robot's reach.
+            A00's scale c: one metre counts as much as d degrees for c = 360 / (2π d).
+    """
+
+    frame: str | None = None
+    priority: int = field(default=0, kw_only=True)
+    tolerance: Tolerance | None = field(default=None, kw_only=True)
+    length: float | None = field(default=None, kw_only=True)
+    soft: bool = field(default=False, kw_only=True)
+
+    name: ClassVar[str] = "goal"
+    # Whether the goal has a part in metres, and one in radians.
+    has_position: ClassVar[bool] = False
+    has_angle: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if self.frame is not None and not isinstance(self.frame, str):
+            raise InvalidGoalError(
+                f"the frame must be a name (or None for the tool), not {self.frame!r}",
+                hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
+            )
+        priority: object = self.priority
+        if not (isinstance(priority, _WHOLE) and priority >= 0):
+            raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
+        if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
+            raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
+        if not isinstance(self.soft, _YES_OR_NO):
+            raise InvalidGoalError(f"soft is True or False, not {self.soft!r}")
+        if self.length is not None and not (positive_number(self.length, "length") > 0.0):
+            raise InvalidGoalError(f"length must be positive, not {self.length!r}")
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Goal):
+            return NotImplemented
+        return type(self) is type(other) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._values()))
+
+    def __repr__(self) -> str:
+        shown = [f"{self.frame!r}"] if any(f.name == "frame" and f.init for f in fields(self)) else []
+        for item, value in zip(fields(self), self._values(), strict=True):
+            if item.name != "frame" and value != item.default and value not in ((), (1.0, 0.0, 0.0, 0.0)):
+                shown.append(f"{item.name}={_short(value)}")
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+    def _values(self) -> tuple[object, ...]:
+        """What it is made of, arrays as tuples of numbers."""
+        return tuple(_plain(getattr(self, item.name)) for item in fields(self))
+
+    def _set(self, **values: object) -> None:
+        """Puts checked values into the frozen fields."""
+        self.__dict__.update(values)
+
+    @property
+    def rows(self) -> Rows:
+        """Which rows it makes."""
+        raise InvalidGoalError(
+            f"a {self.name} says nothing of what is wanted", hint="take one of rik.goals.GOALS"
+        )
+
+    @property
+    def target(self) -> Pose:
+        """The wanted pose; the part that is not asked for is the identity's."""
+        return Pose()
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        """Importance of the metres and of the radians; a part that weighs 0 is not asked for."""
+        return 1.0, 1.0
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        """What a problem is compiled for; goals of one frame that agree in it differ only in their target."""
+        return type(self), self.weights, self.priority, self.soft, self.tolerance, self.length, self.rows
+
+    def moved_to(self, target: Pose) -> Goal:
+        """The same goal with another target."""
+        raise InvalidGoalError(f"a {self.name} has no pose to move")
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        """Metres and radians off ``target`` at ``q``, by MuJoCo's own forward pass; no weight, no miss."""
+        if self.rows.of == OF_MASS:
+            return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
+        return self.off(robot.measure(q, self.frame), target)
+
+    def off(self, here: Pose, target: Pose) -> tuple[float, float]:
+        """Metres and radians that a frame at ``here`` is off ``target``, in what is asked for."""
+        rows, asked = self.rows, self.weights
+        metres = radians = 0.0
+        if rows.place != NO_PLACE and asked[0] > 0.0:
+            off = (target.rotation.T @ (target.position - here.position)) * rows.mask
+            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.place == ONE_SIDE else off))
+        if rows.turn == ALL_AXES and asked[1] > 0.0:
+            radians = here.distance(target)[1]
+        elif rows.turn in (ONE_AXIS, AIMED) and asked[1] > 0.0:
+            axis, wanted = here.rotation @ rows.axis, target.rotation @ rows.axis
+            if rows.turn == AIMED:
+                wanted = target.position - here.position
+                if np.linalg.norm(wanted) < 1e-9:
+                    return metres, 0.0
+            sine, cosine = float(np.linalg.norm(np.cross(axis, wanted))), float(axis @ wanted)
+            radians = float(np.arctan2(sine, cosine))
+        return metres, radians
+
+
+# ------------------------------------------------------------------------------------------
+# Goals for where a frame is and how it is turned.
+
+
+# Made once: the front door looks at them in every solve.
+_WHOLE_TURN = {place: Rows(place=place, turn=ALL_AXES) for place in (NO_PLACE, WHOLE)}
+_WHOLE_PLACE = Rows(place=WHOLE)
+
+
+def _turn_rows(place: int, free_axis: str | ArrayLike | None) -> Rows:
+    """Rows of an orientation that may leave the turn about one axis of the frame free."""
+    if free_axis is None:
+        return _WHOLE_TURN[place]
+    x, y, z = axis_vector(free_axis, "free_axis").tolist()
+    return Rows(place=place, turn=ONE_AXIS, axis=(x, y, z))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PositionGoal(Goal):
+    """The frame's origin at ``position`` (3,), world, metres; its orientation is free.
+
+    Attributes:
+        axes: Which coordinates count; ``"z"`` asks for a height only.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
+    """
+
+    position: ArrayLike = ()
+    weight: float = field(default=1.0, kw_only=True)
+    axes: str = field(default="xyz", kw_only=True)
+
+    name: ClassVar[str] = "position goal"
+    has_position: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        axes_mask(self.axes)
+        self._set(
+            position=vector(self.position, 3, "position"), weight=positive_number(self.weight, "weight")
+        )
+
+    @property
+    def rows(self) -> Rows:
+        mask = axes_mask(self.axes)
+        return _WHOLE_PLACE if all(mask) else Rows(place=SOME_AXES, mask=mask)
+
+    @property
+    def target(self) -> Pose:
+        return Pose(self.position)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return self.weight, 0.0
+
+    def moved_to(self, target: Pose) -> PositionGoal:
+        return replace(self, position=target.position)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OrientationGoal(Goal):
+    """The frame turned as the unit quaternion ``wxyz`` (4,), world; its position is free.
+
+    Attributes:
+        free_axis: Axis of the frame about which it may turn as it likes ("z", "-x" or three numbers):
+            only where that axis points is then asked for.
+
+    Raises:
+        InvalidGoalError: Not four finite numbers, a zero quaternion, a negative weight, or no such axis.
+    """
+
+    wxyz: ArrayLike = ()
+    weight: float = field(default=1.0, kw_only=True)
+    free_axis: str | ArrayLike | None = field(default=None, kw_only=True)
+
+    name: ClassVar[str] = "orientation goal"
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=positive_number(self.weight, "weight"))
+        _turn_rows(NO_PLACE, self.free_axis)
+
+    @property
+    def rows(self) -> Rows:
+        return _turn_rows(NO_PLACE, self.free_axis)
+
+    @property
+    def target(self) -> Pose:
+        return Pose((0.0, 0.0, 0.0), self.wxyz)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return 0.0, self.weight
+
+    def moved_to(self, target: Pose) -> OrientationGoal:
+        return replace(self, wxyz=target.wxyz)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGoal(Goal):
+    """The frame at ``position`` (3,) turned as ``wxyz`` (4,), world.
+
+    Attributes:
+        free_axis: As in ``OrientationGoal``: a drill or a cup may turn about its own axis.
+
+    Raises:
+        InvalidGoalError: Wrong shapes, numbers that are not finite, a zero quaternion, a negative weight.
+    """
+
+    position: ArrayLike = ()
+    wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    position_weight: float = field(default=1.0, kw_only=True)
+    angle_weight: float = field(default=1.0, kw_only=True)
+    free_axis: str | ArrayLike | None = field(default=None, kw_only=True)
+
+    name: ClassVar[str] = "pose goal"
+    has_position: ClassVar[bool] = True
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set(
+            position=vector(self.position, 3, "position"),
+            wxyz=unit_quaternion(self.wxyz, "wxyz"),
+            position_weight=positive_number(self.position_weight, "position_weight"),
+            angle_weight=positive_number(self.angle_weight, "angle_weight"),
+        )
+        _turn_rows(WHOLE, self.free_axis)
+
+    @classmethod
+    def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
+        """From a ``Pose``."""
+        return cls(frame, pose.position, pose.wxyz)
+
+    @property
+    def rows(self) -> Rows:
+        return _turn_rows(WHOLE, self.free_axis)
+
+    @property
+    def target(self) -> Pose:
+        return Pose.of_checked(cast(Array, self.position), cast(Array, self.wxyz))
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return self.position_weight, self.angle_weight
+
+    def moved_to(self, target: Pose) -> PoseGoal:
+        return replace(self, position=target.position, wxyz=target.wxyz)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AimGoal(Goal):
+    """An axis of the frame, through its origin, points at ``point`` (3,), world: a gaze, a camera, a torch.
+
+    Attributes:
+        axis: The axis that looks, in the frame: "z", "-x" … or three numbers.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, no such axis, a negative weight.
+    """
+
+    point: ArrayLike = ()
+    axis: str | ArrayLike = field(default="z", kw_only=True)
+    weight: float = field(default=1.0, kw_only=True)
+
+    name: ClassVar[str] = "aim goal"
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        axis_vector(self.axis)
+        self._set(point=vector(self.point, 3, "point"), weight=positive_number(self.weight, "weight"))
+
+    @property
+    def rows(self) -> Rows:
+        x, y, z = axis_vector(self.axis).tolist()
+        return Rows(turn=AIMED, axis=(x, y, z))
+
+    @property
+    def target(self) -> Pose:
+        return Pose(self.point)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return 0.0, self.weight
+
+    def moved_to(self, target: Pose) -> AimGoal:
+        return replace(self, point=target.position)
+
+
+# ------------------------------------------------------------------------------------------
+# Goals for the frame's origin that leave some of its coordinates free: line, plane, half-space.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Place(Goal):
+    """The frame's origin, measured along and across a direction through ``point`` (3,), world."""
+
+    point: ArrayLike = ()
+    direction: ArrayLike | str = "z"
+    weight: float = field(default=1.0, kw_only=True)
+
+    has_position: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set(
+            point=vector(self.point, 3, "point"),
+            direction=axis_vector(self.direction, "direction"),
+            weight=positive_number(self.weight, "weight"),
+        )
+
+    @property
+    def target(self) -> Pose:
+        """Its z axis is the direction."""
+        return Pose.from_rotation(turn_z_to(axis_vector(self.direction)), self.point)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return self.weight, 0.0
+
+    def moved_to(self, target: Pose) -> Goal:
+        """Through the origin of ``target``, along its z axis."""
+        return replace(self, point=target.position, direction=target.rotation[:, 2])
+
+
+class LineGoal(_Place):
+    """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
+    """
+
+    name: ClassVar[str] = "line goal"
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(place=SOME_AXES, mask=(1.0, 1.0, 0.0))
+
+
+class PlaneGoal(_Place):
+    """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,), world.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
+    """
+
+    name: ClassVar[str] = "plane goal"
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(place=SOME_AXES, mask=(0.0, 0.0, 1.0))
+
+
+class HalfSpaceGoal(_Place):
+    """The frame's origin on that side of the plane to which ``direction`` (3,) points: a one-sided wall.
+
+    Nothing is asked while it is there; the plane goes through ``point`` (3,), world.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
+    """
+
+    name: ClassVar[str] = "half-space goal"
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(place=ONE_SIDE, mask=(0.0, 0.0, 1.0))
+
+
+# ------------------------------------------------------------------------------------------
+# Goals for the whole body: where its centre of mass is, and how the joints stand.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CenterOfMassGoal(Goal):
+    """The centre of mass at ``position`` (3,), world, metres; MuJoCo's ``subtree_com``.
+
+    Attributes:
+        frame: Name of a body: of it and all that hangs on it; None means everything in the model.
+        axes: Which coordinates count; ``"xy"`` balances over a place and leaves the height free.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
+    """
+
+    position: ArrayLike = ()
+    axes: str = field(default="xyz", kw_only=True)
+    weight: float = field(default=1.0, kw_only=True)
+
+    name: ClassVar[str] = "centre-of-mass goal"
+    has_position: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        axes_mask(self.axes)
+        self._set(
+            position=vector(self.position, 3, "position"), weight=positive_number(self.weight, "weight")
+        )
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(place=SOME_AXES, of=OF_MASS, mask=axes_mask(self.axes))
+
+    @property
+    def target(self) -> Pose:
+        return Pose(self.position)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return self.weight, 0.0
+
+    def moved_to(self, target: Pose) -> CenterOfMassGoal:
+        return replace(self, position=target.position)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PostureGoal(Goal):
+    """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
+
+    Its miss is the largest way of any joint that counts: radians for turns, metres for slides.
+
+    Attributes:
+        q: (nq,) where the joints are wanted.
+        joints: How much single joints count, by name; those not named count 1, or 0 if ``only``.
+        only: Leave out the joints that are not named.
+
+    Raises:
+        InvalidGoalError: No finite numbers, or a negative weight.
+    """
+
+    frame: str | None = field(default=None, init=False)
+    q: ArrayLike = ()
+    weight: float = field(default=1.0, kw_only=True)
+    joints: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+    only: bool = field(default=False, kw_only=True)
+
+    name: ClassVar[str] = "posture goal"
+    has_position: ClassVar[bool] = True
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = numbers(self.q, "q").size
+        if not count:
+            raise InvalidGoalError("a posture goal needs the joints' angles q (nq,), such as robot.home")
+        if not isinstance(self.joints, Mapping):
+            raise InvalidGoalError(
+                f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
+            )
+        checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
+        self._set(q=vector(self.q, count, "q"), weight=positive_number(self.weight, "weight"), joints=checked)
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(of=OF_JOINTS)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return self.weight, self.weight
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        return *super().signature, tuple(self.joints.items()), self.only
+
+    def moved_to_q(self, q: ArrayLike) -> PostureGoal:
+        """The same goal with other joint angles (nq,)."""
+        return replace(self, q=q)
+
+    def joint_weights(self, robot: Robot) -> Array:
+        """(nv,) how much each degree of freedom counts.
+
+        Raises:
+            UnknownJointError: The goal names a joint that is not active.
+        """
+        for joint in self.joints:
+            if joint not in robot.joints:
+                raise UnknownJointError(joint, robot.joints)
+        joint_weights = np.empty(robot.nv)
+        for k, joint in enumerate(robot.joints):
+            v = int(robot.tree.vadr[k])
+            joint_weights[v : v + V_WIDTH[int(robot.tree.kind[k])]] = self.joints.get(
+                joint, 0.0 if self.only else 1.0
+            )
+        return joint_weights
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        if not self.weight > 0.0:
+            return 0.0, 0.0
+        tree, joint_weights, way = (
+            robot.tree,
+            self.joint_weights(robot),
+            robot.difference(q, np.asarray(self.q)),
+        )
+        led = {int(node) for node in tree.tied[:, 0]}
+        metres = radians = 0.0
+        for k in range(tree.size):
+            v, kind = int(tree.vadr[k]), int(tree.kind[k])
+            if not joint_weights[v] > 0.0 or k in led:
+                continue
+            if kind in (SLIDE, FREE):
+                metres = max(metres, float(np.abs(way[v : v + (3 if kind == FREE else 1)]).max()))
+            if kind != SLIDE:
+                first = v + 3 if kind == FREE else v
+                last = first + (1 if kind == HINGE else 3)
+                radians = max(radians, float(np.linalg.norm(way[first:last])))
+        return metres, radians
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PosePriorGoal(Goal):
+    """A pose as likely as can be under a ``PosePrior``: what looks natural.  Always soft; one a problem.
+
+    It is wanted, never needed: among the poses that meet all needed goals, the likeliest nearby.
+
+    Attributes:
+        prior: ``PosePrior.of(robot)``, or one that you learned.
+        weight: On the rows, whose half square is the energy over its least: it counts squared.
+
+    Raises:
+        InvalidGoalError: No prior, a negative weight, or asked to be needed.
+    """
+
+    frame: str | None = field(default=None, init=False)
+    prior: PosePrior | None = None
+    weight: float = field(default=1.0, kw_only=True)
+    soft: bool = field(default=True, kw_only=True)
+
+    name: ClassVar[str] = "pose prior goal"
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.prior, PosePrior):
+            raise InvalidGoalError(
+                f"a pose prior goal needs a PosePrior, not {self.prior!r}", hint="PosePrior.of(robot)"
+            )
+        if not self.soft:
+            raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
+        self._set(weight=positive_number(self.weight, "weight"))
+
+    @property
+    def rows(self) -> Rows:
+        return Rows(of=OF_PRIOR)
+
+    @property
+    def weights(self) -> tuple[float, float]:
+        return 0.0, self.weight
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        return *super().signature, self.prior
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        return 0.0, 0.0
+
+
+GOALS: tuple[type[Goal], ...] = (
+    PositionGoal,
+    OrientationGoal,
+    PoseGoal,
+    AimGoal,
+    LineGoal,
+    PlaneGoal,
+    HalfSpaceGoal,
+    CenterOfMassGoal,
+    PostureGoal,
+    PosePriorGoal,
+)

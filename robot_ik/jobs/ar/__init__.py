@@ -1,0 +1,1 @@
+"""The robot drawn into a camera's picture."""

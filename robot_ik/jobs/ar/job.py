@@ -1,0 +1,347 @@
+"""``robot-ik ar``: the virtual robot standing in the pictures of a camera."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.board import MarkerBoard, parse_board
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+from robot_ik.camera.drawing.gl import make_artist
+from robot_ik.camera.drawing.painter import project, surface_points
+from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_phantoms
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen, Shown
+from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.errors import ConfigError, MarkerNotFoundError
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.ar.motion import Motion, Replay, make_motion
+from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
+from robot_ik.jobs.ar.scene import Motion as BoardMotion
+from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.vision import open_calibrated
+from robot_ik.robot import load_robot
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+
+Array = NDArray[np.float64]
+
+# On the made-up table a robot is drawn so high, metres; films of it are this long unless said otherwise.
+_TABLE_SIZE, _SECONDS = 0.40, 4.0
+_RATE_HZ = 30.0
+# All of it stays in the picture, with so much of the picture's size to spare; looked at in so many moments.
+_MARGIN, _MOMENTS = 0.02, 24
+# A robot that fits only below this part of the usual scale stands beside the picture, not too large in it.
+_LEAST_SHARE = 0.05
+_OUT_OF_VIEW = "nothing of the robot is in view, its board is: try a smaller --scale, or another --base"
+
+
+@dataclass(frozen=True)
+class ArRequest:
+    """What to draw on what.
+
+    Attributes:
+        robot: Name or model file.
+        camera: ``synthetic``, or what ``open_source`` takes.
+        intrinsics: Calibration of a real camera.
+        board: See ``parse_board``; ``dictionary`` of its markers.
+        dictionary: See ``board``.
+        place: Of a camera that stands still, instead of a board.
+        base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
+            of the board (x right, y up, z out of the print), or in the world of ``place``.
+        scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
+        motion: See ``make_motion``.
+        marker: Id and side (m) of the marker to follow.
+        backend: ``painter``, ``ray`` or ``gl``.
+        phantoms: File of real things that hide the robot; ``phantom_geoms`` names of the model's own.
+        phantom_geoms: See ``phantoms``.
+        latency_options: What is done about delay.
+        delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
+        alpha: 1 hides what is behind the robot.
+        shadow: Whether it throws one.
+        out: Film, picture or folder.
+        overwrite: Whether it may be replaced.
+        seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
+        size: Of synthetic and live pictures.
+        seed: Of the synthetic camera's noise.
+    """
+
+    robot: str = "puma560"
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    board: str = BOARD
+    dictionary: str = ""
+    place: Path | None = None
+    base: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    scale: float = 0.0
+    motion: str = "wave"
+    marker: tuple[int, float] = FOLLOWED
+    backend: str = "painter"
+    phantoms: Path | None = None
+    phantom_geoms: tuple[str, ...] = ()
+    latency_options: LatencyOptions = field(default_factory=LatencyOptions)
+    delay: float = 0.0
+    alpha: float = 1.0
+    shadow: bool = True
+    out: Path = Path("ar.mp4")
+    overwrite: bool = False
+    seconds: float = 0.0
+    size: tuple[int, int] | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ArReport:
+    """What came of it.
+
+    Attributes:
+        pictures: Written; ``drawn`` of them with the robot.
+        drawn: See ``pictures``.
+        reprojection_px: Mean RMS error of the board's corners.
+        seconds: Of tracking and drawing alone, without taking and writing pictures.
+        scale: At which the robot was drawn.
+        backend: That was used.
+        notice: What did not go as asked, in one line.
+        file: What was written.
+        interrupted: The run was ended by hand.
+    """
+
+    pictures: int
+    drawn: int
+    reprojection_px: float
+    seconds: float
+    scale: float
+    backend: str
+    notice: str
+    file: Path | None
+    interrupted: bool = False
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures a second that tracking and drawing manage."""
+        return self.pictures / self.seconds if self.seconds > 0 else float("nan")
+
+
+Progress = Callable[[int, int], None]
+
+
+def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) -> ArReport:
+    """Draws the robot into each picture and writes them.
+
+    Args:
+        request: What to draw on what.
+        progress: Told how many pictures are done, and of how many (0: nobody knows).
+
+    Raises:
+        MarkerNotFoundError: The board was in no picture.
+        RobotIkError: Wrong input or environment.
+    """
+    with contextlib.ExitStack() as stack:
+        sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
+        robot = load_robot(request.robot)
+        ahead = stack.enter_context(CompiledAhead.overlay())
+        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
+        motion = make_motion(request.motion, robot, figure, stack)
+        frames, intrinsics, total, stage = _open(request, motion, stack)
+        if stage is not None and not request.scale:
+            figure = _figure(request, robot, _scale_in_view(request, robot, motion, stage, total))
+            if request.motion == "follow":  # it reaches with the arm as it is drawn
+                motion = make_motion(request.motion, robot, figure, stack)
+        artist, notice = make_artist(request.backend)
+        notice = "; ".join(filter(None, (notice, getattr(motion, "notice", ""))))
+        stack.callback(getattr(artist, "close", lambda: None))
+        registrar = _registrar(request, intrinsics, artist, figure)
+        count = drawn = in_view = 0
+        spent, errors, begin = 0.0, [], None
+        interrupted = False
+        try:
+            for tracked, shown in _pairs(frames, request):
+                begin = tracked.time if begin is None else begin
+                start = time.perf_counter()
+                seen = registrar.track(tracked)
+                ahead.wait()
+                qpos = robot.qpos(motion.q(shown.time - begin, seen))
+                made = registrar.compose(seen, shown, qpos)
+                spent += time.perf_counter() - start
+                sink.write(made.image, shown.time)
+                count, drawn = count + 1, drawn + (made.drawing is not None)
+                in_view += made.drawing is not None and bool(made.drawing.robot.coverage.any())
+                errors += _errors(seen, made)
+                progress(count, total)
+        except KeyboardInterrupt:
+            interrupted = True
+        file = sink.close()
+    if count and not drawn:
+        raise MarkerNotFoundError(
+            f"the board {request.board} was seen in none of {count} pictures; they are in {file}",
+            hint="check --board and --dictionary against the print: robot-ik camera detect",
+        )
+    if drawn and not in_view:
+        notice = "; ".join(filter(None, (notice, _OUT_OF_VIEW)))
+    mean = float(np.mean(errors)) if errors else float("nan")
+    return ArReport(count, drawn, mean, spent, figure.scale, artist.name, notice, file, interrupted)
+
+
+def _errors(seen: Seen | None, made: Shown) -> list[float]:
+    return [] if seen is None or made.drawing is None else [seen.error]
+
+
+def _usual_scale(request: ArRequest, robot: Robot) -> float:
+    low, high = heights(robot)
+    return _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
+
+
+def _scale_in_view(request: ArRequest, robot: Robot, motion: Motion, stage: Stage, pictures: int) -> float:
+    """The usual scale, or the largest at which the whole robot is in all pictures of the stage.
+
+    A robot that is nowhere near the middle of the picture (``base``) keeps the usual one.
+    """
+    usual = _usual_scale(request, robot)
+    # A few moments tell as much as all of them: robot and board go on slowly.
+    times = np.linspace(0.0, pictures / _RATE_HZ, min(_MOMENTS, pictures)).tolist()
+    moments = [
+        (surface_points(robot.model, robot.qpos(motion.q(time, None))), stage.pose_board_camera(time))
+        for time in times
+    ]
+
+    def fits(scale: float) -> bool:
+        figure = _figure(request, robot, scale)
+        return all(
+            in_picture(figure.camera(camera).inverse().apply(points), stage.intrinsics)
+            for points, camera in moments
+        )
+
+    if fits(usual):
+        return usual
+    least, most = _LEAST_SHARE * usual, usual
+    if not fits(least):
+        return usual
+    while most > 1.02 * least:
+        middle = float(np.sqrt(least * most))
+        least, most = (middle, most) if fits(middle) else (least, middle)
+    return least
+
+
+def in_picture(points: Array, lens: CameraIntrinsics) -> bool:
+    """Whether all points (n, 3) in the camera frame are in the picture, ``_MARGIN`` of its size to spare."""
+    pixels, _, within = project(points, lens)
+    size = np.array(lens.size)
+    return bool(within.all() and (np.abs(pixels - 0.5 * size) < (0.5 - _MARGIN) * size).all())
+
+
+def _figure(request: ArRequest, robot: Robot, scale: float) -> DrawnRobot:
+    x, y, z, yaw = request.base
+    low, _ = heights(robot)
+    # its lowest point stands on the board
+    base = Pose((x, y, z - scale * low), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
+    phantoms = None if request.phantoms is None else load_phantoms(request.phantoms)
+    return DrawnRobot(
+        robot.model, base, scale, phantoms, _named_geoms(robot, request.phantom_geoms), shadow=request.shadow
+    )
+
+
+def heights(robot: Robot) -> tuple[float, float]:
+    """Of the lowest and the highest point of the robot at home, metres."""
+    up = surface_points(robot.model, robot.qpos(robot.home))[:, 2]
+    return (float(up.min()), float(up.max())) if len(up) else (0.0, 0.0)
+
+
+def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | None:
+    known = [robot.model.geom(g).name for g in range(robot.model.ngeom)]
+    for name in names:
+        if name not in known:
+            raise ConfigError(
+                f"{robot.name} has no geom {name!r}", file="command line", key="--phantom-geoms",
+                allowed=", ".join(sorted(filter(None, known))) or "none: its geoms have no names",
+            )  # fmt: skip
+    return np.array([name in names for name in known]) if names else None
+
+
+def _open(
+    request: ArRequest, motion: Motion, stack: contextlib.ExitStack
+) -> tuple[Iterator[Frame], CameraIntrinsics, int, Stage | None]:
+    """Frames, their optics, how many there will be (0: nobody knows), and the made-up stage, if it is one."""
+    if request.camera == "synthetic":
+        width, height = request.size or (1280, 720)
+        things = None if request.phantoms is None else load_phantoms(request.phantoms)
+        still = None if things is None else AT_REST
+        made_up, clock = synthetic_stage(
+            width, height, rate_hz=_RATE_HZ, motion=still, things=things,
+            follow=request.motion == "follow", seed=request.seed,
+        )  # fmt: skip
+        stage = Stage(made_up.scene.intrinsics, made_up.scene.pose_world_camera, still or BoardMotion())
+        seconds = request.seconds or (motion.trajectory.duration if isinstance(motion, Replay) else _SECONDS)
+        count = max(1, round(seconds * _RATE_HZ))
+
+        def made() -> Iterator[Frame]:
+            for _ in range(count):
+                yield made_up.read().without_truth()
+                clock.ticks += 1
+
+        return made(), made_up.scene.intrinsics, count, stage
+    source, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
+    return _limited(source, request.seconds), lens, 0, None
+
+
+def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
+    first: float | None = None
+    while not getattr(source, "exhausted", False):
+        frame = source.read()
+        first = frame.time if first is None else first
+        if seconds > 0.0 and frame.time - first > seconds:
+            return
+        yield frame
+
+
+def _pairs(frames: Iterator[Frame], request: ArRequest) -> Iterator[tuple[Frame, Frame]]:
+    """Pictures to track and pictures to show; the same ones unless the video does not wait.
+
+    The picture shown comes ``delay`` after the one tracked; without a number it is the next one read, which
+    of a live camera is the newest when tracking and drawing are done.
+    """
+    if request.latency_options.sync == "tracked":
+        for frame in frames:
+            yield frame, frame
+        return
+    kept: list[Frame] = []
+    for frame in frames:
+        kept.append(frame)
+        if request.delay == 0.0:
+            if len(kept) > 1:
+                yield kept.pop(0), frame
+            continue
+        old = [k for k, one in enumerate(kept) if one.time <= frame.time - request.delay + 1e-9]
+        if old:
+            del kept[: old[-1]]
+            yield kept[0], frame
+
+
+def _registrar(
+    request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
+) -> Registrar:
+    if request.place is not None:
+        place = CameraExtrinsics.load(request.place, intrinsics)
+        place.require_parent("world")
+        return Registrar(
+            None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),
+            pose_board_camera=place.pose_parent_camera, alpha=request.alpha,
+        )  # fmt: skip
+    board = parse_board(request.board, request.dictionary)
+    other = request.marker if request.motion == "follow" else None
+    if other is not None and isinstance(board, MarkerBoard) and other[0] in board.layout:
+        raise ConfigError(
+            f"marker {other[0]} is on the board, so it cannot be followed", file="command line",
+            key="--marker", allowed="an id that is not on the board",
+        )  # fmt: skip
+    watcher = BoardWatcher(board, intrinsics, other, dictionary=request.dictionary or "DICT_5X5_50")
+    return Registrar(watcher, artist, figure, intrinsics, request.latency_options, alpha=request.alpha)

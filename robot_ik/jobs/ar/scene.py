@@ -1,0 +1,177 @@
+"""The synthetic stage of ``robot-ik ar``: a table, a printed board that a hand moves, a marker above."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
+from robot_ik.camera.synthetic.scene import Table
+from robot_ik.geometry import Pose, rotation_exp
+
+Array = NDArray[np.float64]
+
+#: The board of the stage: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
+BOARD = "grid:2x2:50:12.5"
+#: Marker that can be followed: id and side in metres.
+FOLLOWED = (9, 0.05)
+_DICTIONARY = "DICT_5X5_50"
+# An id that nobody looks for.
+_SHEET = 49
+_EYE, _LOOK = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
+
+
+@dataclass
+class SteppedClock:
+    """Time that goes on by one picture with each picture."""
+
+    rate_hz: float
+    ticks: int = 0
+
+    def now(self) -> float:
+        return self.ticks / self.rate_hz
+
+    def sleep_until(self, deadline: float) -> None:
+        """Nobody waits for a made-up picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Furniture:
+    """What really stands on the table, as the synthetic camera wants it: a robot without joints."""
+
+    model: mujoco.MjModel = field(default_factory=lambda: mujoco.MjSpec().compile())
+
+    def qpos(self, q: Array) -> Array:
+        """The things stand as the model says."""
+        return np.array(self.model.qpos0)
+
+    def forward(self, q: Array, frame: str | None = None) -> Pose:
+        """No frame moves."""
+        return Pose()
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the board is moved about: sines with an amplitude and a rate each.
+
+    Attributes:
+        slide: Metres to the side and away.
+        turn: Radians about the vertical.
+        period: Seconds.
+        middle: About which place on the table, metres.
+    """
+
+    slide: tuple[float, float] = (0.05, 0.03)
+    turn: float = 0.35
+    period: float = 5.0
+    middle: tuple[float, float] = (0.0, 0.04)
+
+    def pose(self, t: float) -> Pose:
+        """``pose_world_board`` at time t, on the table's top."""
+        a = 2.0 * np.pi * t / self.period
+        x, y = self.middle
+        place = (x + self.slide[0] * np.sin(a), y + self.slide[1] * np.sin(2.0 * a), 0.0005)
+        return Pose(place, rotation_exp([0.0, 0.0, self.turn * np.sin(a)]))
+
+
+#: The board lies still in the middle, so that its frame is the table's.
+AT_REST = Motion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where the camera stands on the made-up table, and how the board moves before it."""
+
+    intrinsics: CameraIntrinsics
+    pose_world_camera: Pose
+    motion: Motion
+
+    def pose_board_camera(self, t: float) -> Pose:
+        """The camera seen from the board at time t."""
+        return self.motion.pose(t).inverse().compose(self.pose_world_camera)
+
+
+def lens(width: int, height: int) -> CameraIntrinsics:
+    """A webcam's optics at this size: distortion, middle not quite in the middle."""
+    base = CameraIntrinsics(1280, 960, 1150.0, 1150.0, 648.0, 471.0, (-0.14, 0.05, 0.0005, -0.0003, 0.0))
+    share = width / base.width
+    focal, cx = base.fx * share, (base.cx + 0.5) * share - 0.5
+    # the picture is the middle strip of the sensor's
+    cy = (base.cy + 0.5) * share - 0.5 - 0.5 * (base.height * share - height)
+    return CameraIntrinsics(width, height, focal, focal, cx, cy, base.distortion)
+
+
+def carried_marker(t: float) -> Pose:
+    """Where the marker to follow is at time t: held up above the table."""
+    a = 2.0 * np.pi * t / 4.0
+    place = (0.20 + 0.05 * np.sin(a), 0.10, 0.22 + 0.06 * np.cos(a))
+    return Pose(place, rotation_exp([1.0, 0.0, 0.0]))
+
+
+def synthetic_stage(
+    width: int = 1280,
+    height: int = 720,
+    *,
+    rate_hz: float = 30.0,
+    motion: Motion | None = None,
+    things: mujoco.MjModel | None = None,
+    follow: bool = False,
+    seed: int = 0,
+    noise: float = 2.0,
+    quality: str = "fast",
+    eye: tuple[float, float, float] = _EYE,
+    look: tuple[float, float, float] = _LOOK,
+) -> tuple[SyntheticSource, SteppedClock]:
+    """The camera and its clock; advance ``clock.ticks`` by one for each picture.
+
+    Args:
+        width: Of the pictures.
+        height: Of the pictures.
+        rate_hz: Pictures a second.
+        motion: Of the board; at rest when its amplitudes are 0.
+        things: What stands on the table, in the world's frame.
+        follow: Also show the marker that can be followed.
+        seed: Of the noise; ``noise`` its standard deviation, grey levels.
+        noise: See ``seed``.
+        quality: ``fast`` or ``full``.
+        eye: Where the camera is; ``look`` where it looks.
+        look: See ``eye``.
+    """
+    way = motion or Motion()
+    board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
+
+    def on_board(pose: Pose) -> Callable[[float], Pose]:
+        return lambda t: way.pose(t).compose(pose)
+
+    # one sheet of paper below all of them
+    sheet = SyntheticMarker(_SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank")
+    markers = [sheet] + [
+        SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.006)
+        for id, (side, pose) in board.layout.items()
+    ]
+    if follow:
+        markers.append(SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY))
+    scene = SyntheticScene(
+        Furniture() if things is None else Furniture(things),
+        lens(width, height),
+        look_at(eye, look),
+        tuple(markers),
+        table=Table(0.0, (-0.55, 0.55), (-0.40, 0.45)),
+    )
+    clock = SteppedClock(rate_hz)
+    source = SyntheticSource(
+        scene,
+        lambda: np.zeros(0),
+        seed=seed,
+        noise=noise,
+        clock=clock,
+        quality="full" if quality == "full" else "fast",
+    )
+    return source, clock

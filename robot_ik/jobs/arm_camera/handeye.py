@@ -1,0 +1,343 @@
+"""The hand-eye job: plans views, drives the arm through them, looks, and solves."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
+from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEye, Mount, Mounting, moved, solve_handeye
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stops
+from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.scene import Stage, stage_for
+from robot_ik.jobs.vision import calibration_of, open_calibrated
+from robot_ik.robot import Robot
+
+# ------------------------------------------------------------------------------------------
+# Camera and board of a hand-eye calibration: real ones, or simulated ones with a truth to compare with.
+
+
+# What is planned with is wrong by this much on purpose: nobody knows his camera's place before.
+_WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
+# The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
+_BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
+# Sides of the tool to carry it on, rad, and how far it must see ahead, in reaches: past the tool.
+_SIDES, _SEEN_AHEAD = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
+# The simulated board on the table: columns, rows, first id, and parts of the stage's marker.
+_GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
+# A camera's pictures that are on their way when the arm comes to rest are thrown away.
+_STALE_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class HandEyeRequest(ArmCameraRequest):
+    """What ``run_handeye`` shall do.
+
+    Attributes:
+        mounting: ``eye_in_hand`` or ``eye_to_hand``.
+        pose_parent_camera, pose_other_board: Where they are, roughly; None: as on the stage.
+    """
+
+    mounting: Mounting = "eye_to_hand"
+    pose_parent_camera: Pose | None = None
+    pose_other_board: Pose | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeScene:
+    """What the job looks with and at.
+
+    Attributes:
+        task: For planning.
+        board: How it is seen.
+        source: The camera.
+        truth: Where camera and board really are; None where nobody knows.
+        stale: Pictures to throw away before one counts.
+    """
+
+    task: ViewTask
+    board: Board
+    source: FrameSource
+    truth: Mount | None
+    stale: int = 0
+
+    def take(self) -> Frame:
+        """A picture that was begun after the arm came to rest; without its truth."""
+        for _ in range(self.stale):
+            self.source.read()
+        return self.source.read().without_truth()
+
+
+def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
+    """Camera and board of a request.
+
+    Raises:
+        CameraError, CalibrationError, ConfigError: It cannot be opened, something is not given, or the
+            simulated camera is asked to look at real servos.
+    """
+    if request.camera != "synthetic":
+        return _real(request, setup, stack)
+    if setup.arm is not None and setup.arm.virtual_bus is None:
+        raise ConfigError(
+            "the synthetic camera cannot see real servos",
+            file="command line", key="--camera", allowed="a camera's index, file or URL",
+        )  # fmt: skip
+    if request.board is not None:
+        raise ConfigError(
+            "the synthetic camera looks at a board of its own",
+            file="command line", key="--board", allowed="only with a real camera",
+        )  # fmt: skip
+    stage = stage_for(setup.robot, setup.frame)
+    made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
+    return made(request, setup, stage, stack)
+
+
+def _standing_camera(
+    request: HandEyeRequest, setup: RobotSetup, stage: Stage, stack: contextlib.ExitStack
+) -> HandEyeScene:
+    """The stage's camera looks at the markers on the tool."""
+    truth = Mount(stage.pose_world_camera, stage.cube_offset, "eye_to_hand")
+    source = SyntheticSource(
+        stage.scene(setup.robot), setup.true_q, seed=request.seed, clock=setup.clock, quality="fast"
+    )
+    board = MarkerBoard(dict(stage.cube), stage.dictionary)
+    task = ViewTask(_roughly(request, truth), stage.cube_frame, board.layout, stage.intrinsics, stage.table)
+    return HandEyeScene(task, board, stack.enter_context(source), truth)
+
+
+def _carried_camera(
+    request: HandEyeRequest, setup: RobotSetup, stage: Stage, stack: contextlib.ExitStack
+) -> HandEyeScene:
+    """A camera beside the tool looks at a board of markers on the table."""
+    camera = _beside_the_tool(setup.robot, setup.frame)
+    truth = Mount(camera, stage.pose_world_marker, "eye_in_hand")
+    size = _MARKER_PART * stage.marker_size
+    layout = grid_body(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID).markers
+    markers = tuple(
+        SyntheticMarker(
+            id, side, truth.pose_other_board.compose(pose), dictionary=stage.dictionary,
+            margin=0.5 * _GAP_PART * stage.marker_size,
+        )
+        for id, (side, pose) in layout.items()
+    )  # fmt: skip
+    scene = SyntheticScene(setup.robot, STANDARD_CAMERA, Pose(), markers, table=stage.table)
+    source = CarriedSource(scene, setup.frame, camera, setup.true_q, seed=request.seed, clock=setup.clock)
+    task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, stage.table)
+    return HandEyeScene(task, MarkerBoard(layout, stage.dictionary), stack.enter_context(source), truth)
+
+
+def _beside_the_tool(robot: Robot, frame: str) -> Pose:
+    """Where the hand carries its camera: on the first side from which nothing of the arm hides the view."""
+    ball = robot.reach(frame)
+    reach = 1.0 if ball is None else ball[1]
+    beside = Pose((_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])).compose(
+        Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
+    )
+    if reach <= 0.0:
+        return beside
+    sides = [Pose(wxyz=rotation_exp([0.0, 0.0, turn])).compose(beside) for turn in _SIDES]
+    clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
+    ahead = _SEEN_AHEAD * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
+    for side in sides:
+        camera = hand.compose(side)
+        if clearance.sees(robot.home, camera.position, camera.apply(ahead)):
+            return side
+    return beside
+
+
+def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
+    camera = request.pose_parent_camera or moved(truth.pose_parent_camera, _WRONG)
+    board = request.pose_other_board or moved(truth.pose_other_board, 0.5 * _WRONG)
+    return Mount(camera, board, truth.mounting)
+
+
+def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
+    calibration = calibration_of(request.camera, request.intrinsics)
+    if request.board is None:
+        raise CameraError(
+            "what board the camera looks at is not given",
+            hint="say it with --board, for example --board grid:2x2:50:12",
+        )
+    carried = request.mounting == "eye_in_hand"
+    source, intrinsics = open_calibrated(request.camera, calibration, stack)
+    if not source.live:
+        raise ConfigError(
+            "recorded pictures do not show this arm where it goes",
+            file="command line", key="--camera", allowed="a camera or a stream, or --samples FILE",
+        )  # fmt: skip
+    stage = stage_for(setup.robot, setup.frame)
+    camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
+    board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
+    layout: Layout = request.board.layout
+    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, layout, intrinsics, stage.table)
+    return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
+
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeReport:
+    """What came out.
+
+    Attributes:
+        stops: (nq,) planned, in order.
+        samples: What was measured.
+        unseen: Numbers of the stops where the board was not found.
+        result: None for a dry run.
+        truth: Where camera and board really are; None where nobody knows.
+    """
+
+    stops: tuple[Array, ...]
+    samples: SampleSet
+    unseen: tuple[int, ...]
+    result: HandEye | None
+    truth: Mount | None
+
+    @property
+    def parent(self) -> str:
+        """What the camera's pose is seen from."""
+        return self.samples.frame if self.samples.mounting == "eye_in_hand" else "world"
+
+    @property
+    def true_error(self) -> tuple[float, float] | None:
+        """Distance from the truth in metres and rad, where it is known."""
+        if self.truth is None or self.result is None:
+            return None
+        return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
+
+    def place(self) -> CameraExtrinsics:
+        """For the file."""
+        result = self.result
+        assert result is not None  # a dry run has no place
+        return CameraExtrinsics(
+            result.pose_parent_camera, self.parent, result.covariance[:6, :6],
+            result.residual_px, result.residual_mm, today(), self.samples.intrinsics.digest,
+            method=f"handeye, {result.mounting.replace('_', ' ')}", views=len(self.samples),
+        )  # fmt: skip
+
+
+def run_handeye(
+    request: HandEyeRequest,
+    *,
+    dry_run: bool = False,
+    keep: Callable[[SampleSet], None] = lambda samples: None,
+    progress: Progress = lambda stage, share: None,
+) -> HandEyeReport:
+    """Plans, moves, looks, solves.
+
+    Args:
+        request: What to do.
+        dry_run: Plan only; nothing moves.
+        keep: Handed the samples after each stop, so that an interruption loses none.
+        progress: Told the stage and the share of it that is done.
+
+    Raises:
+        MarkerNotFoundError: The board was seen at fewer than four stops.
+        RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
+    """
+    with contextlib.ExitStack() as stack:
+        setup = prepare_robot(request.setup())
+        scene = open_scene(request, setup, stack)
+        task = scene.task
+        samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
+        stack.enter_context(setup.connected())
+        progress("planning", 0.0)
+        stops = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
+        if dry_run:
+            return HandEyeReport(tuple(stops), samples, (), None, scene.truth)
+        setup.energise()
+        unseen = measure_stops(
+            setup, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
+        )
+    if len(samples) < LEAST_VIEWS:
+        raise MarkerNotFoundError(
+            f"the board was seen at {len(samples)} of {len(stops)} stops; {LEAST_VIEWS} are the least",
+            hint="check board, dictionary and light, and say better where camera and board are",
+        )
+    progress("solving", 0.0)
+    return HandEyeReport(tuple(stops), samples, unseen, _solved(samples, setup), scene.truth)
+
+
+def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
+    """Solves again what was measured before.
+
+    Args:
+        samples: From a file.
+        intrinsics: A newer calibration of the same camera; None: the one the samples were taken with.
+
+    Raises:
+        CalibrationError: For another picture size, or views that cannot tell where the camera is.
+    """
+    if intrinsics is not None:
+        intrinsics.require_size(*samples.intrinsics.size)
+        samples.intrinsics = intrinsics
+    robot = samples.load_robot()
+    result = solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
+    return HandEyeReport(tuple(samples.q), samples, (), result, None)
+
+
+def samples_path(out: Path) -> Path:
+    """Where the samples of a result go: beside it."""
+    return out.with_name(f"{out.stem}.samples.json")
+
+
+def measure_stops(
+    setup: RobotSetup,
+    scene: HandEyeScene,
+    stops: Sequence[Array],
+    samples: SampleSet,
+    *,
+    speed: float = 1.0,
+    keep: Callable[[SampleSet], None] = lambda samples: None,
+    progress: Progress = lambda stage, share: None,
+) -> tuple[int, ...]:
+    """Goes to all stops and looks at the board.
+
+    Args:
+        setup: Connected and energised.
+        scene: Camera and board.
+        stops: (nq,) each, as ``plan_views`` gives them.
+        samples: Joint angles read and corners seen are added to it.
+        speed: Share of the joints' speed limits.
+        keep: Handed the samples after each stop.
+        progress: Told "view 3 of 15" and the share of all that is done.
+
+    Returns:
+        Numbers, from 0, of the stops where the board was not found or the arm did not come to rest.
+
+    Raises:
+        HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
+    """
+    unseen = []
+
+    def tell(number: int, share: float) -> None:
+        progress(f"view {number + 1} of {len(stops)}", (number + share) / len(stops))
+
+    for stop in visit_stops(setup, stops, scene.take, speed=speed, progress=tell):
+        view = scene.board.see(stop.frame, scene.task.intrinsics) if stop.still else None
+        if view is None:
+            unseen.append(stop.number)
+            continue
+        samples.add(stop.q, view)
+        keep(samples)
+    return tuple(unseen)
+
+
+def _solved(samples: SampleSet, setup: RobotSetup) -> HandEye:
+    return solve_handeye(samples.samples(setup.robot), samples.intrinsics, mounting=samples.mounting)

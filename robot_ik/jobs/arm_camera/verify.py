@@ -1,0 +1,383 @@
+"""An arm checked by a camera: where a board that it carries really is, and by how much zeros are off.
+
+The camera's place must come from elsewhere than the arm: a board on the table (``robot-ik camera locate``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
+from robot_ik.camera.calibration.handeye import Mount
+from robot_ik.camera.calibration.kinematic import (
+    LEAST_VIEWS,
+    ArmView,
+    KnownPose,
+    PoseError,
+    ZeroOffsets,
+    fit_zero_offsets,
+    measure_errors,
+)
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
+from robot_ik.geometry import Pose
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, measure_stops, open_scene
+from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.view_planning import plan_views
+from robot_ik.jobs.reach import Rehearsal
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.scene import stage_for
+from robot_ik.robot import Robot
+
+# ------------------------------------------------------------------------------------------
+# The sums of an error map: over all poses, and over the halves of the space they were in.
+
+
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Region:
+    """Some of the poses.
+
+    Attributes:
+        name: Which.
+        count: How many.
+        rms, median, largest: Of the distances, metres.
+        angle: RMS, rad.
+        sigma: RMS of the stated standard deviations, metres.
+    """
+
+    name: str
+    count: int
+    rms: float
+    median: float
+    largest: float
+    angle: float
+    sigma: float
+
+
+def summary(errors: Sequence[PoseError], name: str = "all") -> Region:
+    """Over some poses; at least one."""
+    distances = np.array([one.distance for one in errors])
+    return Region(
+        name, len(errors),
+        float(np.sqrt(np.mean(distances**2))), float(np.median(distances)), float(distances.max()),
+        float(np.sqrt(np.mean([one.angle**2 for one in errors]))),
+        float(np.sqrt(np.mean([one.sigma**2 for one in errors]))),
+    )  # fmt: skip
+
+
+def regions(errors: Sequence[PoseError]) -> tuple[Region, ...]:
+    """All poses, then the lower and the upper half along each axis of the world, split in the middle."""
+    places = np.array([one.place for one in errors])
+    found = [summary(errors)]
+    for k, axis in enumerate(_AXES):
+        middle = 0.5 * float(places[:, k].min() + places[:, k].max())
+        for sign, side in (("<", places[:, k] < middle), (">=", places[:, k] >= middle)):
+            chosen = [one for one, inside in zip(errors, side, strict=True) if inside]
+            if chosen and len(chosen) < len(errors):
+                found.append(summary(chosen, f"{axis} {sign} {1e3 * middle:.0f} mm"))
+    return tuple(found)
+
+
+# ------------------------------------------------------------------------------------------
+# What ``run_verify`` shall do.
+
+
+#: How well the board's place on the arm is known unless said otherwise, each axis: metres, rad.
+BOARD_SIGMA = (2e-4, float(np.deg2rad(0.1)))
+
+
+@dataclass(frozen=True)
+class VerifyRequest(ArmCameraRequest):
+    """An arm that carries a board before a standing camera.
+
+    Attributes:
+        place: File of the camera's place; needed for a real camera, the simulated one is located first.
+        pose_frame_board: Where the board is on ``frame``; None: the simulated one, or its frame.
+        board_sigma: How well that is known, each axis: metres, rad.
+        fit: Whether to estimate the joints' zero offsets.
+        zero_offset_deg: Joint -> degrees by which a simulated servo's shaft is ahead of its registers.
+    """
+
+    views: int = 30
+    place: Path | None = None
+    pose_frame_board: Pose | None = None
+    board_sigma: tuple[float, float] = BOARD_SIGMA
+    fit: bool = False
+    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
+
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+# Pictures of the marker on the table by which the simulated camera is located.
+_LOCATE_PICTURES = 5
+# A place found by moving the arm has the arm's errors in it: so little is it worth here, metres and rad.
+_BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
+# A view that is so many times less sure than the middle one does not count.
+_UNSURE = 5.0
+# No place is known better than this: keeps its covariance regular.
+_LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class VerifyReport:
+    """What came out.
+
+    Attributes:
+        robot: Inside the limits that were used; ``frame``: what carries the board.
+        stops: (nq,) planned, in order.
+        samples: What was measured.
+        unseen: Numbers of the stops where the board was not found.
+        camera, board: Their poses as they were known, for all that follows.
+        by_arm: Whether the camera's place was found by moving the arm, so that only ``fit`` tells anything.
+        errors: Of each view, with the joints as the servos say; empty for a dry run.
+        fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
+        config: The servos.
+        true_offsets: (nv,) rad; None where nobody knows.
+    """
+
+    robot: Robot
+    frame: str
+    stops: tuple[Array, ...]
+    samples: SampleSet
+    unseen: tuple[int, ...]
+    camera: KnownPose
+    board: KnownPose
+    by_arm: bool
+    errors: tuple[PoseError, ...]
+    fit: ZeroOffsets | None
+    config: ArmConfig | None
+    true_offsets: Array | None
+
+    @property
+    def unsure(self) -> tuple[int, ...]:
+        """Numbers of the views that tell far less than the others, or contradict them: they do not count."""
+        limit = _UNSURE * float(np.median([one.sigma for one in self.errors]))
+        wrong = () if self.fit is None else self.fit.outliers
+        return tuple(k for k, one in enumerate(self.errors) if one.sigma > limit or k in wrong)
+
+    def judged(self, *, corrected: bool) -> tuple[PoseError, ...]:
+        """What a verdict is about: the arm as it is or, if fitted, corrected; without the unsure views."""
+        errors = self.fit.errors if corrected and self.fit is not None else self.errors
+        unsure = self.unsure
+        return tuple(one for k, one in enumerate(errors) if k not in unsure)
+
+    def passed(self, allowed: float, *, corrected: bool = False) -> bool:
+        """Whether no pose is farther off than ``allowed`` metres."""
+        return summary(self.judged(corrected=corrected)).largest <= allowed
+
+    @property
+    def better(self) -> bool:
+        """Whether the zeros that were found explain poses that they were not found from."""
+        return self.fit is not None and (
+            summary(self.judged(corrected=True)).rms < summary(self.judged(corrected=False)).rms
+        )
+
+    def offsets(self) -> dict[str, float]:
+        """Joint -> rad, of those that could be determined."""
+        if self.fit is None:
+            return {}
+        return {
+            name: float(value)
+            for name, value in zip(self.fit.joints, self.fit.offsets, strict=True)
+            if name in self.fit.found
+        }
+
+
+def run_verify(
+    request: VerifyRequest,
+    *,
+    dry_run: bool = False,
+    keep: Callable[[VerifySamples], None] = lambda samples: None,
+    progress: Progress = lambda stage, share: None,
+) -> VerifyReport:
+    """Locates the camera, plans, moves, looks, compares.
+
+    Args:
+        request: What to do.
+        dry_run: Plan only; nothing moves.
+        keep: Handed the samples after each stop, so that an interruption loses none.
+        progress: Told the stage and the share of it that is done.
+
+    Raises:
+        RobotIkError: Wrong input or environment; the board was seen at too few stops, or the table's not.
+    """
+    if request.zero_offset_deg and request.camera != "synthetic":
+        raise ConfigError(
+            "a zero offset can be rehearsed before the synthetic camera only",
+            file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
+        )  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        setup = prepare_robot(request.setup(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
+        scene = open_scene(_scene_request(request), setup, stack)
+        place = _given_place(request, scene.task.intrinsics)
+        stack.enter_context(setup.connected())
+        if place is None:
+            progress("locating the camera", 0.0)
+            place = _located(setup, scene)
+        known = _known(request, setup, scene, place)
+        mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
+        scene = replace(scene, task=replace(scene.task, mount=mount))
+        progress("planning", 0.0)
+        stops = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
+        unseen: tuple[int, ...] = ()
+        if not dry_run:
+            setup.energise()
+            unseen = measure_stops(
+                setup, scene, stops, known.samples, speed=request.speed,
+                keep=lambda samples: keep(known), progress=progress,
+            )  # fmt: skip
+    report = _report(known, setup.robot, setup.config, tuple(stops), unseen)
+    if dry_run:
+        return report
+    progress("comparing", 0.0)
+    return _judged(report, request.fit)
+
+
+def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
+    """Judges again what was measured before.
+
+    Args:
+        known: From a file.
+        request: Of it count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``place`` and
+            ``pose_frame_board``.
+        board_sigma: Whether ``request.board_sigma`` is said anew, too.
+
+    Raises:
+        ConfigError: The arm file is not the one the joints were read with.
+        CalibrationError: Other intrinsics without a place that was found with them.
+    """
+    samples = known.samples
+    if request.intrinsics is not None:
+        lens = CameraIntrinsics.load(request.intrinsics)
+        lens.require_size(*samples.intrinsics.size)
+        if lens.digest != samples.intrinsics.digest and request.place is None:
+            raise CalibrationError(
+                "the camera's place on file was found with another calibration",
+                hint="give the place that was found with this one: --camera-place FILE",
+            )
+        samples = replace(samples, intrinsics=lens)
+        known = replace(known, samples=samples)
+    place = _given_place(request, samples.intrinsics)
+    if place is not None:
+        known = replace(known, camera=_known_camera(place), by_arm=_by_arm(place))
+    pose = request.pose_frame_board or known.board.pose
+    board = (
+        KnownPose.within(pose, *request.board_sigma)
+        if board_sigma
+        else KnownPose(pose, known.board.covariance)
+    )
+    config = None if request.arm_file is None else known.arm(request.arm_file)
+    report = _report(replace(known, board=board), samples.load_robot(), config, tuple(samples.q), ())
+    return _judged(report, request.fit)
+
+
+def _report(
+    known: VerifySamples,
+    robot: Robot,
+    config: ArmConfig | None,
+    stops: tuple[Array, ...],
+    unseen: tuple[int, ...],
+) -> VerifyReport:
+    """Before anything is judged."""
+    return VerifyReport(
+        robot, known.samples.frame, stops, known.samples, unseen, known.camera, known.board,
+        known.by_arm, (), None, config, known.true_offsets,
+    )  # fmt: skip
+
+
+def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
+    """With the errors, and with the offsets where they are asked for."""
+    samples, robot = report.samples, report.robot
+    if len(samples) < LEAST_VIEWS:
+        raise MarkerNotFoundError(
+            f"the board was seen at {len(samples)} of {len(report.stops)} stops; {LEAST_VIEWS} are the least",
+            hint="check board, dictionary and light, and where camera and board are said to be",
+        )
+    views = [ArmView(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+    lens, frame = samples.intrinsics, report.frame
+    fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=report.camera, board=report.board)
+    if report.by_arm:
+        # The place as the arm's views have it: what is left are the errors that change from view to view.
+        errors = fitted(hold=robot.joints).errors
+    else:
+        errors = measure_errors(views, robot, frame, lens, camera=report.camera, board=report.board)
+    return replace(report, errors=errors, fit=fitted() if fit else None)
+
+
+def _scene_request(request: VerifyRequest) -> HandEyeRequest:
+    if request.camera != "synthetic" and request.place is None:
+        raise CalibrationError(
+            f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
+            hint="lay a board on the table and find it: robot-ik camera locate; then give --camera-place",
+        )
+    return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
+
+
+def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
+    if request.place is None:
+        return None
+    place = CameraExtrinsics.load(request.place, intrinsics)
+    place.require_parent("world")
+    return place
+
+
+def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
+    """The simulated camera finds its place by the marker on the table, as a person would have it do."""
+    stage = stage_for(setup.robot, setup.frame)
+    marker = MarkerBoard({stage.marker_id: (stage.marker_size, Pose())}, stage.dictionary)
+    looks = [marker.see(scene.take(), scene.task.intrinsics) for _ in range(_LOCATE_PICTURES)]
+    seen = [view for view in looks if view is not None]
+    if not seen:
+        raise MarkerNotFoundError(
+            "the marker on the table is hidden, so the simulated camera does not know where it stands",
+            hint="give its place: --camera-place FILE",
+        )
+    return locate_camera(seen, stage.pose_world_marker, scene.task.intrinsics)
+
+
+def _known(
+    request: VerifyRequest, setup: RobotSetup, scene: HandEyeScene, place: CameraExtrinsics
+) -> VerifySamples:
+    """What is known before the first sample is taken."""
+    pose = request.pose_frame_board
+    if pose is None:
+        pose = Pose() if scene.truth is None else scene.truth.pose_other_board
+    task = scene.task
+    return VerifySamples(
+        SampleSet(request.robot, setup.robot.joints, task.frame, "eye_to_hand", task.intrinsics),
+        _known_camera(place),
+        KnownPose.within(pose, *request.board_sigma),
+        _by_arm(place),
+        _truth(request, setup, scene),
+        () if setup.config is None else tuple(servo_values(joint) for joint in setup.config.joints),
+    )
+
+
+def _by_arm(place: CameraExtrinsics) -> bool:
+    return place.method.startswith("handeye")
+
+
+def _known_camera(place: CameraExtrinsics) -> KnownPose:
+    if _by_arm(place):
+        return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM)
+    return KnownPose(place.pose_parent_camera, place.covariance + _LEAST)
+
+
+def _truth(request: VerifyRequest, setup: RobotSetup, scene: HandEyeScene) -> Array | None:
+    """(nv,) rad by which the simulated shafts are ahead."""
+    if scene.truth is None:
+        return None
+    return np.deg2rad([request.zero_offset_deg.get(name, 0.0) for name in setup.robot.joints])

@@ -1,0 +1,118 @@
+"""Compiles in a process of its own while this one looks through the camera.
+
+Compiling takes longer than all the rest of a first run together, and Python compiles one thing at a time.
+What the other process has compiled is taken from the cache; should it fail, nothing is lost but time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from robot_ik.camera.boards.board import MarkerBoard
+from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.observations import estimate_body, marker_points
+from robot_ik.camera.photometric_pose import fit_photometric_pose
+from robot_ik.camera.synthetic.camera import look_at
+from robot_ik.geometry import Pose
+from robot_ik.kernels import jit
+from robot_ik.robot import load_robot
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.analytic import closed_form
+from robot_ik.solvers.base import IterativeSolver, Solver
+from robot_ik.solvers.levenberg_marquardt import lm
+
+# A solve from the goal itself compiles everything and takes no step.
+_SOLVE = """
+import sys
+import robot_ik as rik
+robot = rik.load_robot(sys.argv[1])
+rik.solve(robot, rik.PoseGoal.at(None, robot.forward(robot.home)), solver=sys.argv[2])
+"""
+
+
+def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
+    """The compiled loops of which a first solve needs one; which, the other process finds out."""
+    if isinstance(method, IterativeSolver):
+        return (method.kernel(),)
+    return (closed_form, lm)
+
+
+class CompiledAhead:
+    """Starts a Python program that compiles something, if that is still to be done; ``wait`` before its use.
+
+    Args:
+        kernels: Where one of them has been compiled, nothing is to be done.
+        what: They are, in the line that tells the user.
+        arguments: Of Python.
+    """
+
+    def __init__(self, kernels: Sequence[Callable[..., None]], what: str, *arguments: str) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        if any(jit.compiled(kernel) for kernel in kernels):
+            return
+        jit.announce(kernels[0], what)
+        quiet = subprocess.DEVNULL
+        with contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
+            self._process = subprocess.Popen(
+                [sys.executable, *arguments], stdin=quiet, stdout=quiet, stderr=quiet
+            )
+
+    @classmethod
+    def solver(cls, robot: str, solver: str) -> Self:
+        """A method, by its name, for a robot as for ``load_robot``."""
+        return cls(_kernels_of(make_solver(solver)), f"solver {solver!r}", "-c", _SOLVE, robot, solver)
+
+    @classmethod
+    def overlay(cls) -> Self:
+        """What draws a robot into a picture with a board."""
+        from robot_ik.camera.drawing.rasteriser import fill_faces
+
+        return cls((fill_faces,), "the painter", "-m", "robot_ik.jobs.precompile")
+
+    def wait(self) -> None:
+        """Returns when it is done, or has failed."""
+        if self._process is not None:
+            self._process.wait()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process is not None and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+# ------------------------------------------------------------------------------------------
+# What a first ``robot-ik ar`` compiles, as a program: ``python -m robot_ik.jobs.precompile``.
+
+
+def compile_overlay() -> None:
+    """Fits a marker to computed corners and to an empty picture, and draws a robot beside it.
+
+    That is all of the compiled code in the order in which it is needed, but for the refinement of corners:
+    whoever started this compiles that meanwhile.
+    """
+    lens = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+    camera = look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))
+    board, there = MarkerBoard({0: (0.05, Pose())}), camera.inverse()
+    estimate_body({0: lens.project(there.apply(marker_points(0.05)))}, board.layout, lens)
+    image = np.full((480, 640, 3), 128, dtype=np.uint8)
+    fit_photometric_pose(image[..., 0].copy(), board.layout, [0], board.dictionary, lens, there)
+    robot = load_robot("puma560")
+    drawing = PainterArtist().draw(DrawnRobot(robot.model, scale=0.2), robot.qpos(robot.home), lens, camera)
+    drawing.over(image)
+
+
+if __name__ == "__main__":
+    compile_overlay()

@@ -1,0 +1,310 @@
+"""The arm's side of a job: robot, servos, clock, and the scene that the joint angles read back drive."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
+from robot_ik.kernels.tree import HINGE, SLIDE
+from robot_ik.ports import Clock, JointSink, JointSource, RealClock, VirtualClock
+from robot_ik.robot import Robot, load_robot
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.jobs.reach import ReachRequest, Rehearsal
+
+
+Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+
+_RATE_HZ = 100.0
+# A generic servo is this much faster than the plan, so that what fell behind on a busy machine catches up.
+_HEADROOM = 1.3
+
+
+class KinematicScene:
+    """A MuJoCo scene that shows joint angles: qpos is written and ``mj_forward`` run; ``data.time`` stays 0.
+
+    Attributes:
+        q: (nq,) what is shown.
+        data: MuJoCo's, of the robot's model.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.data = mujoco.MjData(robot.model)
+        self.q = robot.home.copy()
+        self.send(self.q, 0.0)
+
+    def send(self, q: Array, now: float) -> None:
+        """Shows ``q`` (nq,)."""
+        self.q = np.array(q, dtype=float)
+        self.data.qpos[:] = self._robot.qpos(self.q)
+        mujoco.mj_forward(self._robot.model, self.data)
+
+
+class LastCommand:
+    """Remembers what was sent last: a ``JointSink``."""
+
+    def __init__(self, q: Array) -> None:
+        self.q = q.copy()
+
+    def send(self, q: Array, now: float) -> None:
+        """Takes ``q`` (nq,)."""
+        self.q = np.array(q, dtype=float)
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Where the limits of one joint come from: rad (m for slides), ``servo`` None without a bus."""
+
+    joint: str
+    unit: str
+    model: tuple[float, float]
+    servo: tuple[float, float] | None
+    used: tuple[float, float]
+
+
+class RobotSetup:
+    """A robot and, with a bus, its servos.
+
+    Attributes:
+        robot: Inside the intersection of model, servo mode and joint map.
+        frame: What shall be moved.
+        freedoms: How many joints move it.
+        limits: How that intersection came about.
+        config, arm: None without a bus.
+        clock: Of the run; virtual where nothing real waits.
+        scene: Driven by what is read back (by what is commanded, without a bus).
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        limits: list[JointLimits],
+        config: ArmConfig | None,
+        arm: Arm | None,
+        clock: Clock,
+    ) -> None:
+        self.robot, self.limits, self.config, self.arm, self.clock = robot, limits, config, arm, clock
+        self.frame = frame
+        self.freedoms = len(joints_that_move(robot, frame))
+        self.scene = KinematicScene(robot)
+        self._command = LastCommand(robot.home)
+
+    @property
+    def source(self) -> JointSource | None:
+        """Who measures the joints; None without a bus."""
+        return self.arm
+
+    @property
+    def sinks(self) -> list[JointSink]:
+        """Who takes commands."""
+        return [self._command] if self.arm is None else [self.arm, self._command]
+
+    @property
+    def commanded(self) -> Array:
+        """(nq,) what was sent last."""
+        return self._command.q
+
+    @property
+    def q(self) -> Array:
+        """(nq,) where the joints are: measured, or as commanded without a bus."""
+        if self.arm is None:
+            return self._command.q
+        from robot_ik.hardware.arm import ArmState
+
+        if self.arm.state is ArmState.DISCONNECTED:
+            return self._command.q
+        q = self.arm.read().q
+        self.scene.send(q, 0.0)
+        return q
+
+    def true_q(self) -> Array:
+        """(nq,) where a camera would see the joints: with virtual servos their shafts, faults included."""
+        if self.arm is not None and self.arm.virtual_bus is not None and self.config is not None:
+            return np.asarray(self.arm.virtual_bus.true_angles(self.config))
+        return self.scene.q
+
+    @property
+    def resolution(self) -> Array:
+        """(nv,) rad per servo tick; zeros without servos."""
+        return np.zeros(self.robot.nv) if self.config is None else np.asarray(self.config.resolution)
+
+    @property
+    def velocity(self) -> Array | None:
+        """(nv,) cap of the arm file, rad/s; None without one."""
+        return None if self.config is None else self.config.velocity
+
+    @property
+    def acceleration(self) -> Array | None:
+        """(nv,) cap of the arm file, rad/s²; None without one."""
+        return None if self.config is None else self.config.acceleration
+
+    @property
+    def rate(self) -> float:
+        """Control cycles a second, Hz."""
+        return _RATE_HZ if self.config is None else self.config.rate_hz
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[None]:
+        """Checks and sets up the servos; leaves them as the exit policy says."""
+        if self.arm is None:
+            yield
+            return
+        with self.arm:
+            self._command.q = self.q.copy()
+            yield
+
+    def energise(self) -> None:
+        """Torque on, where the arm stands."""
+        if self.arm is not None:
+            self.arm.enable()
+            self._command.q = self.q.copy()
+
+    def settle(self, seconds: float) -> None:
+        """Repeats the last command, so that servos can arrive."""
+        if self.arm is None:
+            return
+        begin = self.clock.now()
+        for k in range(int(np.ceil(seconds * self.rate))):
+            self.clock.sleep_until(begin + k / self.rate)
+            self.arm.send(self.commanded, self.clock.now())
+
+    def counters(self) -> dict[str, int]:
+        """Totals of the bus; empty without one."""
+        if self.arm is None:
+            return {}
+        found: dict[str, int] = asdict(self.arm.bus.counters)
+        return found
+
+
+def prepare_robot(request: ReachRequest) -> RobotSetup:
+    """Robot and arm of a request; nothing is opened yet.
+
+    Raises:
+        ModelError, ConfigError: Robot or arm file is wrong, or they do not belong together.
+    """
+    robot = load_robot(request.robot)
+    frame = robot.frame(request.frame).name
+    if request.bus == "none":
+        _refuse_servo_faults(request.rehearsal)
+        clock: Clock = RealClock() if request.view else VirtualClock()
+        robot = _only_what_moves(robot, request.robot, frame)
+        limits = [JointLimits(n, unit, r, None, r) for n, unit, r in _ranges(robot)]
+        return RobotSetup(robot, frame, limits, None, None, clock)
+    from robot_ik.hardware import bus_row, open_arm
+    from robot_ik.hardware.calibration import check_model
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.faults import Faults
+
+    robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
+    before = {name: limits for name, _, limits in _ranges(robot)}
+    limited = robot.with_limits(config.lower, config.upper)
+    limits = [
+        JointLimits(joint.name, unit, before[joint.name], joint.limits, used)
+        for joint, (_, unit, used) in zip(config.joints, _ranges(limited), strict=True)
+    ]
+    row = bus_row(request.bus)
+    if not row.virtual:
+        _refuse_servo_faults(request.rehearsal)
+        check_model(config, before)
+        arm = open_arm(config, request.bus)
+        return RobotSetup(limited, frame, limits, config, arm, arm.clock)
+    rehearsal = request.rehearsal
+    faults = Faults.for_joints(config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck)
+    clock = row.clock()
+    servos = VirtualBus.from_config(config, clock, limited.home, faults)
+    return RobotSetup(
+        limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock
+    )
+
+
+def _refuse_servo_faults(rehearsal: Rehearsal) -> None:
+    if rehearsal.zero_offset_deg or rehearsal.stuck:
+        raise ConfigError(
+            "servo faults can be rehearsed on simulated servos only",
+            file="command line", key="--rehearse", allowed="--bus pty or --bus sim",
+        )  # fmt: skip
+
+
+def joints_that_move(robot: Robot, frame: str) -> tuple[str, ...]:
+    """The active joints between the world and ``frame``: fingers beside it are none of them."""
+    model, body, found = robot.model, robot.frame(frame).body, set()
+    while body > 0:
+        found |= {int(model.body_jntadr[body]) + k for k in range(int(model.body_jntnum[body]))}
+        body = int(model.body_parentid[body])
+    ids = robot.tree.joint_ids
+    return tuple(joint for joint, id in zip(robot.joints, ids, strict=True) if int(id) in found)
+
+
+def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
+    """The robot without the joints that do not move ``frame``: they stay at home and need no servo.
+
+    Ball and free joints stay there too: moves are planned for hinges and slides.
+    """
+    planned = {
+        joint for joint, kind in zip(robot.joints, robot.tree.kind, strict=True) if kind in (HINGE, SLIDE)
+    }
+    chain = tuple(joint for joint in joints_that_move(robot, frame) if joint in planned)
+    if not chain and len(planned) < len(robot.joints):
+        raise UnsupportedJointError(
+            f"no hinge or slide moves {frame!r} of {robot.name}, and moves are planned for these alone",
+            hint="robot-ik solve takes ball and free joints too",
+        )
+    held = [joint for joint in joints_that_move(robot, frame) if joint not in planned]
+    if held:
+        _log.warning("%s stays as at home: moves are planned for hinges and slides", ", ".join(held))
+    return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
+
+
+def _ranges(robot: Robot) -> list[tuple[str, str, tuple[float, float]]]:
+    tree = robot.tree
+    return [
+        (joint, "m" if kind == SLIDE else "rad", (float(robot.lower[at]), float(robot.upper[at])))
+        for joint, kind, at in zip(robot.joints, tree.kind, tree.vadr, strict=True)
+    ]
+
+
+def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, Any]:
+    """The arm's configuration in the robot's joint order, and the robot with only the arm's joints active."""
+    from robot_ik.hardware.config import ArmConfig
+
+    path = file or robot.arm_file
+    if path is None:
+        robot = _only_what_moves(robot, name, frame)
+        for k, joint in enumerate(robot.joints):
+            if robot.tree.kind[k] != HINGE:
+                raise UnsupportedJointError(
+                    f"joint {joint!r} is no hinge, and a generic servo arm turns hinges only",
+                    hint="give an arm file (--arm) for the joints with servos; reach needs none: --bus none",
+                )
+        return robot, ArmConfig.generic(
+            robot.name, robot.joints, robot.lower, robot.upper,
+            _HEADROOM * robot.velocity, _HEADROOM * robot.acceleration,
+        )  # fmt: skip
+    config = ArmConfig.load(path)
+    if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
+        with contextlib.suppress(UnknownJointError):
+            robot = load_robot(name, joints=config.names)
+    strangers = [joint for joint in config.names if joint not in robot.joints]
+    if strangers:
+        raise ConfigError(
+            f"the model has no joint {', '.join(map(repr, strangers))}",
+            file=path, key="joints", allowed=", ".join(robot.joints),
+        )  # fmt: skip
+    if len(config.joints) < len(robot.joints):
+        robot = load_robot(name, joints=config.names)
+    by_name = {joint.name: joint for joint in config.joints}
+    return robot, replace(config, joints=tuple(by_name[joint] for joint in robot.joints))

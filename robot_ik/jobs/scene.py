@@ -1,0 +1,317 @@
+"""What stands round the robot in `robot-ik reach`: table, printed markers, camera.
+
+A robot's ``robot.toml`` says so under ``[reach]``; for any other model a stage is made up from its own
+kinematics: a goal that it can reach, a marker in front of that, and a camera that sees both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, look_at
+from robot_ik.camera.synthetic.scene import Table
+from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose, rotation_exp
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+
+Array = NDArray[np.float64]
+
+# The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
+FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
+
+# Proportions of a made-up stage, in reaches of the robot.
+_MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
+_CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
+_MADE_UP_IDS = (20, 21, 22, 23)
+_TRIES = 60
+# Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
+_GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
+# A view in which the tool's markers lie on the target's is worth so much of one that keeps them apart, and
+# ends the search after so many goals.
+_ONE_ON_THE_OTHER, _PATIENCE = 0.5, 4
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What stands round the robot.
+
+    Attributes:
+        intrinsics, pose_world_camera: The camera.
+        marker_id, dictionary, marker_size: The printed marker to reach.
+        pose_world_marker: Where it lies at first.
+        hover: How far from the paper the tool stops, metres.
+        cube_frame: Robot frame that carries the tool's markers.
+        cube_offset: The cube seen from that frame.
+        cube: Marker id -> (side, ``pose_cube_marker``).
+        cube_margin: White paper round each of them, metres: as much as the cube's side leaves.
+        table: Where the marker lies, or None.
+        made_up: True when no ``robot.toml`` describes it.
+    """
+
+    intrinsics: CameraIntrinsics
+    pose_world_camera: Pose
+    marker_id: int
+    dictionary: str
+    marker_size: float
+    pose_world_marker: Pose
+    hover: float
+    cube_frame: str
+    cube_offset: Pose
+    cube: Mapping[int, tuple[float, Pose]]
+    cube_margin: float
+    table: Table | None = None
+    made_up: bool = False
+
+    @property
+    def pose_marker_tool(self) -> Pose:
+        """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
+        return Pose((0.0, 0.0, self.hover)).compose(FACING)
+
+    def scene(self, robot: Robot) -> SyntheticScene:
+        """The scene for the synthetic camera."""
+        target = SyntheticMarker(
+            self.marker_id, self.marker_size, self.pose_world_marker, dictionary=self.dictionary
+        )
+        carried = tuple(
+            # Wider paper would stick out and hide the edge of the marker round the corner.
+            SyntheticMarker(
+                id,
+                side,
+                self.cube_offset.compose(pose),
+                frame=self.cube_frame,
+                dictionary=self.dictionary,
+                margin=self.cube_margin,
+            )
+            for id, (side, pose) in self.cube.items()
+        )
+        return SyntheticScene(
+            robot, self.intrinsics, self.pose_world_camera, (target, *carried), table=self.table
+        )
+
+
+def stage_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Stage:
+    """The stage of ``robot.toml``, or one made up from the kinematics of ``frame`` (default: the tool).
+
+    Args:
+        robot: Whose stage.
+        frame: What shall reach the marker.
+        upright: Made up only: the marker lies flat below the goal, however the tool is turned there; for
+            arms that are asked for a place alone.
+
+    Raises:
+        CameraError: No camera place shows a goal.
+    """
+    if robot.file.reach is not None:
+        return _described(robot)
+    return _made_up(robot, frame or robot.tool, upright)
+
+
+def _described(robot: Robot) -> Stage:
+    reach = robot.file.reach
+    assert reach is not None
+    place, marker, tool = reach.camera, reach.marker, reach.tool_marker
+    centre = ((place.width - 1) / 2, (place.height - 1) / 2)
+    intrinsics = CameraIntrinsics(
+        place.width, place.height, place.focal, place.focal, *centre, distortion=place.distortion
+    )
+    yaw = rotation_exp([0.0, 0.0, np.deg2rad(marker.yaw_deg)])
+    cube_pose = robot.forward(robot.home, tool.site)
+    cube = {
+        id: (tool.size, cube_pose.inverse().compose(robot.forward(robot.home, f"marker_{id}")))
+        if f"marker_{id}" in robot.frames
+        else (tool.size, _cube_side(k, tool.cube))
+        for k, id in enumerate(tool.ids)
+    }
+    table = None if reach.table is None else Table(reach.table.height, reach.table.x, reach.table.y)
+    return Stage(
+        intrinsics=intrinsics,
+        pose_world_camera=look_at(place.position, place.look_at),
+        marker_id=marker.id,
+        dictionary=marker.dictionary,
+        marker_size=marker.size,
+        pose_world_marker=Pose(marker.position, yaw),
+        hover=reach.hover,
+        cube_frame=tool.site,
+        cube_offset=Pose(),
+        cube=cube,
+        cube_margin=0.5 * (tool.cube - tool.size),
+        table=table,
+    )
+
+
+def _cube_side(k: int, edge: float) -> Pose:
+    """``pose_cube_marker`` of the k-th side (+x, +y, -x, -y): z outwards, y along the cube's z."""
+    angle = k * np.pi / 2
+    out = np.array([np.cos(angle), np.sin(angle), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    return Pose.from_rotation(np.column_stack([np.cross(up, out), up, out]), out * edge / 2)
+
+
+def _made_up(robot: Robot, frame: str, upright: bool) -> Stage:
+    ball = robot.reach(frame)
+    reach = 1.0 if ball is None else max(ball[1], 1e-3)
+    side = _TOOL_MARKER_SIDE * reach
+    cube = {id: (side, _cube_side(k, side * _CUBE_PER_MARKER)) for k, id in enumerate(_MADE_UP_IDS)}
+    focal = 1100.0
+    stage = Stage(
+        intrinsics=CameraIntrinsics(
+            1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)
+        ),
+        pose_world_camera=Pose(),
+        marker_id=7,
+        dictionary="DICT_5X5_50",
+        marker_size=_MARKER_SIDE * reach,
+        pose_world_marker=Pose(),
+        hover=_HOVER * reach,
+        cube_frame=frame,
+        # Held in front of the tool, so that whatever the tool is made of does not hide it.
+        cube_offset=Pose((0.0, 0.0, 0.6 * side * _CUBE_PER_MARKER)),
+        cube=cube,
+        cube_margin=0.5 * (_CUBE_PER_MARKER - 1.0) * side,
+        made_up=True,
+    )
+    return _best_view(robot, frame, stage, reach, upright)
+
+
+def _best_view(robot: Robot, frame: str, stage: Stage, reach: float, upright: bool) -> Stage:
+    """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
+    rng = np.random.default_rng(0)
+    best, best_score = None, 0.0
+    home = robot.forward(robot.home, frame)
+    for attempt in range(_TRIES):
+        # From a quarter of the range towards all of it, should nothing near home do.
+        share = 0.25 + 0.75 * attempt / _TRIES
+        q = robot.clip(_between(robot, robot.home, robot.sample(rng), share))
+        tool = robot.forward(q, frame)
+        if not 0.05 * reach < tool.distance(home)[0]:
+            continue
+        marker = _marker_for(tool, stage, upright)
+        placed = replace(stage, pose_world_marker=marker)
+        placed = replace(placed, table=_ground(robot, placed, q, reach))
+        ground = 0.0 if placed.table is None else placed.table.height
+        for pose in _cameras(marker.position, tool.position, reach):
+            if pose.position[2] < ground + 0.1 * reach:
+                continue
+            score = _visibility(robot, replace(placed, pose_world_camera=pose), q)
+            if score > best_score:
+                best, best_score = replace(placed, pose_world_camera=pose), score
+        enough = _GOOD_VIEW if attempt < _PATIENCE else _ONE_ON_THE_OTHER * _GOOD_VIEW
+        if best_score > enough:
+            break
+    if best is None:
+        raise CameraError(
+            f"no camera place shows a goal of frame {frame!r} of {robot.name}: the robot hides it everywhere",
+            hint="give a goal yourself (--goal X Y Z), or another frame (--frame), "
+            "or describe the scene in a robot.toml beside the model ([reach])",
+        )
+    return best
+
+
+def _marker_for(tool: Pose, stage: Stage, upright: bool) -> Pose:
+    """Where the marker lies whose goal is ``tool``, or the place of ``tool`` where that is enough."""
+    if upright:
+        return Pose(tool.position - [0.0, 0.0, stage.hover])
+    return tool.compose(stage.pose_marker_tool.inverse())
+
+
+def _ground(robot: Robot, stage: Stage, q_goal: Array, reach: float) -> Table | None:
+    """A table top below marker and tool where the floor, at height 0, would hide them."""
+    cube = _cube_pose(robot, stage, q_goal)
+    side = next(side for side, _ in stage.cube.values())
+    lowest = min(stage.pose_world_marker.position[2] - stage.marker_size, cube.position[2] - 1.2 * side)
+    height = float(lowest) - 0.02 * reach
+    return None if height > 0.0 else Table(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
+
+
+def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:
+    """A configuration on the way from a to b; b itself where q is no vector space (ball and free joints)."""
+    return a + share * (b - a) if robot.nq == robot.nv else b
+
+
+def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
+    middle = 0.5 * (marker + tool)
+    found = []
+    for elevation in np.deg2rad([20.0, 40.0, 60.0, -15.0, -35.0]):
+        for azimuth in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
+            direction = np.array(
+                [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+            )
+            found.append(look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
+    return found
+
+
+def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
+    """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
+    at_home = _facing(robot, stage, robot.home, [stage.pose_world_marker], [stage.marker_size])
+    if not at_home or not _apart(robot, stage, robot.home):
+        return 0.0
+    cube = _cube_pose(robot, stage, q_goal)
+    sides = [cube.compose(pose) for _, pose in stage.cube.values()]
+    seen = _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()])
+    # Two sides at once tell how the cube is turned far better than one seen squarely.
+    score = min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
+    return score if not score or _apart(robot, stage, q_goal) else _ONE_ON_THE_OTHER * score
+
+
+def _cube_pose(robot: Robot, stage: Stage, q: Array) -> Pose:
+    return robot.forward(q, stage.cube_frame).compose(stage.cube_offset)
+
+
+def _apart(robot: Robot, stage: Stage, q: Array) -> bool:
+    """Whether the picture at ``q`` shows the target, and a cell of white round it, beside the whole cube."""
+    to_camera = stage.pose_world_camera.inverse()
+
+    def outline(pose: Pose, points: Array) -> NDArray[np.float32]:
+        pixels = stage.intrinsics.project(to_camera.apply(pose.apply(points)))
+        return np.asarray(cv2.convexHull(pixels.astype(np.float32)))
+
+    h = 0.6 * stage.marker_size
+    paper = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
+    side = next(side for side, _ in stage.cube.values())
+    c = 0.5 * side + stage.cube_margin
+    corners = c * np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    target, cube = outline(stage.pose_world_marker, paper), outline(_cube_pose(robot, stage, q), corners)
+    return not cv2.intersectConvexConvex(target, cube)[0] > 0.0
+
+
+def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:
+    """Cosines between view and paper of the markers that are seen whole, the best first."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_kinematics(robot.model, data)
+    eye = stage.pose_world_camera.position
+    width, height = stage.intrinsics.size
+    found = []
+    for pose, side in zip(markers, sides, strict=True):
+        h = 0.6 * side
+        points = pose.apply(np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]]))
+        view = eye - pose.position
+        cosine = float(pose.rotation[:, 2] @ view / np.linalg.norm(view))
+        if cosine <= _WORST_VIEW:
+            continue
+        pixels = stage.intrinsics.project(stage.pose_world_camera.inverse().apply(points))
+        if not ((pixels > 20).all() and (pixels < [width - 20, height - 20]).all()):
+            continue
+        if all(_clear(robot.model, data, eye, point) for point in points):
+            found.append(cosine)
+    return sorted(found, reverse=True)
+
+
+def _clear(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array) -> bool:
+    """Whether no geom stands between ``eye`` and ``point``."""
+    ray = point - eye
+    length = float(np.linalg.norm(ray))
+    geom = np.zeros(1, dtype=np.int32)
+    hit = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, geom, None)
+    return bool(hit < 0 or hit > length - 1e-4)

@@ -1,0 +1,486 @@
+"""The camera's side of a job: what it looks at, where it stands, and what it may be asked."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.marker_goals import SYNTHETIC_RATE_HZ, Delays, LatestGoals, MarkerGoalSource, WhenLost
+from robot_ik.camera.motion_filter import FilterOptions
+from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.sources import ClosingSource, Frame, FrameSource, ImageSource, open_source
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
+from robot_ik.jobs.scene import Stage, stage_for
+from robot_ik.jobs.verdict import Bound, sigma_at
+from robot_ik.ports import Clock
+
+if TYPE_CHECKING:
+    from robot_ik.jobs.reach import ReachRequest
+    from robot_ik.jobs.robot_setup import RobotSetup
+
+
+# ------------------------------------------------------------------------------------------
+# Pictures without their truth, and a printed marker that somebody pushes about.
+
+
+# The synthetic marker that is followed lies still for a while in the end.
+REST_SECONDS = 1.5
+
+
+class WithoutTruth(ClosingSource):
+    """A source whose pictures come without their truth; the truth is kept aside for the report."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.truth: Any = None
+        self.image: Any = None
+
+    @property
+    def live(self) -> bool:
+        """As the source is."""
+        return self._source.live
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether nothing more would come."""
+        return bool(getattr(self._source, "exhausted", False))
+
+    def read(self) -> Frame:
+        """The next picture, without truth."""
+        frame = self._source.read()
+        self.truth, self.image = frame.truth, frame.image
+        return frame.without_truth()
+
+    def close(self) -> None:
+        """Closes the source."""
+        self._source.close()
+
+
+@dataclass(frozen=True)
+class Wandering:
+    """Pose of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
+
+    home: Pose
+    begin: float
+    seconds: float
+    size: float
+
+    def __call__(self, now: float) -> Pose:
+        """``pose_world_marker`` at ``now`` seconds."""
+        share = np.clip((now - self.begin) / max(self.seconds - REST_SECONDS, 0.1), 0.0, 1.0)
+        smooth = share * share * (3.0 - 2.0 * share)
+        x = self.size * np.sin(2.0 * np.pi * smooth)
+        y = self.size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
+        return self.home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
+
+
+Array = NDArray[np.float64]
+
+# How often a camera or a film is asked again before a marker counts as not there.
+_LIVE_TRIES = 20
+_SYNTHETIC_TRIES = 2
+# With fewer degrees of freedom a full pose is out of reach in general.  With five the place and the tool's z
+# axis are asked for, its turn about that axis is free; with fewer only the place.
+FREEDOMS_OF_A_POSE, FREEDOMS_OF_AN_AXIS = 6, 5
+# While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
+_WANDER = 0.4
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The target marker in one picture.
+
+    Attributes:
+        goal: The tool in front of it.
+        observation: Of the marker, camera frame.
+        pose_world_marker: In the world.
+        true_pose: Where it really is, world; None where nobody knows (every real camera).
+    """
+
+    goal: PoseGoal | PositionGoal
+    observation: MarkerObservation
+    pose_world_marker: Pose
+    true_pose: Pose | None
+
+    def uncertainty(self, place: Array) -> Bound:
+        """Standard deviation of a point ``place`` (3,), seen from the marker, in the worst direction."""
+        pose = self.observation.pose
+        return sigma_at(self.observation.covariance, pose.rotation @ place)
+
+
+class Vision:
+    """A camera and what it is for in a reach.
+
+    Attributes:
+        pose_world_camera: Where it stands.
+        live: It can look again; False where its pictures are recorded.
+        sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
+        last_image: The last picture taken.
+        delays: After following: from grab to goal, and the age of the picture at each tick.
+        path: From following on: where the synthetic marker truly is, by time; None where nobody knows.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        source: FrameSource,
+        intrinsics: CameraIntrinsics,
+        pose_world_camera: Pose,
+        setup: RobotSetup,
+        frame: str,
+        *,
+        why_blind: str = "",
+        synthetic: SyntheticSource | None = None,
+        seed: int = 0,
+        when_lost: WhenLost = WhenLost(),  # noqa: B008 - frozen
+        lead: float = 0.0,
+    ) -> None:
+        self._when_lost, self._lead = when_lost, lead
+        self.delays: tuple[Delays, Delays] | None = None
+        self.path: Wandering | None = None
+        self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
+        self.live = source.live
+        # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
+        self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
+        self._seed = seed
+        self.sees_arm, self.why_blind = not why_blind, why_blind
+        self._setup, self._frame, self._synthetic = setup, frame, synthetic
+        self._source = WithoutTruth(source)
+        sides = {id: side for id, (side, _) in stage.cube.items()}
+        self._cubes = MarkerTracker(intrinsics, stage.dictionary, sides)
+        self._goals = self.goal_source(self._source)
+        self._followed: Seen | None = None
+        self._moving: SyntheticSource | None = None
+        self._cover_gripper = False
+
+    @property
+    def last_image(self) -> Any:
+        """The last picture, BGR, or None."""
+        return self._source.image
+
+    def cover_gripper_later(self) -> None:
+        """From the first look at the gripper on, its markers are hidden (a rehearsal)."""
+        self._cover_gripper = True
+
+    def picture(self) -> Any:
+        """Takes a picture and looks for nothing."""
+        return self._source.read().image
+
+    def find_target(self) -> Seen:
+        """The target marker in the next pictures.
+
+        Raises:
+            MarkerNotFoundError: Not there, or not told apart from its mirror image; says what is there.
+        """
+        tries = _SYNTHETIC_TRIES if self._synthetic is not None else _LIVE_TRIES
+        # A recording is searched to its end: there is no hurry, and nothing else to see.
+        while tries > 0 or not self.live:
+            try:
+                goal = self._goals.poll(self._setup.clock.now())
+            except FrameTimeoutError:
+                break
+            last = self._goals.last
+            if isinstance(goal, PoseGoal | PositionGoal) and isinstance(last, MarkerObservation):
+                return self.seen(goal, last, self._source.truth)
+            if self._source.exhausted:
+                break
+            tries -= 1
+        raise self._not_found()
+
+    def find_target_again(self) -> Seen:
+        """The target where it is now: after following, the last one of a recording, else a new look.
+
+        Raises:
+            MarkerNotFoundError: As ``find_target``.
+        """
+        if not self.live and self._followed is not None:
+            return self._followed
+        return self.find_target()
+
+    def find_gripper(self) -> BodyObservation | None:
+        """The gripper's markers in a new picture; None when none is in view."""
+        if self._cover_gripper and self._synthetic is not None:
+            self._synthetic.scene = self._synthetic.scene.cover(*self.stage.cube)
+        return self._cubes.observe_body(self._source.read(), dict(self.stage.cube))
+
+    def pose_body_tool(self, q: Array) -> Pose:
+        """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
+        robot = self._setup.robot
+        body = robot.forward(q, self.stage.cube_frame).compose(self.stage.cube_offset)
+        return body.inverse().compose(robot.forward(q, self._frame))
+
+    def get_ready_to_follow(self) -> None:
+        """Does what would keep an arm with torque waiting: the first picture of a stage takes longest."""
+        if self._synthetic is None or self._moving is not None:
+            return
+        self._moving = SyntheticSource(
+            self._synthetic.scene,
+            self._setup.true_q,
+            seed=self._seed,
+            clock=self._setup.clock,
+            quality="fast",
+        )
+        self._moving.read()
+
+    @contextlib.contextmanager
+    def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
+        """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
+        if self._synthetic is None:
+            aimed = _Aimed(self, self._source)
+            with LatestGoals(aimed, clock, self._rate) as latest:
+                yield latest
+            self._followed, self.delays = aimed.seen, aimed.delays
+            return
+        scene = self._synthetic.scene
+        home = next(m.pose for m in scene.markers if m.id == self.stage.marker_id)
+        assert isinstance(home, Pose)
+        self.get_ready_to_follow()
+        moving = self._moving
+        assert moving is not None
+        begin, size = clock.now() + REST_SECONDS, _WANDER * self.stage.hover
+        self.path = path = Wandering(home, begin, seconds - REST_SECONDS, size)
+        moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
+        aimed = _Aimed(self, WithoutTruth(moving))
+        with LatestGoals(aimed, clock, self._rate) as latest:
+            yield latest
+        self.delays = aimed.delays
+        self._synthetic.scene = scene.with_marker(self.stage.marker_id, pose=path(clock.now()))
+
+    def goal_source(self, source: WithoutTruth, *, follow: bool = False) -> MarkerGoalSource:
+        """Goals from the target marker; each picture of ``source`` for itself, unless to ``follow``."""
+        return MarkerGoalSource(
+            source,
+            self._tracker(follow),
+            self.pose_world_camera,
+            self.stage.marker_id,
+            self.stage.pose_marker_tool,
+            self._frame,
+            motion=FilterOptions() if follow else None,
+            predict=follow and self.live,
+            lead=self._lead if follow else 0.0,
+            when_lost=self._when_lost if follow else WhenLost(),
+            clock=self._setup.clock,
+        )
+
+    def _tracker(self, window: bool) -> MarkerTracker:
+        stage = self.stage
+        return MarkerTracker(
+            self.intrinsics,
+            stage.dictionary,
+            {stage.marker_id: stage.marker_size},
+            [stage.marker_id],
+            window=window,
+        )
+
+    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> Seen:
+        """What an observation means for this arm."""
+        true_pose = (truth or {}).get("pose_world_marker", {}).get(self.stage.marker_id)
+        pose = self.pose_world_camera.compose(observation.pose)
+        return Seen(self.for_arm(goal), observation, pose, true_pose)
+
+    def for_arm(self, goal: Any) -> Any:
+        """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
+        if not isinstance(goal, PoseGoal) or self._setup.freedoms >= FREEDOMS_OF_A_POSE:
+            return goal
+        if self._setup.freedoms >= FREEDOMS_OF_AN_AXIS:
+            return replace(goal, free_axis="z")
+        return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
+
+    def _not_found(self) -> MarkerNotFoundError:
+        wanted = f"marker {self.stage.marker_id} of {self.stage.dictionary}"
+        image = self.last_image
+        if self._goals.last is not None:
+            return MarkerNotFoundError(
+                f"{wanted} is in view, but its two possible orientations cannot be told apart",
+                hint="show it larger, sharper or more from the side",
+            )
+        found = [] if image is None else MarkerDetector(self.stage.dictionary).detect(image)
+        others = ", ".join(str(id) for id in sorted({detection.id for detection in found}))
+        there = f"in view: {others}" if others else "no marker of that dictionary is in view"
+        return MarkerNotFoundError(
+            f"{wanted} was not found; {there}",
+            hint="check id (--marker), dictionary (--dictionary), light, focus and the white margin round it",
+        )
+
+
+class _Aimed:
+    """Goals for following one arm; remembers what was seen last."""
+
+    def __init__(self, vision: Vision, source: WithoutTruth) -> None:
+        self._vision, self._source = vision, source
+        self._goals = vision.goal_source(source, follow=True)
+        self.seen: Seen | None = None
+
+    @property
+    def delays(self) -> tuple[Delays, Delays]:
+        """From grab to goal, and the age of the picture at each tick."""
+        return self._goals.made.figures(), self._goals.used.figures()
+
+    def look(self, now: float, *, wait: bool = False) -> None:
+        """Looks at the next picture."""
+        self._goals.look(now, wait=wait)
+        goal, last = self._goals.measured, self._goals.last
+        if goal is not None and isinstance(last, MarkerObservation):
+            self.seen = self._vision.seen(goal, last, self._source.truth)
+
+    def goal_at(self, now: float) -> Any:
+        """The goal at ``now``, or None."""
+        return self._vision.for_arm(self._goals.goal_at(now))
+
+    def poll(self, now: float) -> Any:
+        """Looks, and gives the goal at ``now``, or None."""
+        self.look(now)
+        return self.goal_at(now)
+
+
+# ------------------------------------------------------------------------------------------
+# Opens the camera that a request asks for, with its calibration.
+
+
+def open_vision(
+    request: ReachRequest, setup: RobotSetup, frame: str, stack: contextlib.ExitStack
+) -> Vision | None:
+    """Opens the camera of a request; None when a goal was given and no camera can watch.
+
+    Raises:
+        CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
+    """
+    synthetic = request.camera == "synthetic"
+    if not synthetic:
+        return None if request.goal is not None else _real_vision(request, setup, frame, stack)
+    try:
+        stage = _stage(request, setup, frame)
+    except CameraError:
+        if request.goal is None:
+            raise
+        return None  # a goal was given, and nothing can be seen: the read-back must do
+    scene = stage.scene(setup.robot)
+    if request.rehearsal.blank_marker:
+        scene = scene.blank(stage.marker_id)
+    source = stack.enter_context(SyntheticSource(scene, setup.true_q, seed=request.seed, clock=setup.clock))
+    metal = setup.arm is not None and setup.arm.virtual_bus is None
+    vision = Vision(
+        stage, source, stage.intrinsics, stage.pose_world_camera, setup, frame, synthetic=source,
+        why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
+        when_lost=_when_lost(request, setup), lead=request.lead,
+    )  # fmt: skip
+    if request.rehearsal.cover_gripper:
+        vision.cover_gripper_later()
+    return vision
+
+
+def _real_vision(request: ReachRequest, setup: RobotSetup, frame: str, stack: contextlib.ExitStack) -> Vision:
+    rehearsal = request.rehearsal
+    if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
+        raise ConfigError(
+            "what a camera sees can be rehearsed with the synthetic camera only",
+            file="command line", key="--rehearse", allowed="--camera synthetic",
+        )  # fmt: skip
+    calibration = calibration_of(request.camera, request.intrinsics)
+    if request.marker_size is None:
+        raise CameraError(
+            "the size of the printed marker is not given, so its distance cannot be known",
+            hint="give the side of its black square in metres: --marker-size 0.05",
+        )
+    source, intrinsics = open_calibrated(request.camera, calibration, stack)
+    stage = _stage(request, setup, frame)
+    if request.follow > 0.0 and isinstance(source, ImageSource):
+        raise ConfigError(
+            "a photograph does not go on, so there is nothing to follow",
+            file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
+        )  # fmt: skip
+    pose = request.pose_world_camera or stage.pose_world_camera
+    why = ""
+    if not source.live:
+        why = "the pictures are recorded, so nothing looked at the arm afterwards"
+    elif setup.arm is None or setup.arm.virtual_bus is not None:
+        why = "the arm is simulated, so a real camera cannot see it"
+    elif stage.made_up:
+        why = "robot.toml says of no marker on this robot's gripper"
+    return Vision(
+        stage, source, intrinsics, pose, setup, frame, why_blind=why,
+        when_lost=_when_lost(request, setup), lead=request.lead,
+    )  # fmt: skip
+
+
+def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
+    park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
+    return WhenLost(request.when_lost, request.lost_after, park)
+
+
+def _stage(request: ReachRequest, setup: RobotSetup, frame: str) -> Stage:
+    """The robot's stage, with what the request says about the target marker."""
+    stage = stage_for(setup.robot, frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
+    changes: dict[str, Any] = {}
+    if request.marker_id is not None:
+        changes["marker_id"] = request.marker_id
+    if request.marker_size is not None:
+        changes["marker_size"] = request.marker_size
+    if request.dictionary is not None:
+        changes["dictionary"] = request.dictionary
+    if request.rehearsal.marker_at is not None:
+        x, y, z, yaw = request.rehearsal.marker_at
+        if not np.isfinite(request.rehearsal.marker_at).all():
+            raise ConfigError(
+                f"no marker can be put at {request.rehearsal.marker_at}",
+                file="command line", key="--rehearse.marker-at", allowed="finite numbers",
+            )  # fmt: skip
+        changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
+    return replace(stage, **changes)
+
+
+def calibration_of(camera: str, intrinsics: Path | None) -> Path:
+    """The file, for a camera that shall measure.
+
+    Raises:
+        CalibrationError: None was given.
+    """
+    if intrinsics is None:
+        raise CalibrationError(
+            f"the camera {camera!r} has no calibration, so nothing can be measured in its pictures",
+            hint="give its calibration file (OpenCV or ROS YAML): --intrinsics FILE; "
+            "make one with: robot-ik camera calibrate",
+        )
+    return intrinsics
+
+
+def open_calibrated(
+    camera: str,
+    intrinsics: Path | None,
+    stack: contextlib.ExitStack,
+    *,
+    size: tuple[int, int] | None = None,
+    scaled: bool = False,
+) -> tuple[FrameSource, CameraIntrinsics]:
+    """A camera that can measure.
+
+    Args:
+        camera: What ``open_source`` opens.
+        intrinsics: Its calibration file.
+        stack: Closes it.
+        size: (width, height) to ask of it.
+        scaled: Whether a calibration for the same picture at another size will do.
+
+    Raises:
+        CalibrationError: There is no calibration, or it is for other pictures.
+        CameraError: The camera cannot be opened.
+    """
+    lens = CameraIntrinsics.load(calibration_of(camera, intrinsics))
+    source = stack.enter_context(open_source(camera, size=size))
+    delivered = tuple(getattr(source, "size", lens.size))
+    if scaled and delivered != lens.size:
+        return source, lens.scaled(*delivered)
+    lens.require_size(*delivered)
+    return source, lens

@@ -1,0 +1,511 @@
+"""Frames of a whole body in motion: hard rows met, soft rows and a posture as well as they allow.
+
+Each frame minimises, from where the frame before it ended,
+
+    Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  low <= q + dq <= high
+
+step after step (the linearised rows change with q), two to four steps a frame.  ``low`` and ``high`` are the
+joint limits and what the speed limits leave of them within one frame.  There are no levels of priority
+below the
+hard rows, no test of convergence on the soft ones, and so no restarts: ``lm`` has all that and costs three
+    times
+as much.  A step is solved by the Schur complement of its hard rows (Nocedal & Wright, *Numerical
+Optimization*, section 16.2); joints that a step would take over a bound are held there and the step is
+solved again.
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
+
+from numba import types
+
+from robot_ik.kernels.bundle import Layout
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, integrate, point_velocity, width_of
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
+
+POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
+"""Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis looks, and the
+angular
+momentum about the centre of mass since the frame before (kg m² rad)."""
+HARD = math.inf
+"""The weight of a row that must hold."""
+
+# A step longer than this, rad or m, is shortened: rows are linear near q only.
+_LONGEST = 0.4
+# What a step costs by itself, beside posture weights of 0.02 and more; and the slack of the hard rows, which
+# keeps their system solvable where they depend on each other.
+_DAMPING, _SLACK = 1e-4, 1e-10
+# … and where they contradict each other, by what the bounds leave: much more, so that they are missed and
+# not fled.
+_YIELDING = 1e-2
+# Angular momentum is scaled to count like metres: 10 kg m² of the body.
+_MOMENTUM_SCALE = 0.1
+# How often joints are held at their bounds within one step.
+_HOLDS = 8
+
+WHOLE_BODY = Layout(
+    "WholeBody",
+    kind="ints",  # (g,) of each group of three rows
+    node="ints",  # (g,) node that carries the frame
+    local="table",  # (g, 12) the frame seen from it
+    axes="ints",  # (g,) bit k: the row of world axis k counts
+    share="table",  # (g, nv) 1 where a degree of freedom may serve the group
+    inertia="table",  # (n, 10) mass, centre and inertia xx yy zz xy xz yz about it, of what each node carries
+    stiffness="floats",  # (nv,) weight of the posture
+    lower="floats",  # (nv,)
+    upper="floats",  # (nv,)
+    stride="floats",  # (nv,) farthest a joint may go in one frame
+    world="table",  # (n, 12) from here on: work space
+    scratch="table",  # (2, 12)
+    pose="table",  # (g, 12)
+    carried="table",  # (n + 1, 10) mass, first moment, inertia of what hangs on a node
+    center="floats",  # (3,)
+    previous="floats",  # (nq,)
+    way="floats",  # (nv,) from the frame before to here
+    row="table",  # (3, nv)
+    miss="floats",  # (3,)
+    hard="table",  # (h, nv)
+    wanted="floats",  # (h,)
+    matrix="table",  # (nv, nv)
+    factor="table",  # (nv, nv)
+    gradient="floats",  # (nv,)
+    step="floats",  # (nv,)
+    low="floats",  # (nv,)
+    high="floats",  # (nv,)
+    held="ints",  # (nv,)
+    bound="floats",  # (nv,)
+    turned="table",  # (h, nv)
+    schur="table",  # (h, h)
+    multiplier="floats",  # (h,)
+)
+_open = WHOLE_BODY.open
+
+
+@pure
+def log_between(a, i, b, j, out):
+    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3].
+
+    The smaller angle.
+    """
+    # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3),
+    # 1978).
+    for r in range(3):
+        for c in range(3):
+            out[3 + 3 * r + c] = (
+                b[j, 3 + 3 * r] * a[i, 3 + 3 * c]
+                + b[j, 4 + 3 * r] * a[i, 4 + 3 * c]
+                + b[j, 5 + 3 * r] * a[i, 5 + 3 * c]
+            )
+    xx, yy, zz = out[3], out[7], out[11]
+    w, x, y, z = 1 + xx + yy + zz, out[10] - out[8], out[5] - out[9], out[6] - out[4]
+    if w < 0.1:  # more than 143 degrees
+        if xx >= yy and xx >= zz:
+            w, x, y, z = out[10] - out[8], 1 + xx - yy - zz, out[4] + out[6], out[5] + out[9]
+        elif yy >= zz:
+            w, x, y, z = out[5] - out[9], out[4] + out[6], 1 - xx + yy - zz, out[8] + out[10]
+        else:
+            w, x, y, z = out[6] - out[4], out[5] + out[9], out[8] + out[10], 1 - xx - yy + zz
+        if w < 0.0:
+            w, x, y, z = -w, -x, -y, -z
+    n = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 / w if n < 1e-9 * w else 2.0 * math.atan2(n, w) / n
+    out[0], out[1], out[2] = factor * x, factor * y, factor * z
+
+
+@outlined
+def carry(tree, body):
+    """Mass, first moment and inertia about the centre of mass of what hangs on each node."""
+    inertia, carried, world, center = body.inertia, body.carried, body.world, body.center
+    n = inertia.shape[0]
+    whole = center[0] = center[1] = center[2] = 0.0
+    for k in range(n):
+        m = inertia[k, 0]
+        whole += m
+        for i in range(3):
+            r = 3 + 3 * i
+            at = world[k, i]
+            for j in range(3):
+                at += world[k, r + j] * inertia[k, 1 + j]
+            carried[k, 1 + i] = at
+            center[i] += m * at
+    for i in range(3):
+        center[i] /= whole
+    for k in range(n):
+        m = inertia[k, 0]
+        x, y, z = carried[k, 1] - center[0], carried[k, 2] - center[1], carried[k, 3] - center[2]
+        carried[k, 0] = m
+        carried[k, 1], carried[k, 2], carried[k, 3] = m * x, m * y, m * z
+        carried[k, 4], carried[k, 5], carried[k, 6] = (
+            m * (y * y + z * z),
+            m * (x * x + z * z),
+            m * (x * x + y * y),
+        )
+        carried[k, 7], carried[k, 8], carried[k, 9] = -m * x * y, -m * x * z, -m * y * z
+        xx, yy, zz = inertia[k, 4], inertia[k, 5], inertia[k, 6]
+        xy, xz, yz = inertia[k, 7], inertia[k, 8], inertia[k, 9]
+        for e in range(6):  # R I Rᵀ
+            i = e if e < 3 else (0 if e < 5 else 1)
+            j = e if e < 3 else (1 if e == 3 else 2)
+            a0, a1, a2 = world[k, 3 + 3 * i], world[k, 4 + 3 * i], world[k, 5 + 3 * i]
+            b0, b1, b2 = world[k, 3 + 3 * j], world[k, 4 + 3 * j], world[k, 5 + 3 * j]
+            carried[k, 4 + e] += (
+                a0 * (xx * b0 + xy * b1 + xz * b2)
+                + a1 * (xy * b0 + yy * b1 + yz * b2)
+                + a2 * (xz * b0 + yz * b1 + zz * b2)
+            )
+    for k in range(n - 1, 0, -1):
+        p = tree.parent[k]
+        if p >= 0:
+            for i in range(10):
+                carried[p, i] += carried[k, i]
+    carried[n, 0] = whole
+
+
+@pure
+def mass_column(carried, center, world, k, ax, ay, az, turn):
+    """Velocity of the centre of mass and angular momentum about it, per unit of a freedom of node k."""
+    m, sx, sy, sz = carried[k, 0], carried[k, 1], carried[k, 2], carried[k, 3]
+    inverse = 1.0 / carried[carried.shape[0] - 1, 0]
+    if not turn:
+        return (
+            m * inverse * ax, m * inverse * ay, m * inverse * az,
+            sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax,
+        )  # fmt: skip
+    px, py, pz = center[0] - world[k, 0], center[1] - world[k, 1], center[2] - world[k, 2]
+    tx, ty, tz = sx + m * px, sy + m * py, sz + m * pz
+    vx, vy, vz = ay * pz - az * py, az * px - ax * pz, ax * py - ay * px
+    return (
+        inverse * (ay * tz - az * ty),
+        inverse * (az * tx - ax * tz),
+        inverse * (ax * ty - ay * tx),
+        carried[k, 4] * ax + carried[k, 7] * ay + carried[k, 8] * az + sy * vz - sz * vy,
+        carried[k, 7] * ax + carried[k, 5] * ay + carried[k, 9] * az + sz * vx - sx * vz,
+        carried[k, 8] * ax + carried[k, 9] * ay + carried[k, 6] * az + sx * vy - sy * vx,
+    )
+
+
+@pure
+def clear_rows(row):
+    """Zeroes three rows."""
+    for i in range(3):
+        for v in range(row.shape[1]):
+            row[i, v] = 0.0
+
+
+@outlined
+def mass_rows(tree, body, momentum, target, t, g):
+    """Rows and misses of the centre of mass, or of the angular momentum about it."""
+    row, miss, share = body.row, body.miss, body.share
+    clear_rows(row)
+    for k in range(tree.kind.shape[0]):
+        for i in range(width_of(tree.kind[k])):
+            v = tree.vadr[k] + i
+            ax, ay, az, turn = dof_axis(tree.kind, body.world, k, i)
+            cx, cy, cz, lx, ly, lz = mass_column(body.carried, body.center, body.world, k, ax, ay, az, turn)
+            if momentum:
+                cx, cy, cz = _MOMENTUM_SCALE * lx, _MOMENTUM_SCALE * ly, _MOMENTUM_SCALE * lz
+            row[0, v], row[1, v], row[2, v] = cx * share[g, v], cy * share[g, v], cz * share[g, v]
+    for i in range(3):
+        if momentum:
+            miss[i] = _MOMENTUM_SCALE * target[t, i]
+            for v in range(row.shape[1]):
+                miss[i] -= row[i, v] * body.way[v]
+        else:
+            miss[i] = target[t, i] - body.center[i]
+
+
+@outlined
+def frame_rows(tree, body, what, target, t, g):
+    """Rows and misses of a frame's place, rotation or line of sight."""
+    row, miss, share, world, pose = body.row, body.miss, body.share, body.world, body.pose
+    clear_rows(row)
+    px, py, pz = pose[g, 0], pose[g, 1], pose[g, 2]
+    k = body.node[g]
+    while k >= 0:
+        for i in range(width_of(tree.kind[k])):
+            v = tree.vadr[k] + i
+            ax, ay, az, turn = dof_axis(tree.kind, world, k, i)
+            if what == POSITION:
+                ax, ay, az = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
+            elif not turn:
+                ax, ay, az = 0.0, 0.0, 0.0
+            row[0, v], row[1, v], row[2, v] = ax * share[g, v], ay * share[g, v], az * share[g, v]
+        k = tree.parent[k]
+    if what == POSITION:
+        for i in range(3):
+            miss[i] = target[t, i] - pose[g, i]
+    elif what == ROTATION:
+        scratch = body.scratch[0]
+        log_between(pose, g, target, t, scratch)
+        for i in range(3):
+            miss[i] = scratch[i]
+    else:
+        ux, uy, uz = target[t, 0] - px, target[t, 1] - py, target[t, 2] - pz
+        n = 1.0 / max(math.sqrt(ux * ux + uy * uy + uz * uz), 1e-9)
+        ux, uy, uz = ux * n, uy * n, uz * n
+        x, y, z = pose[g, 3], pose[g, 6], pose[g, 9]
+        miss[0], miss[1], miss[2] = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+
+
+@outlined
+def measure_way(tree, body, q):
+    """What lies between the frame before and q, (nv,), and the room of every joint for the next step."""
+    previous, way = body.previous, body.way
+    for k in range(tree.kind.shape[0]):
+        a, v = tree.qadr[k], tree.vadr[k]
+        if tree.kind[k] == FREE:
+            for i in range(3):
+                way[v + i] = q[a + i] - previous[a + i]
+            w, x, y, z = previous[a + 3], -previous[a + 4], -previous[a + 5], -previous[a + 6]
+            bw, bx, by, bz = q[a + 3], q[a + 4], q[a + 5], q[a + 6]
+            cw, cx = w * bw - x * bx - y * by - z * bz, w * bx + x * bw + y * bz - z * by
+            cy, cz = w * by - x * bz + y * bw + z * bx, w * bz + x * by - y * bx + z * bw
+            if cw < 0.0:
+                cw, cx, cy, cz = -cw, -cx, -cy, -cz
+            n = math.sqrt(cx * cx + cy * cy + cz * cz)
+            factor = 2.0 if n < 1e-9 else 2.0 * math.atan2(n, cw) / n
+            way[v + 3], way[v + 4], way[v + 5] = factor * cx, factor * cy, factor * cz
+            for i in range(6):
+                body.low[v + i], body.high[v + i] = -math.inf, math.inf
+        else:
+            way[v] = q[a] - previous[a]
+            body.low[v] = max(body.lower[v], previous[a] - body.stride[v]) - q[a]
+            body.high[v] = min(body.upper[v], previous[a] + body.stride[v]) - q[a]
+
+
+@outlined
+def gather(tree, body, q, target, weight, t, posture):
+    """The quadratic form, its gradient and the hard rows at q.
+
+    Returns the number of hard rows and their miss.
+    """
+    matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
+    nv = gradient.shape[0]
+    forward(tree, tree.every, q, body.world, body.scratch)
+    carry(tree, body)
+    measure_way(tree, body, q)
+    for i in range(nv):
+        for j in range(i):
+            matrix[i, j] = 0.0
+        matrix[i, i], gradient[i] = _DAMPING, 0.0
+    for k in range(tree.kind.shape[0]):
+        v = tree.vadr[k]
+        if tree.kind[k] != FREE:
+            matrix[v, v] += body.stiffness[v]
+            gradient[v] = body.stiffness[v] * (posture[t, tree.qadr[k]] - q[tree.qadr[k]])
+    count, worst, groups = 0, 0.0, body.kind.shape[0]
+    for g in range(groups):
+        w = weight[t, g]
+        if not w > 0.0:
+            continue
+        what, at = body.kind[g], t * groups + g
+        if what in (CENTER_OF_MASS, MOMENTUM):
+            mass_rows(tree, body, what == MOMENTUM, target, at, g)
+        else:
+            frame_pose(body.world, body.node[g], body.local, g, body.pose)
+            frame_rows(tree, body, what, target, at, g)
+        for i in range(3):
+            if not body.axes[g] >> i & 1:
+                continue
+            if w == HARD:
+                for v in range(nv):
+                    body.hard[count, v] = row[i, v]
+                body.wanted[count] = miss[i]
+                worst = max(worst, abs(miss[i]))
+                count += 1
+                continue
+            for a in range(nv):
+                x = w * row[i, a]
+                if x != 0.0:
+                    gradient[a] += x * miss[i]
+                    for b in range(a + 1):
+                        matrix[a, b] += x * row[i, b]
+    return count, worst
+
+
+@pure
+def cholesky(matrix, n):
+    """L of M = L Lᵀ into the lower triangle of M; the diagonal holds 1 / L[i, i]."""
+    for i in range(n):
+        for j in range(i):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = s * matrix[j, j]
+        s = matrix[i, i]
+        for k in range(i):
+            s -= matrix[i, k] * matrix[i, k]
+        matrix[i, i] = 1.0 / math.sqrt(max(s, 1e-300))
+
+
+@pure
+def substitute(matrix, x, r, n):
+    """x[r] = L⁻¹ x[r]."""
+    for i in range(n):
+        s = x[r, i]
+        for k in range(i):
+            s -= matrix[i, k] * x[r, k]
+        x[r, i] = s * matrix[i, i]
+
+
+@pure
+def substitute_back(matrix, x, n):
+    """x = L⁻ᵀ x."""
+    for i in range(n - 1, -1, -1):
+        x[i] *= matrix[i, i]
+        s = x[i]
+        for k in range(i):
+            x[k] -= matrix[i, k] * s
+
+
+@outlined
+def solve_held(body, count, slack):
+    """The step with the held joints at their bounds: body.step."""
+    factor, matrix, turned, schur = body.factor, body.matrix, body.turned, body.schur
+    held, bound, step, row = body.held, body.bound, body.step, body.row
+    multiplier, n = body.multiplier, body.gradient.shape[0]
+    first = types.int64(0)
+    for i in range(n):
+        for j in range(i + 1):
+            factor[i, j] = matrix[i, j]
+        row[first, i] = body.gradient[i]
+    for r in range(count):
+        multiplier[r] = body.wanted[r]
+        for v in range(n):
+            turned[r, v] = body.hard[r, v]
+    for p in range(n):
+        if held[p] == 0:
+            continue
+        for j in range(p):
+            row[first, j] -= matrix[p, j] * bound[p]
+            factor[p, j] = 0.0
+        for i in range(p + 1, n):
+            row[first, i] -= matrix[i, p] * bound[p]
+            factor[i, p] = 0.0
+        factor[p, p] = 1.0
+        for r in range(count):
+            multiplier[r] -= turned[r, p] * bound[p]
+            turned[r, p] = 0.0
+    for p in range(n):
+        if held[p] != 0:
+            row[first, p] = 0.0
+    cholesky(factor, n)
+    substitute(factor, row, first, n)
+    for r in range(count):
+        substitute(factor, turned, r, n)
+    for r in range(count):
+        s = multiplier[r]
+        for v in range(n):
+            s -= turned[r, v] * row[first, v]
+        multiplier[r] = s
+        for c in range(r + 1):
+            s = 0.0
+            for v in range(n):
+                s += turned[r, v] * turned[c, v]
+            schur[r, c] = s
+    for r in range(count):
+        schur[r, r] += slack
+    cholesky(schur, count)
+    for r in range(count):
+        s = multiplier[r]
+        for c in range(r):
+            s -= schur[r, c] * multiplier[c]
+        multiplier[r] = s * schur[r, r]
+    substitute_back(schur, multiplier, count)
+    for v in range(n):
+        step[v] = row[first, v]
+    for r in range(count):
+        for v in range(n):
+            step[v] += turned[r, v] * multiplier[r]
+    substitute_back(factor, step, n)
+    for p in range(n):
+        if held[p] != 0:
+            step[p] = bound[p]
+
+
+@outlined
+def hold_and_solve(body, count, slack):
+    """body.step, with joints held at the bounds that it would cross; returns its longest part."""
+    n = body.step.shape[0]
+    for v in range(n):
+        body.held[v] = 0
+    for _ in range(_HOLDS):
+        solve_held(body, count, slack)
+        more = False
+        for v in range(n):
+            if body.held[v] == 0 and not (body.low[v] - 1e-12 <= body.step[v] <= body.high[v] + 1e-12):
+                body.held[v] = 1
+                body.bound[v] = body.low[v] if body.step[v] < body.low[v] else body.high[v]
+                more = True
+        if not more:
+            break
+    longest = 0.0
+    for v in range(n):
+        longest = max(longest, abs(body.step[v]))
+    return longest
+
+
+@outlined
+def take_step(tree, body, q, count):
+    """One step from q, inside the bounds; returns its longest part."""
+    longest = hold_and_solve(body, count, _SLACK)
+    if longest > _LONGEST:
+        longest = hold_and_solve(body, count, _YIELDING)
+    n = body.step.shape[0]
+    if longest > _LONGEST:
+        for v in range(n):
+            body.step[v] *= _LONGEST / longest
+    for v in range(n):
+        body.step[v] = min(max(body.step[v], body.low[v]), body.high[v])
+    integrate(tree, tree.every, q, body.step)
+    return longest
+
+
+@kernel
+def solve_frames(tree, body, target, weight, posture, q, start, second, steps, rest, close, miss, used):
+    """Solves one frame after the other.
+
+    Args:
+        tree: Table of a tree of hinges, slides and free joints.
+        body: Table of ``WHOLE_BODY``.
+        target: (frames · groups, 12) position, or rotation as a pose row, of every group in every frame.
+        weight: (frames, groups) weights; ``HARD``; 0 leaves a group out.
+        posture: (frames, nq).
+        q: (frames, nq) result.
+        start: (nq,) the frame before the first.
+        second: (nq,) the frame before that, whose motion the first goes on with.
+        steps: Most steps a frame.
+        rest: A step shorter than this (rad, m) was the last …
+        close: … if it leaves no hard row farther off than this.
+        miss: (frames,) result: largest miss of a hard row (m, rad).
+        used: (frames,) result: steps taken.
+    """
+    tree = open_tree(tree)
+    body = _open(body)
+    nq = start.shape[0]
+    here = q[0]
+    for i in range(nq):
+        body.previous[i] = second[i]
+    measure_way(tree, body, start)
+    for i in range(nq):
+        body.previous[i] = start[i]
+    for t in range(q.shape[0]):
+        here = q[t]
+        for i in range(nq):
+            here[i] = body.previous[i]
+        for k in range(tree.kind.shape[0]):  # what moved goes on moving
+            if tree.kind[k] in (HINGE, SLIDE):
+                a, v = tree.qadr[k], tree.vadr[k]
+                to = min(max(here[a] + body.way[v], body.lower[v]), body.upper[v])
+                body.way[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
+        integrate(tree, tree.every, here, body.way)
+        longest = math.inf
+        for step in range(steps + 1):
+            count, miss[t] = gather(tree, body, here, target, weight, t, posture)
+            used[t] = step
+            if step == steps or (longest < rest and miss[t] < close):
+                break
+            longest = take_step(tree, body, here, count)
+        for i in range(nq):
+            body.previous[i] = here[i]

@@ -1,0 +1,702 @@
+"""What a model file says by itself: MuJoCo's model, its frames, its home, and which frame is the tool."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import logging
+import math
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from robot_ik.errors import (
+    ConfigError,
+    ModelError,
+    UnknownFrameError,
+    UnknownJointError,
+    UnsupportedJointError,
+)
+from robot_ik.files import LARGEST_NUMBER, read_text
+from robot_ik.geometry import Pose, rotation_entries, rotation_exp, turn_z_to
+from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
+from robot_ik.robot_file import RobotFile
+from robot_ik.urdf import Urdf
+
+Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
+
+# What Python does with warnings is one setting of the whole process.
+_NOTING = threading.Lock()
+
+# Links without <inertial> weigh this much (kg, kg m²): MuJoCo compiles no moving body of nothing.
+_WEIGHTLESS, _WEIGHTLESS_INERTIA = 1e-9, 1e-12
+LEAST_MASS = 1e-6
+"""kg; a robot of less was described without masses."""
+
+# Site and body names that people give to the end of an arm, tried in this order.
+_TOOL_NAMES = (
+    "gripper", "tool", "tcp", "tool0", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange",
+    "tip",
+)  # fmt: skip
+
+
+# Motion limits of a joint whose robot.toml names none: slow enough to watch.
+_DEFAULT_SPEED = {HINGE: 1.5, SLIDE: 0.25, BALL: 1.5, FREE: 0.5}  # rad/s or m/s
+_SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A named frame: rigidly fixed to a body of the model at ``local``."""
+
+    name: str
+    body: int
+    local: Pose
+
+
+_NUMBERS = (
+    "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
+    "jnt_range", "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "qpos0", "key_qpos",
+)  # fmt: skip
+"""Arrays of MuJoCo's model, one row a body, joint, …"""
+
+
+def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, float]]:
+    """MuJoCo's model of an MJCF or URDF file, of such a text or of a spec, and a URDF's speed limits.
+
+    Unnamed joints are called ``joint_<id>``.  A URDF keeps its fixed-joint frames, unless it asks for
+    ``fusestatic``.
+
+    Args:
+        source: A file, its text, or a spec, which stays as it is.
+        path: What to call it in messages.
+
+    Returns:
+        The model; and joint -> rad/s or m/s, empty for anything but a URDF.
+
+    Raises:
+        ModelError: With the file and MuJoCo's reason; a joint whose lower limit is not below its upper; a
+            number that is not finite or beyond ``LARGEST_NUMBER``.
+    """
+    urdf = None
+    if isinstance(source, Path):
+        urdf = Urdf.of_text(_text_of(source), source.parent)
+    elif isinstance(source, str):
+        urdf = Urdf.of_text(source)
+    try:
+        with _warnings_noted(path):
+            if isinstance(source, mujoco.MjSpec):
+                spec = source.copy()
+            elif urdf is not None or isinstance(source, str):
+                spec = mujoco.MjSpec.from_string(source if urdf is None else urdf.text())
+            else:
+                spec = mujoco.MjSpec.from_file(str(source))
+    except (ValueError, RuntimeError) as error:
+        raise _unreadable(path, error) from error
+    return compile_model(spec, path), {} if urdf is None else urdf.velocity
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return read_text(path, "the model", errors="replace")  # MuJoCo takes bytes that are no UTF-8
+    except ConfigError as error:
+        raise ModelError(str(error.args[0]), path=path, reason="it cannot be read") from error
+
+
+def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """The compiled model of ``spec``, which gets names for its unnamed joints.
+
+    Raises:
+        ModelError: As ``read_model``.
+    """
+    _name_joints(spec)
+    try:
+        with _warnings_noted(path):
+            model = _compiled(spec)
+    except (ValueError, RuntimeError) as error:
+        raise _unreadable(path, error) from error
+    _refuse_numbers(model, path)
+    _refuse_ranges(model, path)
+    _hint_at_radians(model, spec, path)
+    return model
+
+
+def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        if "mjMINVAL" not in str(error):  # a moving body without mass
+            raise
+    # Kinematics asks for no mass; what has one keeps it.
+    spec.compiler.boundmass = max(spec.compiler.boundmass, _WEIGHTLESS)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, _WEIGHTLESS_INERTIA)
+    return spec.compile()
+
+
+@contextmanager
+def _warnings_noted(path: Path) -> Iterator[None]:
+    """Logs what MuJoCo warns of, such as masses that do not suffice for dynamics: no goal asks for them."""
+    with _NOTING, warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        yield
+    for warning in noted:
+        _log.info("%s: %s", path, warning.message)
+
+
+def _unreadable(path: Path, error: Exception) -> ModelError:
+    reason = " ".join(str(error).split())
+    return ModelError(
+        f"{path} is not a model that MuJoCo can read: {reason}",
+        path=path,
+        reason=reason,
+        hint="MJCF and URDF files are read; meshes must lie where the file says",
+    )
+
+
+def joint_names(model: mujoco.MjModel) -> list[str]:
+    """Names of all joints, by MuJoCo id; ``joint_<id>`` where a model built in memory has none."""
+    return [model.joint(j).name or f"joint_{j}" for j in range(model.njnt)]
+
+
+def _name_joints(spec: mujoco.MjSpec) -> None:
+    taken = {joint.name for joint in spec.joints}
+    for k, joint in enumerate(spec.joints):
+        if not joint.name:
+            name = f"joint_{k}"
+            while name in taken:
+                name += "_"
+            joint.name = name
+            taken.add(name)
+
+
+def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
+    """Raises ``ModelError`` for numbers without use; MuJoCo takes "nan", 1e308 and axes without length."""
+    for name in _NUMBERS:
+        rows = np.asarray(getattr(model, name))
+        rows = rows[:, None] if rows.ndim == 1 else rows
+        wrong = ~(np.abs(rows) <= LARGEST_NUMBER).all(axis=1)
+        if name.endswith(("axis", "quat")):
+            wrong |= ~(np.linalg.norm(rows, axis=1) > 0.5)  # MuJoCo makes them 1 long; 1e308 becomes 0
+        if wrong.any():
+            kind, _, what = name.partition("_")
+            number = int(np.argmax(wrong))
+            owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}.get(kind)
+            whose = f"{what} of {kind} {owner(number).name or number!r}" if owner else name
+            reason = f"{whose} is {rows[number].tolist()}: not finite, too large or of no length"
+            hint = f"finite numbers up to {LARGEST_NUMBER:g} are read"
+            raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
+
+
+def _hint_at_radians(model: mujoco.MjModel, spec: mujoco.MjSpec, path: Path) -> None:
+    """Logs a hint where every hinge has a range of a few degrees: radians that were read as degrees."""
+    hinges = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & model.jnt_limited.astype(bool)
+    ends = np.abs(np.rad2deg(model.jnt_range[hinges]))
+    if spec.compiler.degree and len(ends) and float(ends.max()) <= 2.0 * math.pi + 0.01:
+        _log.warning(
+            "%s: no joint turns further than %.2f degrees; if its ranges are in radians, "
+            'it needs <compiler angle="radian"/>', path, float(ends.max()),
+        )  # fmt: skip
+
+
+def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
+    """Raises ``ModelError`` for a joint without room; MuJoCo takes most of these for no limit at all."""
+    for joint in range(model.njnt):
+        low, high = model.jnt_range[joint].tolist()
+        asked = bool(model.jnt_limited[joint]) or low != 0.0 or high != 0.0
+        if asked and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE and not low < high:
+            name = joint_names(model)[joint]
+            raise ModelError(
+                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no room",
+                path=path,
+                hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
+            )
+
+
+def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
+    """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
+    if isinstance(file.home, tuple):
+        if len(file.home) != model.nq:
+            raise ModelError(f"{path}: home has {len(file.home)} numbers, the model {model.nq}", path=path)
+        return np.array(file.home, dtype=float)
+    keys = {model.key(k).name: k for k in range(model.nkey)}
+    if file.home is not None and file.home not in keys:
+        raise ModelError(
+            f"{path} has no keyframe {file.home!r}; it has: {', '.join(keys) or 'none'}", path=path
+        )
+    chosen = file.home if file.home is not None else ("home" if "home" in keys else next(iter(keys), None))
+    return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
+
+
+def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
+    """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts.
+
+    Raises:
+        UnknownFrameError: A tool names a site or body that the model does not have.
+    """
+    sites: dict[str, Frame] = {}
+    for s in range(model.nsite):
+        name = model.site(s).name
+        if name:
+            local = Pose(model.site_pos[s], model.site_quat[s])
+            sites[name] = Frame(name, int(model.site_bodyid[s]), local)
+    bodies = {
+        model.body(b).name: Frame(model.body(b).name, b, Pose())
+        for b in range(1, model.nbody)
+        if model.body(b).name
+    }
+    found: dict[str, Frame] = {}
+    for tool, target in file.tools.items():
+        where = sites if target.site else bodies
+        wanted = target.site or target.body or ""
+        if wanted not in where:
+            raise UnknownFrameError(wanted, where, hint=f"named by the tool {tool!r} of {file.path}")
+        found[tool] = dataclasses.replace(where[wanted], name=tool)
+    for name, frame in {**sites, **bodies}.items():
+        found.setdefault(name, frame)
+    return found
+
+
+def guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
+    """Default frame of a model without robot.toml: a telling name, else the last site or body."""
+    for wanted in _TOOL_NAMES:
+        for name in frames:
+            if name.lower() == wanted:
+                return name
+    if model.nsite and model.site(model.nsite - 1).name:
+        return str(model.site(model.nsite - 1).name)
+    if not frames:
+        raise ModelError("the model has neither a named site nor a named body, so nothing to aim")
+    return list(frames)[-1]
+
+
+def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
+    """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all.
+
+    Raises:
+        UnknownJointError: With the close names.
+    """
+    if isinstance(joints, str):
+        if joints not in file.groups:
+            raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
+        wanted: Sequence[str] = file.groups[joints]
+    elif joints is not None:
+        wanted = joints
+    else:
+        wanted = file.groups.get("arm", names)
+    for joint in wanted:
+        if joint not in names:
+            raise UnknownJointError(joint, names)
+    return [j for j, joint in enumerate(names) if joint in set(wanted)]
+
+
+def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[Array, Array]:
+    """Velocity and acceleration (nv,): from robot.toml where it names the joint, else by joint kind."""
+    speed, acceleration = np.empty(tree.nv), np.empty(tree.nv)
+    for k, joint in enumerate(joints):
+        kind, v = int(tree.kind[k]), int(tree.vadr[k])
+        width = V_WIDTH[kind]
+        fastest = file.velocity.get(joint, _DEFAULT_SPEED[kind])
+        speed[v : v + width] = fastest
+        acceleration[v : v + width] = file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
+    return speed, acceleration
+
+
+def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
+    """Stiffness (nv,) of the active joints: from robot.toml where it names the joint, else 1.
+
+    ``names`` are those of all joints of the model.
+
+    Raises:
+        UnknownJointError: robot.toml names a joint that the model does not have.
+    """
+    for name in file.stiffness:
+        if name not in names:
+            raise UnknownJointError(name, names)
+    stiffness = np.ones(tree.nv)
+    for k, joint in enumerate(tree.joint_ids):
+        v = int(tree.vadr[k])
+        stiffness[v : v + V_WIDTH[int(tree.kind[k])]] = file.stiffness.get(names[joint], 1.0)
+    return stiffness
+
+
+# ------------------------------------------------------------------------------------------
+# The one place where an ``MjModel`` becomes a ``Tree``.
+#
+# Every active joint becomes a node; bodies without active joints, frozen joints, anchors, axes and
+# reference angles vanish into the constants between the nodes.
+
+
+_KIND_OF = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): HINGE,
+    int(mujoco.mjtJoint.mjJNT_SLIDE): SLIDE,
+    int(mujoco.mjtJoint.mjJNT_BALL): BALL,
+    int(mujoco.mjtJoint.mjJNT_FREE): FREE,
+}
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Where something rigid sits: ``X_node · local`` (node -1 = world)."""
+
+    node: int
+    local: Pose
+
+
+def pose_row(pose: Pose) -> Array:
+    """(12,): position, then the rotation matrix row by row."""
+    return np.array((*pose.position.tolist(), *rotation_entries(pose.wxyz)))
+
+
+def row_pose(row: Array) -> Pose:
+    """Inverse of ``pose_row``."""
+    return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
+
+
+def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: float) -> Pose:
+    """Motion that a joint at ``q`` gives its body, in the body's frame before the joint."""
+    if kind == FREE:
+        return Pose(q[:3], q[3:])
+    if kind == SLIDE:
+        return Pose(axis * (q[0] - reference))
+    turn = Pose((0, 0, 0), q if kind == BALL else rotation_exp(axis * (q[0] - reference)))
+    return Pose(anchor).compose(turn).compose(Pose(-anchor))
+
+
+class _Builder:
+    """Walks the bodies of a model once, root first."""
+
+    def __init__(self, model: mujoco.MjModel, active: set[int], qpos: Array) -> None:
+        self.model, self.active, self.qpos = model, active, qpos
+        self.joint_ids: list[int] = []
+        self.kind: list[int] = []
+        self.parent: list[int] = []
+        self.qadr: list[int] = []
+        self.vadr: list[int] = []
+        self.constant: list[Array] = []
+        self.bodies: list[Attachment] = [Attachment(-1, Pose())]
+        self.nq = self.nv = 0
+
+    def body(self, body: int) -> None:
+        model = self.model
+        base = self.bodies[int(model.body_parentid[body])]
+        at = Attachment(base.node, base.local.compose(Pose(model.body_pos[body], model.body_quat[body])))
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            at = self.joint(joint, at)
+        self.bodies.append(at)
+
+    def joint(self, joint: int, at: Attachment) -> Attachment:
+        model = self.model
+        kind = _KIND_OF[int(model.jnt_type[joint])]
+        axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
+        start = int(model.jnt_qposadr[joint])
+        reference = float(model.qpos0[start])
+        if joint not in self.active:
+            q = self.qpos[start : start + Q_WIDTH[kind]]
+            motion = _joint_motion(kind, axis, anchor, q, reference)
+            return Attachment(-1, motion) if kind == FREE else Attachment(at.node, at.local.compose(motion))
+        after = Pose()
+        constant = at.local
+        if kind == HINGE:
+            align = Pose.from_rotation(turn_z_to(axis / np.linalg.norm(axis)))
+            back = Pose((0, 0, 0), rotation_exp([0.0, 0.0, -reference]))
+            constant = constant.compose(Pose(anchor)).compose(align).compose(back)
+            after = align.inverse().compose(Pose(-anchor))
+        elif kind == SLIDE:
+            align = Pose.from_rotation(turn_z_to(axis / np.linalg.norm(axis)))
+            constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
+            after = align.inverse()
+        elif kind == BALL:
+            constant = constant.compose(Pose(anchor))
+            after = Pose(-anchor)
+        node = len(self.kind)
+        self.joint_ids.append(joint)
+        self.kind.append(kind)
+        self.parent.append(-1 if kind == FREE else at.node)
+        self.qadr.append(self.nq)
+        self.vadr.append(self.nv)
+        self.constant.append(pose_row(Pose() if kind == FREE else constant))
+        self.nq += Q_WIDTH[kind]
+        self.nv += V_WIDTH[kind]
+        return Attachment(node, after)
+
+
+def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Array, Array]:
+    """Limits (nv,) as MuJoCo has them, and finite ranges (nv,) to draw random starts from."""
+    lower, upper = np.full(builder.nv, -np.inf), np.full(builder.nv, np.inf)
+    low, high = np.full(builder.nv, -np.pi), np.full(builder.nv, np.pi)
+    for joint, kind, v in zip(builder.joint_ids, builder.kind, builder.vadr, strict=True):
+        limited = bool(model.jnt_limited[joint])
+        if kind in (HINGE, SLIDE):
+            if kind == SLIDE:
+                low[v], high[v] = -1.0, 1.0  # an unlimited slide: one metre either way
+            if limited:
+                lower[v], upper[v] = model.jnt_range[joint]
+                low[v], high[v] = model.jnt_range[joint]
+        elif kind == BALL and limited:
+            lower[v : v + 3], upper[v : v + 3] = 0.0, model.jnt_range[joint, 1]
+            high[v : v + 3] = model.jnt_range[joint, 1]
+        elif kind == FREE:
+            low[v : v + 3], high[v : v + 3] = -1.0, 1.0
+    return lower, upper, low, high
+
+
+def qpos_addresses(model: mujoco.MjModel, tree: Tree) -> NDArray[np.int64]:
+    """(nq,): where the numbers of q stand in the model's whole qpos."""
+    found: list[int] = []
+    for joint, kind in zip(tree.joint_ids, tree.kind, strict=True):
+        start = int(model.jnt_qposadr[joint])
+        found += range(start, start + Q_WIDTH[int(kind)])
+    return np.array(found, dtype=np.int64)
+
+
+def build_tree(
+    model: mujoco.MjModel, joints: list[int] | None = None, qpos: Array | None = None
+) -> tuple[Tree, tuple[Attachment, ...]]:
+    """Tree of a model in which only ``joints`` (MuJoCo ids; default all) move.
+
+    Args:
+        model: Any compiled model with hinge, slide, ball and free joints.
+        joints: Active joints; the others are frozen.
+        qpos: (model.nq,) where the frozen joints stand; default ``model.qpos0``.
+
+    Returns:
+        The tree, and the attachment of every body of the model, by MuJoCo id.
+    """
+    active = set(range(model.njnt)) if joints is None else set(joints)
+    where = np.array(model.qpos0 if qpos is None else qpos, dtype=float)
+    builder = _Builder(model, active, where)
+    for body in range(1, model.nbody):
+        builder.body(body)
+    kind, parent, qadr, vadr = (
+        np.array(a, dtype=np.int64) for a in (builder.kind, builder.parent, builder.qadr, builder.vadr)
+    )
+    tree = Tree(
+        tuple(builder.joint_ids), kind, parent, qadr, vadr,
+        np.array(builder.constant).reshape(-1, 12), *_limits(model, builder), builder.nq, builder.nv,
+    )  # fmt: skip
+    return tree, tuple(builder.bodies)
+
+
+def mass_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...], root: int) -> Array:
+    """(n + 1, 4) mass and its centre, seen from the node, of what each node carries; last: what never moves.
+
+    Only the body ``root`` and all that hangs on it count.
+    """
+    table = np.zeros((tree.size + 1, 4))
+    inside = {root}
+    for body in range(root, model.nbody):
+        if body != root and int(model.body_parentid[body]) not in inside:
+            continue
+        inside.add(body)
+        mass, at = float(model.body_mass[body]), bodies[body]
+        row = table[at.node]  # node -1, the world, is the last row
+        row[0] += mass
+        row[1:] += mass * at.local.compose(Pose(model.body_ipos[body])).position
+    carried = table[:, 0] > 0.0
+    table[carried, 1:] /= table[carried, :1]
+    return table
+
+
+def inertia_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]) -> Array:
+    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in its axes, of each node."""
+    mass = mass_table(model, tree, bodies, 0)[: tree.size]
+    whole = np.zeros((tree.size, 3, 3))
+    for body in range(1, model.nbody):
+        at = bodies[body]
+        if at.node < 0:
+            continue
+        place = at.local.compose(Pose(model.body_ipos[body], model.body_iquat[body]))
+        away = place.position - mass[at.node, 1:]
+        turned = place.rotation @ np.diag(model.body_inertia[body]) @ place.rotation.T
+        whole[at.node] += turned + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
+    xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
+    return np.column_stack([mass, xx, yy, zz, xy, xz, yz])
+
+
+def random_q(tree: Tree, home: Array, rng: np.random.Generator) -> Array:
+    """A random q (nq,) inside the limits; a floating base within 1 m of home."""
+    q = home.copy()
+    for k in range(tree.size):
+        a, v = int(tree.qadr[k]), int(tree.vadr[k])
+        if tree.kind[k] in (HINGE, SLIDE):
+            q[a] = rng.uniform(tree.low[v], tree.high[v])
+            continue
+        if tree.kind[k] == FREE:
+            q[a : a + 3] = home[a : a + 3] + rng.uniform(-1.0, 1.0, 3)
+            a, v = a + 3, v + 3
+        axis = rng.normal(size=3)
+        half = 0.5 * rng.uniform(0.0, min(float(tree.high[v]), np.pi))
+        q[a] = np.cos(half)
+        q[a + 1 : a + 4] = axis / np.linalg.norm(axis) * np.sin(half)
+    return q
+
+
+# ------------------------------------------------------------------------------------------
+# Joints that follow another, from the model's joint equalities and from ``robot.toml``.
+#
+# q = q₀ + a₀ + a₁ x + … + a₄ x⁴ with x = leader − leader₀: MuJoCo's joint equality (XML reference,
+# equality/joint).  Solvers move leaders only; ``kernels/kinematics.py`` lets the tied joints follow.
+
+
+_DEGREE = 4
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """``joint`` follows ``leader`` (MuJoCo ids; leader -1: it stands still): joint = law(leader)."""
+
+    joint: int
+    leader: int
+    law: Polynomial
+
+
+def declared_couplings(model: mujoco.MjModel, file: RobotFile, names: Sequence[str]) -> list[Coupling]:
+    """What the model's active joint equalities and ``robot.toml`` say, chains of them resolved.
+
+    Raises:
+        UnknownJointError: ``robot.toml`` names a joint that the model does not have.
+        UnsupportedJointError: A joint tied twice, in a circle, or by a law of more than four powers.
+    """
+    found: list[Coupling] = []
+    for e in range(model.neq):
+        if int(model.eq_type[e]) != int(mujoco.mjtEq.mjEQ_JOINT) or not model.eq_active0[e]:
+            continue
+        joint, leader = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        law = Polynomial(model.eq_data[e, : _DEGREE + 1]) + _zero(model, joint)
+        if leader >= 0:
+            law = law(Polynomial([-_zero(model, leader), 1.0]))
+        found.append(Coupling(joint, leader, Polynomial(law.coef[:1]) if leader < 0 else law))
+    for name, coupling in file.couplings.items():
+        for joint_name in (name, coupling.follows):
+            if joint_name not in names:
+                raise UnknownJointError(joint_name, names)
+        law = Polynomial([coupling.offset, coupling.ratio])
+        found.append(Coupling(names.index(name), names.index(coupling.follows), law))
+    return _resolved(found, names)
+
+
+def _zero(model: mujoco.MjModel, joint: int) -> float:
+    return float(model.qpos0[model.jnt_qposadr[joint]])
+
+
+def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
+    """Couplings whose leaders are free: a joint that follows a follower follows its leader."""
+    by_joint: dict[int, Coupling] = {}
+    for coupling in found:
+        if coupling.joint in by_joint:
+            raise UnsupportedJointError(
+                f"joint {names[coupling.joint]!r} is tied twice", hint="leave one of the couplings out"
+            )
+        by_joint[coupling.joint] = coupling
+    done = []
+    for coupling in found:
+        leader, law, seen = coupling.leader, coupling.law, {coupling.joint}
+        while leader in by_joint:
+            if leader in seen:
+                raise UnsupportedJointError(
+                    f"joint {names[leader]!r} follows itself in a circle of couplings"
+                )
+            seen.add(leader)
+            law, leader = law(by_joint[leader].law), by_joint[leader].leader
+        law = law.trim()
+        if law.degree() > _DEGREE:
+            raise UnsupportedJointError(
+                f"joint {names[coupling.joint]!r} follows {names[leader]!r} "
+                f"by a law of degree {law.degree()}",
+                hint=f"up to {_DEGREE} is possible: couple it to {names[leader]!r} directly",
+            )
+        done.append(replace(coupling, leader=leader, law=law))
+    return done
+
+
+def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, addresses: Array) -> Tree:
+    """The tree with its tied joints, limits of the leaders narrowed so that all stay inside theirs.
+
+    A tied joint whose leader is frozen stands still.  A frozen joint whose leader moves is not in the
+    tree; ``Problem`` refuses to move such a leader.
+
+    ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it.
+
+    Raises:
+        ModelError: A leader has no room left.
+    """
+    node_of = {joint: k for k, joint in enumerate(tree.joint_ids)}
+    tied, law = [], []
+    for coupling in couplings:
+        if coupling.joint not in node_of:
+            continue
+        leader = node_of.get(coupling.leader, -1)
+        polynomial = coupling.law
+        if leader < 0:
+            value = (
+                polynomial(float(frozen[addresses[coupling.leader]]))
+                if coupling.leader >= 0
+                else polynomial(0.0)
+            )
+            polynomial = Polynomial([value])
+        tied.append((node_of[coupling.joint], leader))
+        law.append([0.0, 0.0, *np.pad(polynomial.coef, (0, _DEGREE + 1 - len(polynomial.coef)))])
+    if not tied:
+        return tree
+    return narrowed(replace(tree, tied=np.array(tied, dtype=np.int64), law=np.array(law)))
+
+
+def narrowed(tree: Tree) -> Tree:
+    """The tree with each leader's limits narrowed to where its followers are inside theirs.
+
+    Raises:
+        ModelError: There is no such place.
+    """
+    lower, upper = tree.lower.copy(), tree.upper.copy()
+    for (node, leader), law in zip(tree.tied, tree.law, strict=True):
+        v = int(tree.vadr[node])
+        polynomial = Polynomial(law[2:])
+        if leader < 0:
+            value = float(polynomial(0.0))
+            lower[v], upper[v] = min(lower[v], value), max(upper[v], value)
+            continue
+        w = int(tree.vadr[leader])
+        room = _room(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
+        if room is None:
+            raise ModelError(
+                f"a coupled joint has no place inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
+                f"while its leader is inside {lower[w]:.4f} … {upper[w]:.4f}",
+                hint="check ratio and offset of the coupling, and both joints' limits",
+            )
+        lower[w], upper[w] = room
+    return tree.with_limits(lower, upper)
+
+
+def _room(
+    law: Polynomial, wanted: tuple[float, float], given: tuple[float, float]
+) -> tuple[float, float] | None:
+    """The widest interval inside ``given`` on which the law stays inside ``wanted``."""
+    low, high = (float(np.clip(edge, -1e3, 1e3)) for edge in given)
+    edges = [low, high]
+    for bound in wanted:
+        if np.isfinite(bound):
+            roots = (law - bound).roots()
+            edges += [
+                float(r.real) for r in np.atleast_1d(roots) if abs(r.imag) < 1e-9 and low < r.real < high
+            ]
+    edges.sort()
+    best: tuple[float, float] | None = None
+    for a, b in itertools.pairwise(edges):
+        if wanted[0] - 1e-9 <= law(0.5 * (a + b)) <= wanted[1] + 1e-9:
+            if best is not None and abs(best[1] - a) < 1e-12:
+                best = (best[0], b)
+            elif best is None or b - a > best[1] - best[0]:
+                best = (a, b)
+    if best is None:
+        return None
+    return (given[0] if best[0] <= low else best[0]), (given[1] if best[1] >= high else best[1])

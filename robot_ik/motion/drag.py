@@ -1,0 +1,247 @@
+"""Drag any body of a robot; any others stay pinned; both may change while it runs, without a jump.
+
+TrueSpace and Jack let one take hold of any link of a figure, and the rest follows; in A00 the support may
+change during an animation.  Here pins are needed goals: whole poses, where the frames are when pinned.
+The dragged frame is a soft goal that goes as far as pins and limits allow, and what is left stays as it is.
+Every step keeps the joints' speed limits: where the hand is faster, the figure comes after it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import InvalidGoalError, UnknownFrameError
+from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal, vector
+from robot_ik.motion.trajectory import require_positive
+from robot_ik.ports import Array
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot
+from robot_ik.solvers import make_solver
+
+# A solve of one tick begins a tick away from its answer: no search.
+_BUDGET = Budget(iterations=20, restarts=0)
+# m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
+_LEASH = 0.06
+# So often a step that is too fast is halved before the figure rests for a tick.
+_HALVINGS = 8
+
+
+class Drag:
+    """A robot that is dragged by one frame while others are pinned.
+
+        drag = Drag(robot, "left_forearm", pinned=["left_foot", "right_foot"])
+        q = drag.step((0.4, 0.3, 1.2))          # every tick
+        drag.take("head")                       # another frame from here on
+        for q in drag.shift_weight("left_foot"): ...
+        drag.release("right_foot")              # stands on one leg
+
+    Attributes:
+        robot: Whose joints.
+        q: (nq,) where they stand; read-only.
+        dragged: The frame that is dragged; None: none.
+        pinned: Frames that stay where they are.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        dragged: str | None = None,
+        *,
+        pinned: Iterable[str] = (),
+        start: ArrayLike | None = None,
+        rate: float = 60.0,
+        speed: float = 1.0,
+        balance: bool = False,
+    ) -> None:
+        """Takes hold.
+
+        Args:
+            robot: Any.
+            dragged: A site or body.
+            pinned: Sites or bodies.
+            start: (nq,); None: home.
+            rate: Steps a second.
+            speed: Part of the joints' speed limits, or a multiple of them: they may be those of servos.
+            balance: Keep the centre of mass over the place where it is now.
+
+        Raises:
+            UnknownFrameError: With the close names.
+            InvalidGoalError: The same frame is dragged and pinned.
+            TrajectoryError: ``rate`` or ``speed`` is not above zero.
+        """
+        require_positive("rate", rate, "Hz")
+        require_positive("speed", speed, "times the limits")
+        self.robot, self.rate = robot, float(rate)
+        self._most = speed * robot.velocity / rate
+        self._solver = make_solver("lm")
+        self._problem: Problem | None = None
+        self._point = np.zeros(3)
+        self._mass: Array | None = None
+        self._pins: dict[str, PoseGoal] = {}
+        self.dragged: str | None = None
+        self.place(robot.home if start is None else start)
+        for frame in pinned:
+            self.pin(frame)
+        if dragged is not None:
+            self.take(dragged)
+        self.balance(balance)
+
+    def __repr__(self) -> str:
+        return f"Drag({self.robot.name!r}, {self.dragged!r}, pinned {', '.join(self._pins) or 'nowhere'})"
+
+    @property
+    def pinned(self) -> tuple[str, ...]:
+        return tuple(self._pins)
+
+    def place(self, q: ArrayLike) -> None:
+        """Puts the robot somewhere else at once: pins and the dragged point are taken anew from there."""
+        self.q = np.array(self.robot.check_q(q))
+        self.q.flags.writeable = False
+        for frame in self._pins:
+            self._pins[frame] = self._pin_of(frame)
+        self._moved()
+
+    def take(self, frame: str | None) -> None:
+        """Drags another frame from here on; None: lets go.
+
+        Raises:
+            UnknownFrameError: With the close names.
+            InvalidGoalError: It is pinned.
+        """
+        if frame is not None:
+            self.robot.frame(frame)
+            if frame in self._pins:
+                raise InvalidGoalError(f"{frame!r} is pinned", hint=f"release({frame!r}) first")
+        self.dragged = frame
+        self._moved()
+
+    def pin(self, frame: str) -> None:
+        """Keeps a frame where it is now.
+
+        Raises:
+            UnknownFrameError: With the close names.
+            InvalidGoalError: It is dragged.
+        """
+        self.robot.frame(frame)
+        if frame == self.dragged:
+            raise InvalidGoalError(f"{frame!r} is dragged", hint="take(None) or another frame first")
+        self._pins[frame] = self._pin_of(frame)
+        self._moved()
+
+    def release(self, frame: str) -> None:
+        """Lets a pinned frame go.
+
+        Raises:
+            UnknownFrameError: It is not pinned.
+        """
+        if frame not in self._pins:
+            raise UnknownFrameError(frame, list(self._pins))
+        del self._pins[frame]
+        self._moved()
+
+    def balance(self, on: bool) -> None:
+        """Keeps the centre of mass over the place where it is now, or no longer."""
+        self._mass = self.robot.center_of_mass(self.q) if on else None
+        self._moved()
+
+    def step(self, target: ArrayLike | None = None) -> Array:
+        """One tick: the dragged frame towards ``target`` (3,), world, metres; None: stay.
+
+        Returns:
+            (nq,) the new joint vector, no farther from the last than the speed limits allow.
+        """
+        wanted = self._point if target is None or self.dragged is None else vector(target, 3, "target")
+        if target is not None and self.dragged is not None:
+            self._point = self.robot.forward(self.q, self.dragged).position
+            way = wanted - self._point
+            wanted = self._point + way * min(1.0, _LEASH / max(float(np.linalg.norm(way)), 1e-12))
+        return np.array(self._towards(wanted, self._mass))
+
+    def shift_weight(self, onto: str | Sequence[str], seconds: float = 1.0) -> Iterator[Array]:
+        """Frames in which the centre of mass goes over the middle of some pinned frames, and stays there.
+
+        Minimum jerk; afterwards another pin can be released without a fall.
+
+        Args:
+            onto: Pinned frames.
+            seconds: How long it takes; longer where the joints' speed limits say so.
+
+        Raises:
+            UnknownFrameError: One of them is not pinned.
+        """
+        frames = [onto] if isinstance(onto, str) else list(onto)
+        for frame in frames:
+            if frame not in self._pins:
+                raise UnknownFrameError(frame, list(self._pins))
+        require_positive("time", seconds, "s")
+        return self._shift([np.asarray(self._pins[frame].position) for frame in frames], seconds)
+
+    def _shift(self, places: Sequence[Array], seconds: float) -> Iterator[Array]:
+        begin = self.robot.center_of_mass(self.q)
+        way = np.append((np.mean(places, axis=0) - begin)[:2], 0.0)
+        self._mass = begin
+        self._moved()
+        share, pace = 0.0, 1.0 / max(1, round(seconds * self.rate))
+        x = 0.0
+        while share < 1.0:
+            x = min(1.0, x + pace)
+            wanted = x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+            before = np.array(self._mass)
+            q = self._towards(self._point, begin + wanted * way)
+            share = float((self._mass - begin) @ way / max(float(way @ way), 1e-12)) if way.any() else 1.0
+            share = 1.0 if share > 1.0 - 1e-9 else share
+            yield np.array(q)
+            if x >= 1.0 and not np.abs(self._mass - before).max() > 0.0:
+                return  # it goes no farther: pins and limits
+
+    # --------------------------------------------------------------------------- solving
+
+    def _pin_of(self, frame: str) -> PoseGoal:
+        return PoseGoal.at(frame, self.robot.measure(self.q, frame))
+
+    def _moved(self) -> None:
+        """What is wanted has changed: from now on the dragged point is where its frame is."""
+        self._problem = None
+        if self.dragged is not None:
+            self._point = self.robot.measure(self.q, self.dragged).position
+
+    def _goals(self, point: Array, mass: Array | None) -> list[Goal]:
+        goals: list[Goal] = list(self._pins.values())
+        if mass is not None:
+            goals.append(CenterOfMassGoal(None, mass, axes="xy"))
+        if self.dragged is not None:
+            goals.append(PositionGoal(self.dragged, point, soft=True))
+        return [*goals, PostureGoal(self.q, soft=True, priority=1)]
+
+    def _towards(self, point: Array, mass: Array | None) -> Array:
+        """One tick towards a dragged point and a centre of mass, as far as the speed limits allow."""
+        share = 1.0
+        start = self._mass if self._mass is not None else mass
+        for _ in range(_HALVINGS):
+            part = self._point + share * (point - self._point)
+            centre = None if mass is None or start is None else start + share * (mass - start)
+            q = self._solved(part, centre)
+            if q is not None and (np.abs(self.robot.difference(self.q, q)) <= self._most).all():
+                self.q = q
+                self.q.flags.writeable = False
+                self._point, self._mass = part, centre
+                return self.q
+            share *= 0.5
+        return self.q
+
+    def _solved(self, point: Array, mass: Array | None) -> Array | None:
+        """The pose for these; None where pins would not hold."""
+        goals = self._goals(point, mass)
+        if self._problem is None:
+            self._problem = Problem(self.robot, goals, budget=_BUDGET)
+        else:
+            self._problem.exchange(goals)
+        found = self._solver.solve(self._problem, self.q)
+        needed = any(not goal.soft for goal in goals)
+        if needed and not found.converged:
+            return None
+        return np.array(found.q) if math.isfinite(float(found.q.sum())) else None

@@ -1,0 +1,256 @@
+"""Named poses of a robot and motions through them, in a TOML file that people can edit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import ConfigError, TrajectoryError, close_matches
+from robot_ik.files import read_toml, shown, write_atomically
+from robot_ik.kernels.tree import Q_WIDTH
+from robot_ik.motion.keyframes import Keyframes
+from robot_ik.ports import Array
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
+
+
+@dataclass(frozen=True)
+class KeySequence:
+    """A motion by the names of its poses.
+
+    Attributes:
+        poses: Names, in order.
+        durations: Seconds of each way, one less than poses (of a loop: as many); empty: as fast as allowed.
+        loop: Whether it runs round.
+    """
+
+    poses: tuple[str, ...]
+    durations: tuple[float, ...] = ()
+    loop: bool = False
+
+
+class KeyPoses:
+    """Named poses of one robot and motions through them; kept in a TOML file that people can edit.
+
+    Attributes:
+        robot: Whose.
+        poses: (nq,) by name, in the order in which they were recorded.
+        motions: By name.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.poses: dict[str, Array] = {}
+        self.motions: dict[str, KeySequence] = {}
+
+    def __repr__(self) -> str:
+        return (
+            f"KeyPoses({self.robot.name!r}, poses {', '.join(self.poses)}; motions {', '.join(self.motions)})"
+        )
+
+    def __getitem__(self, name: str) -> Array:
+        try:
+            return self.poses[name].copy()
+        except KeyError:
+            raise _unknown("pose", name, self.poses) from None
+
+    def record(self, name: str, q: ArrayLike, *, replace: bool = False) -> Array:
+        """Keeps ``q`` (nq,) under a name.
+
+        Raises:
+            TrajectoryError: The name is taken or empty, or a joint stands outside its limits.
+            ModelError: Wrong length, or a number that is not finite.
+        """
+        if not name or not name.strip():
+            raise TrajectoryError("a pose needs a name", hint="such as 'stand'")
+        if name in self.poses and not replace:
+            raise TrajectoryError(f"there is a pose {name!r} already", hint="another name, or replace=True")
+        self.poses[name] = Keyframes(self.robot, [0.0], [self.robot.check_q(q)]).q[0]
+        return self[name]
+
+    def record_motion(
+        self, name: str, poses: Sequence[str], durations: Sequence[float] = (), *, loop: bool = False
+    ) -> KeySequence:
+        """Keeps a motion through named poses; another of that name is replaced.
+
+        Raises:
+            TrajectoryError: A pose that is not there, or durations that do not fit.
+        """
+        for pose in poses:
+            _ = self[pose]
+        ways = len(poses) if loop else len(poses) - 1
+        if len(poses) < 2 or (durations and len(durations) != ways) or not all(d > 0.0 for d in durations):
+            raise TrajectoryError(
+                f"motion {name!r} got {len(poses)} poses and the durations {list(durations)}",
+                hint=f"two or more poses, and no durations or {max(ways, 1)}, each above 0 s",
+            )
+        self.motions[name] = KeySequence(tuple(poses), tuple(float(d) for d in durations), bool(loop))
+        return self.motions[name]
+
+    def motion(self, name: str, *, speed: float = 1.0, velocity: ArrayLike | None = None) -> Keyframes:
+        """The motion of that name; ways that are too short for the speed limits take longer.
+
+        Args:
+            name: Of a motion; that of a pose is the pose, held.
+            speed: As in ``Keyframes.through``.
+            velocity: (nv,) speed limits, rad/s or m/s; None: the robot's.  Where a motion has durations, only
+                limits that the robot's file states: those of other joints are a cautious guess.
+        """
+        if name in self.poses and name not in self.motions:
+            return Keyframes(self.robot, [0.0], [self.poses[name]])
+        try:
+            wanted = self.motions[name]
+        except KeyError:
+            raise _unknown("motion", name, [*self.motions, *self.poses]) from None
+        if velocity is None and wanted.durations:
+            velocity = _stated_limits(self.robot)
+        keys = [self[pose] for pose in wanted.poses]
+        if wanted.loop:
+            keys.append(keys[0])
+        return Keyframes.through(
+            self.robot,
+            keys,
+            durations=wanted.durations or 0.0,
+            speed=speed,
+            velocity=velocity,
+            loop=wanted.loop,
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Writes poses and motions as TOML, joint by joint, rad and m in full precision.
+
+        Raises:
+            OutputError: The folder is missing or not writable.
+        """
+        lines = ["schema = 1", f"robot = {_quoted(self.robot.name)}"]
+        for name, q in self.poses.items():
+            lines += ["", f"[poses.{_quoted(name)}]  # rad, m; quaternions w x y z"]
+            for joint, values in _by_joint(self.robot, q):
+                lines.append(
+                    f"{_quoted(joint)} = {values[0]!r}"
+                    if len(values) == 1
+                    else f"{_quoted(joint)} = {values!r}"
+                )
+        for name, motion in self.motions.items():
+            lines += ["", f"[motions.{_quoted(name)}]"]
+            lines.append(f"poses = [{', '.join(map(_quoted, motion.poses))}]")
+            if motion.durations:
+                lines.append(f"durations = {list(motion.durations)!r}  # s")
+            lines.append(f"loop = {str(motion.loop).lower()}")
+        write_atomically(Path(path), "\n".join(lines) + "\n")
+
+    @classmethod
+    def load(cls, path: Path | str, robot: Robot) -> KeyPoses:
+        """Reads what ``save`` wrote; joints that a pose does not name stand as at home.
+
+        Raises:
+            ConfigError: With file, key and what is allowed.
+        """
+        file = Path(path)
+        content = read_toml(file, "the key poses", hint="robot-ik poses record makes one")
+        for key in content:
+            if key not in ("schema", "robot", "poses", "motions"):
+                raise ConfigError("unknown key", file=file, key=key, allowed="schema, robot, poses, motions")
+        if content.get("schema") != 1:
+            raise ConfigError(f"{content.get('schema')!r} is not right", file=file, key="schema", allowed="1")
+        book = cls(robot)
+        for name, joints in _tables(content, "poses", file):
+            q = _pose_of(robot, joints, file, name)
+            with _in_file(file, f"poses.{name}"):
+                book.record(name, q)
+        for name, table in _tables(content, "motions", file):
+            motion = _sequence_of(table, f"motions.{name}", file)
+            with _in_file(file, f"motions.{name}"):
+                book.record_motion(name, motion.poses, motion.durations, loop=motion.loop)
+        return book
+
+
+def _stated_limits(robot: Robot) -> Array:
+    """(nv,) the robot's speed limits, none for joints of which its file says nothing."""
+    stated = np.array([robot.joints[int(node)] in robot.file.velocity for node in robot.tree.dof_node])
+    return np.where(stated, robot.velocity, np.inf)
+
+
+@contextmanager
+def _in_file(file: Path, key: str) -> Iterator[None]:
+    """Says where in a file it was that something was wrong."""
+    try:
+        yield
+    except TrajectoryError as error:
+        raise ConfigError(str(error.args[0]), file=file, key=key, hint=error.hint) from error
+
+
+def _tables(content: Mapping[str, Any], key: str, file: Path) -> list[tuple[str, dict[str, Any]]]:
+    """The tables below ``key``, by name."""
+    found = content.get(key, {})
+    if not isinstance(found, dict) or not all(isinstance(table, dict) for table in found.values()):
+        raise ConfigError("is no table of tables", file=file, key=key, allowed=f"[{key}.NAME] …")
+    return list(found.items())
+
+
+def _pose_of(robot: Robot, joints: Mapping[str, Any], file: Path, name: str) -> Array:
+    """(nq,) home with the joints that a table names."""
+    q = np.array(robot.home)
+    for joint, value in joints.items():
+        key = f"poses.{name}.{joint}"
+        if joint not in robot.joints:
+            close = close_matches(joint, robot.joints)
+            problem = "unknown joint" + (f" (did you mean {close[0]!r}?)" if close else "")
+            raise ConfigError(problem, file=file, key=key, allowed=f"a joint of {robot.name!r}")
+        k = robot.joints.index(joint)
+        width, first = Q_WIDTH[int(robot.tree.kind[k])], int(robot.tree.qadr[k])
+        values = [value] if width == 1 else value
+        numbers = isinstance(values, list) and all(
+            isinstance(v, int | float) and not isinstance(v, bool) for v in values
+        )
+        if not numbers or len(values) != width:
+            raise ConfigError(
+                f"{shown(value)} is not right", file=file, key=key,
+                allowed="a number, rad or m" if width == 1 else f"{width} numbers",
+            )  # fmt: skip
+        q[first : first + width] = values
+    return q
+
+
+def _sequence_of(table: Mapping[str, Any], key: str, file: Path) -> KeySequence:
+    """A motion of its table."""
+    allowed = {"poses": list, "durations": list, "loop": bool}
+    for name, value in table.items():
+        if name not in allowed:
+            raise ConfigError("unknown key", file=file, key=f"{key}.{name}", allowed=", ".join(allowed))
+        kind = {"poses": str, "durations": int | float}.get(name)
+        fits = isinstance(value, allowed[name])
+        if fits and kind is not None:
+            fits = all(isinstance(item, kind) and not isinstance(item, bool) for item in value)
+        if not fits:
+            what = {"poses": "names of poses", "durations": "seconds", "loop": "true or false"}[name]
+            raise ConfigError(f"{shown(value)} is not right", file=file, key=f"{key}.{name}", allowed=what)
+    if "poses" not in table:
+        raise ConfigError("this key is missing", file=file, key=f"{key}.poses", allowed="names of poses")
+    durations = tuple(float(value) for value in table.get("durations", ()))
+    return KeySequence(tuple(table["poses"]), durations, table.get("loop", False))
+
+
+def _by_joint(robot: Robot, q: Array) -> Iterator[tuple[str, list[float]]]:
+    """The numbers of every joint."""
+    for joint, kind, first in zip(robot.joints, robot.tree.kind, robot.tree.qadr, strict=True):
+        yield joint, q[int(first) : int(first) + Q_WIDTH[int(kind)]].tolist()
+
+
+def _quoted(name: str) -> str:
+    """A TOML string, also good as a key: JSON's escapes are among TOML's."""
+    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _unknown(what: str, name: str, known: Iterable[str]) -> TrajectoryError:
+    close = close_matches(name, list(known))
+    hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known) or 'none'}"
+    return TrajectoryError(f"there is no {what} {name!r}", hint=hint)

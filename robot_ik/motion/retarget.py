@@ -1,0 +1,454 @@
+"""Motion capture onto a figure of other proportions: by inverse kinematics, never by copying angles.
+
+Lengths are taken from the two skeletons: the root's path and steps scale with the legs, the trunk with the
+trunk, arms with the arms.  So the figure's units and size do not matter, and neither does the height of
+the studio's floor: the lowest ankle of the take stands on ours.  Feet are needed goals; a foot that rests
+in the take is pinned where it rests.  Hands, elbows, pelvis and head are soft goals: the nearest that the
+feet allow.  How the rest pose of the file is drawn counts for the turns of feet, pelvis and head only: they
+are those against the rest pose, in which the figure is taken to stand upright, toes forward.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from robot_ik.errors import ConfigError, ModelError, TrajectoryError
+from robot_ik.files import config_error, read_toml
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
+from robot_ik.motion.bvh import Bvh, qpos_places
+from robot_ik.motion.keyframes import Keyframes, free_base
+from robot_ik.ports import Array
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot
+from robot_ik.solvers import make_solver
+
+SIDES = ("left", "right")
+ROLES = (
+    "pelvis", "head",
+    *(f"{side}_{part}" for side in SIDES for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")),
+)  # fmt: skip
+# A foot rests while its ankle is no higher than in the stand and this (m), and slower than this (m/s) …
+_REST_HEIGHT, _REST_SPEED = 0.03, 0.20
+# … for at least so long; the way to and from where it is pinned takes so long (s).
+_REST_TIME, _PIN_BLEND = 0.10, 0.12
+# Part of all frames whose lowest ankle may lie under the floor: noise.
+_FLOOR_SHARE = 0.02
+# Weights of the soft goals beside each other.
+_HAND, _PELVIS, _ELBOW, _HEAD, _POSTURE = 3.0, 2.0, 0.5, 0.5, 0.05
+_FOOT_TOLERANCE = Tolerance(position=1e-4, angle=1e-3)
+_BUDGET = Budget(iterations=60, restarts=0)
+# The first frame may be far from home.
+_FIRST_BUDGET = Budget(iterations=2000)
+
+
+class _Role(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    body: str
+    names: tuple[str, ...]
+
+
+class _MapFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    schema_: Literal[1]
+    roles: dict[Literal[ROLES], _Role]  # type: ignore[valid-type]
+
+
+@dataclass(frozen=True)
+class SkeletonMap:
+    """Which joint of a file is which part of a figure.
+
+    Attributes:
+        bodies: Our body, by role (``ROLES``).
+        names: Names that a file may have for it, the likeliest first.
+        file: Where it comes from.
+    """
+
+    bodies: Mapping[str, str]
+    names: Mapping[str, Sequence[str]]
+    file: Path
+
+    @classmethod
+    def load(cls, path: Path | str) -> SkeletonMap:
+        """Reads such a map; ``bvh.toml`` beside the humanoid is one.
+
+        Raises:
+            ConfigError: With file, key and what is allowed.
+        """
+        file = Path(path)
+        content = read_toml(file, "the map of joints")
+        content["schema_"] = content.pop("schema", None)
+        try:
+            parsed = _MapFile.model_validate(content)
+        except ValidationError as error:
+            raise config_error(error, file) from error
+        missing = [role for role in ROLES if role not in parsed.roles]
+        if missing:
+            raise ConfigError(
+                "this key is missing", file=file, key=f"roles.{missing[0]}", allowed="body, names"
+            )
+        return cls(
+            {role: row.body for role, row in parsed.roles.items()},
+            {role: row.names for role, row in parsed.roles.items()},
+            file,
+        )
+
+    @classmethod
+    def of(cls, robot: Robot) -> SkeletonMap:
+        """The map beside a robot's model.
+
+        Raises:
+            ModelError: There is none.
+        """
+        file = robot.folder / "bvh.toml"
+        if not file.is_file():
+            raise ModelError(
+                f"{robot.name!r} has no map of joints for motion capture", path=robot.path,
+                hint=f"write {file.name} beside its model, as models/humanoid/bvh.toml",
+            )  # fmt: skip
+        return cls.load(file)
+
+    def find(self, bvh: Bvh) -> dict[str, int]:
+        """The joint of a file for each role.
+
+        Raises:
+            ConfigError: The file has none of the names of some role.
+        """
+        found = {}
+        for role in ROLES:
+            places = [place for place in map(bvh.named, self.names[role]) if place >= 0]
+            if not places:
+                known = ", ".join(joint.name for joint in bvh.joints[:30])
+                raise ConfigError(
+                    f"no name of {role} is in the BVH file", file=self.file, key=f"roles.{role}.names",
+                    allowed=f"one of {known}",
+                )  # fmt: skip
+            found[role] = places[0]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Retargeted:
+    """A motion taken over, and how well.
+
+    Attributes:
+        motion: Ours.
+        hand_miss: (n, 2) metres between the left and right hand and where they should be.
+        rests: (n, 2) whether the left and right foot is pinned.
+        scale: Our metres for a unit of the file, by the legs.
+    """
+
+    motion: Keyframes
+    hand_miss: Array = field(repr=False)
+    rests: NDArray[np.bool_] = field(repr=False)
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    """What the figure shall do, frame by frame (n, …), world, metres."""
+
+    pelvis: list[Pose]
+    head: list[Pose]
+    feet: tuple[list[Pose], list[Pose]]
+    hands: tuple[Array, Array]
+    elbows: tuple[Array, Array]
+    rests: NDArray[np.bool_]
+
+
+class _Measures:
+    """The figure's own lengths and frames, upright at qpos0."""
+
+    def __init__(self, robot: Robot, bodies: Mapping[str, str]) -> None:
+        data = mujoco.MjData(robot.model)
+        data.qpos[:] = robot.model.qpos0
+        mujoco.mj_kinematics(robot.model, data)
+        names = {robot.model.body(b).name: b for b in range(robot.model.nbody)}
+        for role, body in bodies.items():
+            if body not in names:
+                raise ModelError(f"{robot.name!r} has no body {body!r} for {role}", path=robot.path)
+        self.frames = bodies
+        self.places = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
+        rest = robot.model.qpos0[qpos_places(robot)]
+        # A goal's frame of that name may be a site of the body: the palm, the sole.
+        self.offsets = {
+            role: robot.measure(rest, body).position - self.places[role] for role, body in bodies.items()
+        }
+        self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
+        self.ankle = float(_middle(self.places, "ankle")[2] - min(self.foot_height(robot, rest)))
+
+    def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
+        """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
+        model, foot = robot.model, robot.model.body(self.frames[role]).id
+        below = {foot}
+        for body in range(foot + 1, model.nbody):
+            if int(model.body_parentid[body]) in below:
+                below.add(body)
+        origin = self.places[role] + self.offsets[role]
+        places = [
+            data.site_xpos[s] - origin for s in range(model.nsite) if int(model.site_bodyid[s]) in below
+        ]
+        return np.array([np.zeros(3), *places])
+
+    def foot_height(self, robot: Robot, q: Array) -> list[float]:
+        """Height of both foot frames."""
+        return [float(robot.measure(q, self.frames[f"{side}_ankle"]).position[2]) for side in SIDES]
+
+
+def _length(places: Mapping[str, Array], *roles: str) -> float:
+    """Mean over both sides of the way along these parts of a limb."""
+    total = 0.0
+    for side in SIDES:
+        for one, two in pairwise(places[f"{side}_{role}"] for role in roles):
+            total += float(np.linalg.norm(two - one))
+    return total / len(SIDES)
+
+
+def _middle(places: Mapping[str, Array], role: str) -> Array:
+    return np.asarray(0.5 * (places[f"left_{role}"] + places[f"right_{role}"]))
+
+
+def _lengths(places: Mapping[str, Array]) -> Array:
+    """(4,) of a leg, an arm, the trunk, and from shoulder to shoulder."""
+    trunk = np.linalg.norm(_middle(places, "shoulder") - _middle(places, "hip"))
+    girdle = np.linalg.norm(places["left_shoulder"] - places["right_shoulder"])
+    legs, arms = _length(places, "hip", "knee", "ankle"), _length(places, "shoulder", "elbow", "wrist")
+    return np.array([legs, arms, trunk, girdle])
+
+
+def _ratios(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> list[float]:
+    """Our metres for a unit of the file, by leg, arm, trunk and girdle.
+
+    Raises:
+        TrajectoryError: The file's has no length.
+    """
+    lengths = _lengths(theirs)
+    for length, part in zip(lengths, ("legs", "arms", "trunk", "girdle"), strict=True):
+        if not length > 1e-9:
+            raise TrajectoryError(
+                f"the {part} of the file's rest pose have no length",
+                hint="is some joint named for two roles? see the map of joints",
+            )
+    return [float(ratio) for ratio in _lengths(ours) / lengths]
+
+
+def _alignment(rest: Mapping[str, Array], up: str) -> Array:
+    """(3, 3) from the file's axes to ours: up as said, left from hip to hip."""
+    z = np.eye(3)["xyz".index(up)]
+    left = rest["left_hip"] - rest["right_hip"]
+    left = left - z * float(left @ z)
+    if not np.linalg.norm(left) > 1e-9:
+        raise TrajectoryError(
+            "in the file's rest pose the hips are not beside each other", hint="another rest"
+        )
+    y = left / np.linalg.norm(left)
+    return np.stack([np.cross(y, z), y, z])
+
+
+def _targets(
+    bvh: Bvh, joints: Mapping[str, int], ours: _Measures, rest: Bvh, up: str
+) -> tuple[_Targets, float]:
+    """What the figure shall do, and our metres for a unit of the file."""
+    still, turned = rest.poses()
+    upright = {role: still[0, j] for role, j in joints.items()}
+    axes = _alignment(upright, up)
+    moved, turns = bvh.poses()
+    places = {role: moved[:, j] @ axes.T for role, j in joints.items()}
+    deltas = {r: axes @ turns[:, j] @ turned[0, j].T @ axes.T for r, j in joints.items()}
+    legs, arms, trunk, girdle = _ratios(ours.places, upright)
+    lowest = np.minimum(places["left_ankle"][:, 2], places["right_ankle"][:, 2])
+    floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
+    ankles = [legs * (places[f"{side}_ankle"] - floor) for side in SIDES]
+    pelvis = legs * (_middle(places, "hip") - floor)
+    chest = _middle(places, "shoulder")
+    ours_chest = pelvis + trunk * (chest - _middle(places, "hip"))
+    hands, elbows = [], []
+    for side in SIDES:
+        shoulder = places[f"{side}_shoulder"]
+        from_shoulder = ours_chest + girdle * (shoulder - chest) - arms * shoulder
+        elbows.append(from_shoulder + arms * places[f"{side}_elbow"])
+        palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
+        along = _hand_direction(bvh, joints, side, moved, turns) @ axes.T
+        hands.append(from_shoulder + arms * places[f"{side}_wrist"] + palm * along)
+    rests = np.stack([_rests(ankle, ours.ankle, bvh.rate) for ankle in ankles], axis=1)
+    feet = [
+        _foot_path(ankles[k], deltas[f"{side}_ankle"], ours, side, rests[:, k], bvh.rate)
+        for k, side in enumerate(SIDES)
+    ]
+    head = [Pose.from_rotation(turn) for turn in deltas["head"]]
+    hips = [Pose.from_rotation(turn, place) for turn, place in zip(deltas["pelvis"], pelvis, strict=True)]
+    return _Targets(hips, head, (feet[0], feet[1]), (hands[0], hands[1]), (elbows[0], elbows[1]), rests), legs
+
+
+def _hand_direction(bvh: Bvh, joints: Mapping[str, int], side: str, places: Array, turns: Array) -> Array:
+    """(n, 3) unit vectors along the hand, the file's axes: to its first child or End Site."""
+    j = joints[f"{side}_wrist"]
+    bone = next((np.array(other.offset) for other in bvh.joints if other.parent == j), None)
+    bone = np.array(bvh.joints[j].end) if bone is None and bvh.joints[j].end is not None else bone
+    along = places[:, j] - places[:, joints[f"{side}_elbow"]] if bone is None else turns[:, j] @ bone
+    if not np.linalg.norm(along, axis=1).min() > 1e-9:
+        along = places[:, j] - places[:, joints[f"{side}_elbow"]]
+    return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
+
+
+def _rests(ankle: Array, height: float, rate: float) -> NDArray[np.bool_]:
+    """(n,) whether a foot rests: low and slow for long enough."""
+    speed = np.zeros(len(ankle))
+    if len(ankle) > 2:
+        speed = np.linalg.norm(np.gradient(ankle, 1.0 / rate, axis=0), axis=1)
+    calm = (ankle[:, 2] < height + _REST_HEIGHT) & (speed < _REST_SPEED)
+    least = max(1, round(_REST_TIME * rate))
+    out = np.zeros(len(calm), dtype=bool)
+    for first, end in _runs(calm):
+        out[first:end] = end - first >= min(least, len(calm))
+    return out
+
+
+def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and end of every stretch of marks."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _foot_path(
+    ankle: Array, turns: Array, ours: _Measures, side: str, rests: NDArray[np.bool_], rate: float
+) -> list[Pose]:
+    """The sole's pose in each frame: where it rests one pose, flat on the floor; smoothly there and back.
+
+    No end of it goes under the floor.
+    """
+    places = ankle + turns @ ours.offsets[f"{side}_ankle"]
+    lowest = (places[:, None, :] + ours.soles[side] @ turns.transpose(0, 2, 1))[..., 2].min(axis=1)
+    places[:, 2] -= np.minimum(lowest, 0.0)
+    free = [Pose.from_rotation(turn, place) for turn, place in zip(turns, places, strict=True)]
+    path = list(free)
+    fade = max(1, round(_PIN_BLEND * rate))
+    for first, end in _runs(rests):
+        heading = math.atan2(float(turns[first:end, 1, 0].mean()), float(turns[first:end, 0, 0].mean()))
+        place = np.array([pose.position for pose in free[first:end]]).mean(axis=0)
+        half = 0.5 * heading
+        pin = Pose((place[0], place[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))
+        path[first:end] = [pin] * (end - first)
+        for step in range(1, fade):
+            share = 1.0 - step / fade
+            share = share * share * (3.0 - 2.0 * share)
+            for k in (first - step, end - 1 + step):
+                if 0 <= k < len(path) and not rests[k]:
+                    path[k] = _between(path[k], pin, share)
+    return path
+
+
+def _between(one: Pose, two: Pose, share: float) -> Pose:
+    """The pose that far along the screw from one to the other."""
+    return one.compose(Pose.exp(share * one.inverse().compose(two).log()))
+
+
+def retarget(
+    bvh: Bvh,
+    robot: Robot,
+    joints: SkeletonMap | None = None,
+    *,
+    rate: float | None = None,
+    up: Literal["y", "z"] = "y",
+    rest_frame: int | None = None,
+) -> Retargeted:
+    """Takes a motion over onto a figure.
+
+    Args:
+        bvh: The motion, of any skeleton with the roles of the map.
+        robot: A figure with hands, feet and head.
+        joints: Which joint is what; None: the map beside the robot's model.
+        rate: Frames a second; None: as in the file.  Frames are left out, none are made up.
+        up: The file's axis that points up.
+        rest_frame: A frame in which the figure stands upright, toes forward; for files whose rest pose
+            does not.
+
+    Raises:
+        ConfigError: The file lacks a joint of the map.
+        TrajectoryError: No frame at all, or a rest frame that is not there.
+    """
+    joints = SkeletonMap.of(robot) if joints is None else joints
+    places = joints.find(bvh)
+    bvh, rest = _thinned(bvh, rate), _rest_of(bvh, rest_frame)
+    ours = _Measures(robot, joints.bodies)
+    wanted, scale = _targets(bvh, places, ours, rest, up)
+    rows, miss = _solve_frames(robot, joints.bodies, wanted)
+    motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
+    return Retargeted(motion, miss, wanted.rests, scale)
+
+
+def _rest_of(bvh: Bvh, frame: int | None) -> Bvh:
+    if frame is None:
+        return bvh.rest()
+    if not 0 <= frame < len(bvh.values):
+        raise TrajectoryError(f"there is no frame {frame}", hint=f"0 … {len(bvh.values) - 1}")
+    return Bvh(bvh.joints, bvh.frame_time, bvh.values[frame : frame + 1])
+
+
+def _thinned(bvh: Bvh, rate: float | None) -> Bvh:
+    """The file with as many frames a second as asked for, or a little more."""
+    if not len(bvh.values):
+        raise TrajectoryError("the BVH file has no frames")
+    every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
+    return Bvh(bvh.joints, every / bvh.rate, bvh.values[::every])
+
+
+def _goals(robot: Robot, bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
+    """Of one frame, always in the same order: what is compiled for the first serves all."""
+    goals: list[Goal] = [
+        PoseGoal(bodies[f"{side}_ankle"], feet[k].position, feet[k].wxyz, tolerance=_FOOT_TOLERANCE)
+        for side, feet in zip(SIDES, wanted.feet, strict=True)
+    ]
+    hips = wanted.pelvis[k]
+    goals.append(
+        PoseGoal(
+            bodies["pelvis"],
+            hips.position,
+            hips.wxyz,
+            soft=True,
+            position_weight=_PELVIS,
+            angle_weight=_PELVIS / 4,
+        )
+    )
+    goals.append(OrientationGoal(bodies["head"], wanted.head[k].wxyz, weight=_HEAD, soft=True))
+    for role, weight, paths in (("wrist", _HAND, wanted.hands), ("elbow", _ELBOW, wanted.elbows)):
+        goals += [
+            PositionGoal(bodies[f"{side}_{role}"], path[k], weight=weight, soft=True)
+            for side, path in zip(SIDES, paths, strict=True)
+        ]
+    return [*goals, PostureGoal(q, weight=_POSTURE, soft=True)]
+
+
+def _solve_frames(robot: Robot, bodies: Mapping[str, str], wanted: _Targets) -> tuple[list[Array], Array]:
+    """Joint vectors (n, nq) and the misses of the hands (n, 2)."""
+    solver, rows = make_solver("lm"), []
+    q, miss = np.array(robot.home), np.zeros((len(wanted.pelvis), 2))
+    base = free_base(robot)
+    if base is not None:
+        q[base : base + 3] = wanted.pelvis[0].position + (
+            q[base : base + 3] - robot.forward(q, bodies["pelvis"]).position
+        )
+    problem: Problem | None = None
+    for k in range(len(wanted.pelvis)):
+        goals = _goals(robot, bodies, wanted, k, robot.home)
+        if problem is None:
+            problem = Problem(robot, goals, budget=_FIRST_BUDGET)
+        else:
+            problem.exchange(goals)
+            problem.budget = _BUDGET
+        q = solver.solve(problem, q).q
+        rows.append(q)
+        for i, side in enumerate(SIDES):
+            hand = robot.forward(q, bodies[f"{side}_wrist"]).position
+            miss[k, i] = np.linalg.norm(hand - wanted.hands[i][k])
+    return rows, miss

@@ -1,0 +1,339 @@
+"""The robots that ship, and ``robot.toml``: what a model file cannot say."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
+from robot_ik.files import read_toml
+
+SHOWN_ROBOT = "puma560"
+"""What the demonstrations move."""
+SERVO_ROBOT = "tabletop_puma"
+"""What stands at a servo bus where nothing else is said: X servos move it, and no real PUMA 560."""
+DESCRIPTIONS = "robot_descriptions:"
+"""What the name of a robot of that package begins with."""
+_MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".toml")
+_WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or URDF file"
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Tool(_Table):
+    """A named end-effector frame: a site or a body of the model."""
+
+    site: str | None = None
+    body: str | None = None
+    about: str = ""
+
+
+class Marker(_Table):
+    """A printed marker lying in the world, z up out of the paper."""
+
+    id: int
+    dictionary: str = "DICT_5X5_50"
+    size: float
+    position: tuple[float, float, float]
+    yaw_deg: float = 0.0
+
+
+class Table(_Table):
+    """A table top: its height and extent in the world, metres."""
+
+    height: float
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
+class CameraExtrinsics(_Table):
+    """A camera: where it stands, what it looks at, and its optics (pixels)."""
+
+    position: tuple[float, float, float]
+    look_at: tuple[float, float, float]
+    width: int = 1280
+    height: int = 720
+    focal: float = 1100.0
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class ToolMarker(_Table):
+    """Four markers on the sides of a cube that the gripper carries."""
+
+    ids: tuple[int, ...]
+    size: float
+    cube: float
+    site: str
+
+
+class ReachScene(_Table):
+    """The scene of ``robot-ik reach`` for this robot."""
+
+    marker: Marker
+    hover: float
+    table: Table | None = None
+    camera: CameraExtrinsics
+    tool_marker: ToolMarker
+
+
+class GalleryScene(_Table):
+    """What `robot-ik robots --gallery` draws beside the home pose.
+
+    A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
+    are at home.  ``view_deg``: from where one looks, azimuth (from x towards y) and elevation.
+    """
+
+    about: str = "reaching"
+    goals: dict[str, tuple[float, float, float] | tuple[float, float, float, float, float, float, float]] = {}
+    keep: tuple[str, ...] = ()
+    view_deg: tuple[float, float] = (-55.0, 16.0)
+
+
+class FigureParts(_Table):
+    """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
+
+    ``bend``: the keyframe that a deep bend looks like.
+    """
+
+    hands: dict[str, str] = {}
+    feet: dict[str, str] = {}
+    gaze: str | None = None
+    neck: tuple[str, ...] = ()
+    pelvis: str
+    trunk: str
+    bend: str | None = None
+
+
+class _Motion(_Table):
+    velocity_deg: tuple[float, ...] | None = None
+    acceleration_deg: tuple[float, ...] | None = None
+
+
+class Coupled(_Table):
+    """A joint that follows another: joint = ratio · leader + offset, rad or m."""
+
+    follows: str
+    ratio: float
+    offset: float = 0.0
+
+
+class _Provenance(_Table):
+    sources: tuple[str, ...] = ()
+
+
+class _File(_Table):
+    schema_: Literal[1]
+    title: str
+    model: str
+    tool: str | None = None
+    solver: str | None = None
+    home: str | tuple[float, ...] | None = None
+    tools: dict[str, Tool] = {}
+    groups: dict[str, tuple[str, ...]] = {}
+    motion: _Motion = _Motion()
+    speed_deg: dict[str, dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]]] = {}
+    figure: FigureParts | None = None
+    stiffness: dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] = {}
+    couplings: dict[str, Coupled] = {}
+    reach: ReachScene | None = None
+    gallery: GalleryScene | None = None
+    provenance: _Provenance = _Provenance()
+
+
+@dataclass(frozen=True, repr=False)
+class RobotFile:
+    """What ``robot.toml`` says; for a bare model file everything but the name is empty.
+
+    Attributes:
+        velocity, acceleration: Per joint, rad/s and rad/s² (m for slides).
+        stiffness: Of joints by name: one of 4 moves half as far as one of 1 where both could serve.
+        couplings: Joints that follow another, by name.
+        speeds: Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
+        figure: Hands, feet, eyes of a figure.
+    """
+
+    name: str
+    path: Path | None = None
+    title: str = ""
+    tool: str | None = None
+    solver: str | None = None
+    home: str | tuple[float, ...] | None = None
+    tools: Mapping[str, Tool] = field(default_factory=dict)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    velocity: Mapping[str, float] = field(default_factory=dict)
+    acceleration: Mapping[str, float] = field(default_factory=dict)
+    stiffness: Mapping[str, float] = field(default_factory=dict)
+    couplings: Mapping[str, Coupled] = field(default_factory=dict)
+    speeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    figure: FigureParts | None = None
+    reach: ReachScene | None = None
+    gallery: GalleryScene | None = None
+    sources: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"RobotFile({self.name!r}, {self.title!r}, {self.path})"
+
+
+def catalogue() -> dict[str, Path]:
+    """Folder of every robot that ships, by name."""
+    root = Path(str(resources.files("robot_ik.models")))
+    return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "robot.toml").is_file()}
+
+
+def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
+    """Model file and contents of a ``robot.toml``.
+
+    Raises:
+        ConfigError: With file, key and what is allowed.
+    """
+    raw = read_toml(path, "robot.toml")
+    if "schema" in raw:
+        raw["schema_"] = raw.pop("schema")
+    try:
+        parsed = _File.model_validate(raw)
+    except ValidationError as error:
+        raise _config_error(path, error) from error
+    order = parsed.groups.get("arm", ())
+    return path.parent / parsed.model, RobotFile(
+        name=path.parent.name,
+        path=path,
+        title=parsed.title,
+        tool=parsed.tool,
+        solver=parsed.solver,
+        home=parsed.home,
+        tools=parsed.tools,
+        groups=parsed.groups,
+        velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
+        acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
+        stiffness=parsed.stiffness,
+        couplings=parsed.couplings,
+        speeds={
+            name: {joint: math.radians(speed) for joint, speed in speeds.items()}
+            for name, speeds in parsed.speed_deg.items()
+        },
+        figure=parsed.figure,
+        reach=parsed.reach,
+        gallery=parsed.gallery,
+        sources=parsed.provenance.sources,
+    )
+
+
+def _per_joint(
+    path: Path, key: str, values: tuple[float, ...] | None, joints: tuple[str, ...]
+) -> dict[str, float]:
+    if values is None:
+        return {}
+    if len(values) != len(joints) or not all(v > 0 for v in values):
+        raise ConfigError(
+            f"{len(values)} numbers for {len(joints)} joints",
+            file=path, key=key, allowed="one positive number, deg/s or deg/s², for each joint of groups.arm",
+        )  # fmt: skip
+    return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
+
+
+def _config_error(path: Path, error: ValidationError) -> ConfigError:
+    first = error.errors()[0]
+    key = ".".join("schema" if part == "schema_" else str(part) for part in first["loc"])
+    problem, allowed = str(first["msg"]), ""
+    if first["type"] == "extra_forbidden":
+        table: Any = _File
+        for part in first["loc"][:-1]:
+            if str(part) not in getattr(table, "model_fields", {}):
+                continue  # the name of an entry, such as a tool's
+            annotation = table.model_fields[str(part)].annotation
+            table = next(
+                (a for a in getattr(annotation, "__args__", [annotation]) if hasattr(a, "model_fields")), None
+            )
+        known = ["schema" if n == "schema_" else n for n in table.model_fields] if table else []
+        close = close_matches(str(first["loc"][-1]), known)
+        problem = "unknown key" + (f" (did you mean {close[0]!r}?)" if close else "")
+        allowed = ", ".join(known)
+    return ConfigError(problem, file=path, key=key, allowed=allowed)
+
+
+def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
+    """Model file and ``robot.toml`` contents for a catalogue name, a path or a robot_descriptions name.
+
+    A ``robot.toml`` beside a model file counts when it names that file.
+
+    Raises:
+        UnknownRobotError: No name of the catalogue.
+        ModelError: A path, but of no file.
+        ConfigError: Its ``robot.toml`` is wrong.
+        MissingExtraError: The package robot_descriptions is asked for and not there.
+    """
+    known = catalogue()
+    given: object = name
+    if not isinstance(given, str | os.PathLike):
+        raise UnknownRobotError(repr(given), known, hint=_WHAT_A_ROBOT_IS)
+    if str(name) in known:
+        return read_robot_file(known[str(name)] / "robot.toml")
+    if str(name).startswith(DESCRIPTIONS):
+        found = described_model(str(name).removeprefix(DESCRIPTIONS))
+        return found, RobotFile(name=str(name).removeprefix(DESCRIPTIONS))
+    path = Path(name).expanduser()
+    if path.is_dir() and (path / "robot.toml").is_file():
+        return read_robot_file(path / "robot.toml")
+    if not path.is_file():
+        _refuse_missing(path)
+        raise UnknownRobotError(str(name), known, hint=_WHAT_A_ROBOT_IS)
+    if path.name == "robot.toml":
+        return read_robot_file(path)
+    path = path.resolve()
+    if (path.parent / "robot.toml").is_file():
+        model, file = read_robot_file(path.parent / "robot.toml")
+        if model.resolve() == path:
+            return path, file
+    return path, RobotFile(name=path.stem)
+
+
+def _refuse_missing(path: Path) -> None:
+    """Raises ``ModelError`` where ``path`` is meant as a path and not as a name."""
+    if path.is_dir():
+        raise ModelError(
+            f"the folder {path} has no robot.toml", path=path, hint="name the MJCF or URDF file in it"
+        )
+    if len(path.parts) > 1 or path.suffix.lower() in _MODEL_SUFFIXES:
+        beside = [p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODEL_SUFFIXES]
+        close = close_matches(path.name, beside)
+        hint = f"did you mean {path.parent / close[0]}?" if close else f"from {Path.cwd()}"
+        raise ModelError(f"there is no file {path}", path=path, hint=hint)
+
+
+def described_model(name: str) -> Path:
+    """The model file of a description of the package robot_descriptions: its MJCF, else its URDF.
+
+    The package gets it with git, once, unless it lies in its cache.
+
+    Raises:
+        MissingExtraError: The package is not installed.
+        UnknownRobotError: It has no such description; close ones are named.
+        ModelError: git could not get it.
+    """
+    try:
+        from robot_descriptions import DESCRIPTIONS as known
+    except ImportError as error:
+        raise MissingExtraError("robot_descriptions", "descriptions", f"the robot {name!r}") from error
+    if name not in known:
+        raise UnknownRobotError(name, known, hint="all names: python -m robot_descriptions list")
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # git's own errors are of many classes, and long
+        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
+        reason = next((line.strip() for line in reversed(str(error).splitlines()) if line.strip()), "")
+        raise ModelError(
+            f"the description {name!r} is not in {folder}, and git could not get it: {reason[:200]}",
+            reason=str(error),
+            hint=f"where there is a network: python -m robot_descriptions pull {name}",
+        ) from error
+    return Path(getattr(module, "MJCF_PATH", None) or module.URDF_PATH)

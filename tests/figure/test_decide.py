@@ -1,0 +1,177 @@
+"""Decisions: what a ball's place means, and an independent checker of reach and bend."""
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.errors import InvalidGoalError, ModelError
+from robot_ik.figure.abilities import POINTS, Abilities, grade
+from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
+from robot_ik.figure.figure import Figure, load_figure, rotation
+from robot_ik.figure.poses import BEND, REACH
+from robot_ik.robot import load_robot
+
+# The judge lies beside this file; it is nobody's package.
+_spec = importlib.util.spec_from_file_location("figure_judge", Path(__file__).with_name("judge.py"))
+assert _spec is not None and _spec.loader is not None
+_judge: Any = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(_judge)
+
+BALLS = {
+    "reach": (0.45, -0.25, 1.2),
+    "bend": (0.5, -0.2, 0.2),
+    "jump": (0.2, -0.2, 2.35),
+    "walk": (2.5, 0.5, 1.2),
+    "nothing": (0.5, 0.5, 3.2),
+}
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (3.0, -2.0, 2.5)])
+def test_every_action_is_decided_anywhere(
+    decider: Decider, action: str, place: tuple[float, float, float]
+) -> None:
+    x, y, z = rotation("z", place[2]) @ np.array(BALLS[action]) + [place[0], place[1], 0.0]
+    found = decider.decide((x, y, z), place)
+    assert found.action == action, found.reason
+    assert (found.stand_point is not None) == (action == "walk")
+    assert (found.arm is not None) == (action != "nothing") and found.reason
+
+
+@pytest.mark.parametrize(
+    ("ball", "reason"),
+    [
+        (None, "no ball is seen"), ((np.nan, 0, 1), "no ball is seen"), ((0.0, 0.0, 1.3), "inside its torso"),
+        ((1.0, 0.0, -0.1), "10 cm under the floor"), ((30.0, 0.0, 1.0), "outside the workspace of 8 m"),
+        ((0.5, 0.5, 3.2), "out of reach, jumping too"),
+    ],
+)  # fmt: skip
+def test_nothing_says_why(decider: Decider, ball: tuple[float, ...] | None, reason: str) -> None:
+    found = decider.decide(ball)
+    assert found.action == "nothing" and reason in found.reason
+
+
+def test_two_balls_are_refused(decider: Decider) -> None:
+    with pytest.raises(InvalidGoalError, match="three numbers"):
+        decider.decide(((0.4, 0.2, 1.0), (0.4, -0.2, 1.0)))  # type: ignore[arg-type]
+    with pytest.raises(InvalidGoalError, match="three numbers"):
+        decider.decide("ball")
+
+
+def test_the_nearer_arm_acts_and_the_last_one_in_the_middle(decider: Decider) -> None:
+    assert decider.decide((0.4, 0.25, 1.2)).arm == "left"
+    assert decider.decide((0.4, -0.25, 1.2)).arm == "right"
+    middle = (0.45, 0.003, 1.2)
+    assert decider.decide(middle).arm == "right"
+    last = Decision("reach", "left", "")
+    assert decider.decide(middle, last=last).arm == "left"
+
+
+def test_a_figure_that_reaches_goes_on_a_little_farther(decider: Decider) -> None:
+    """Hysteresis: a ball 2 cm beyond what a fresh figure would jump for."""
+    low, high = 1.9, 2.4
+    while high - low > 0.002:
+        middle = (low + high) / 2
+        if decider.decide((0.2, -0.25, middle)).action in ("reach", "bend"):
+            low = middle
+        else:
+            high = middle
+    beyond = (0.2, -0.25, high + 0.01)
+    fresh = decider.decide(beyond)
+    assert fresh.action != "bend"
+    kept = decider.decide(beyond, last=Decision("bend", "right", ""))
+    assert kept.action == "bend" and "edge" in kept.reason
+
+
+def test_it_never_walks_into_obstacles(abilities: Abilities) -> None:
+    box, wall = Box((1.5, 0.0, 0.5), (0.2, 1.0, 0.5)), HalfSpace((0.0, 1.6, 0.0), (0.0, -1.0, 0.0))
+    walled = Decider(abilities, [box, wall])
+    found = walled.decide((3.2, 0.0, 1.2))
+    assert found.action == "walk" and len(found.way) > 1
+    at = np.zeros(2)
+    for x, y, _ in found.way:
+        line = at + (np.array([x, y]) - at) * np.linspace(0, 1, 200)[:, None]
+        assert box.distance(line).min() > 0.3 and wall.distance(line).min() > 0.3
+        at = np.array([x, y])
+    closed = [Box((3.2, y, 0.5), (1.2, 0.1, 0.5)) for y in (-1.2, 1.2)]
+    closed += [Box((x, 0.0, 0.5), (0.1, 1.2, 0.5)) for x in (2.0, 4.4)]
+    assert (
+        Decider(abilities, [*closed, Box((3.2, 0, 0.3), (0.8, 0.8, 0.3))]).decide((3.2, 0.0, 1.2)).action
+        == "nothing"
+    )
+    low_beam = Box((1.5, 0.0, 2.5), (0.2, 3.0, 0.2))
+    assert len(Decider(abilities, [low_beam]).decide((3.2, 0.0, 1.2)).way) == 1
+
+
+@settings(max_examples=10)
+@given(
+    ball=st.tuples(st.floats(0.2, 0.8), st.floats(-0.6, 0.6), st.floats(0.2, 2.3)),
+    place=st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
+)
+def test_decisions_do_not_depend_on_place_and_heading(
+    abilities: Abilities, ball: tuple[float, ...], place: tuple[float, float, float]
+) -> None:
+    x, y, z = rotation("z", place[2]) @ np.array(ball) + [place[0], place[1], 0.0]
+    here, there = decide(abilities, ball), decide(abilities, (x, y, z), place)
+    assert (here.action, here.arm) == (there.action, there.arm)
+
+
+@pytest.mark.parametrize("kind", [REACH, BEND])
+def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilities, kind: str) -> None:
+    """Some of its points made anew, within what ``Map.surely_out`` allows for local minima."""
+    rng = np.random.default_rng(3)
+    flat = abilities.maps[kind, "right"].miss.ravel()
+    sure = np.flatnonzero(np.isfinite(flat) & ((flat == 0.0) | (flat > 0.01)))
+    for i in rng.choice(sure, 12, replace=False):
+        told = grade(figure, POINTS[i], "right", kind)
+        if flat[i] == 0.0:
+            assert told == 0.0
+        else:  # else the map would hide a ball
+            assert told >= flat[i] - 0.08
+
+
+def checked(abilities: Abilities, count: int, seed: int, starts: int) -> tuple[int, int, list[str]]:
+    """(balls, border cases, disagreements) of decisions and the independent judge."""
+    rng = np.random.default_rng(seed)
+    judge, decider = _judge.Judge(abilities.figure), Decider(abilities)
+    border, wrong = 0, []
+    for k in range(count):
+        ball = rng.uniform([0.1, -0.7, 0.1], [0.9, 0.7, 2.0])
+        told = decider.decide(ball)
+        truth = judge.label(ball, starts, seed + k)
+        if truth is None:
+            border += 1
+        elif (told.action if told.action in (REACH, BEND) else "neither") != truth:
+            wrong.append(
+                f"seed {seed}, ball {k} {ball.round(3).tolist()}: decided {told.action}, judge {truth}"
+            )
+    return count, border, wrong
+
+
+def test_an_independent_judge_agrees(abilities: Abilities) -> None:
+    count, border, wrong = checked(abilities, 10, 1, 3)
+    assert border <= 4 and len(wrong) <= 0.01 * count, "\n".join(wrong)
+
+
+@pytest.mark.soak
+def test_an_independent_judge_agrees_on_a_thousand_balls(abilities: Abilities) -> None:
+    count, _, wrong = checked(abilities, 1000, 2, 24)
+    assert len(wrong) <= 0.01 * count, "\n".join(wrong)
+
+
+def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities) -> None:
+    with pytest.raises(ModelError, match="left and right foot"):
+        load_figure("puma560")
+    robot = load_robot("humanoid")
+    parts = robot.file.figure
+    assert parts is not None
+    file = replace(robot.file, figure=parts.model_copy(update={"hands": {}}))
+    armless = load_figure(replace(robot, file=file))
+    found = decide(replace(abilities, figure=armless, maps={}), (0.4, -0.2, 1.2))
+    assert found.action == "nothing" and "no hands" in found.reason

@@ -1,0 +1,188 @@
+"""Walk, reach, bend, jump and interruptions, judged by MuJoCo on the true shapes (``bench.figure``)."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from robot_ik.bench.figure import MotionMeasure, measure_gait, measure_motion
+from robot_ik.errors import InvalidGoalError
+from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.actions import Motion, bend, join, reach, rest
+from robot_ik.figure.balance import derivatives, hull_margin, plan_center
+from robot_ik.figure.figure import Figure, rotation
+from robot_ik.figure.gait import SHUFFLE, Walk, prints_of, shuffle_prints, walk, walk_prints
+from robot_ik.figure.jump import jump
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def straight(figure: Figure) -> Walk:
+    return walk(
+        figure, figure.home, walk_prints(figure, prints_of(figure, figure.home), np.array([5.0, 0, 0]))
+    )
+
+
+def require_feet(measure: MotionMeasure) -> None:
+    assert measure.slip <= 0.1 and measure.drift <= 0.1 and measure.penetration <= 0.5
+    assert measure.outside_limits == 0 and measure.too_fast == 0
+
+
+def test_a_walk_neither_slips_nor_falls(figure: Figure, straight: Walk) -> None:
+    measure = measure_motion(figure, straight.frames.q, straight.contact)
+    require_feet(measure)
+    assert measure.self_contact == 0 and straight.frames.miss.max() < 1e-5
+    assert measure.inside >= 0.95 and measure.close >= 0.97 and measure.worst >= -60
+    assert measure.force[0] >= 0.7 and measure.force[1] <= 1.4
+
+
+def test_a_walk_is_a_mans(figure: Figure, straight: Walk) -> None:
+    """Schwartz et al. 2008 for the curves; the knee is more bent than theirs, as docs/figure.md says."""
+    gait = measure_gait(figure, straight)
+    assert (
+        gait.correlation["hip"] >= 0.97
+        and gait.correlation["knee"] >= 0.96
+        and gait.correlation["ankle"] >= 0.94
+    )
+    assert gait.rms_deg["hip"] <= 6 and gait.rms_deg["knee"] <= 15 and gait.rms_deg["ankle"] <= 9
+    assert 1.1 <= gait.speed <= 1.25 and 0.62 <= gait.step <= 0.72 and 100 <= gait.cadence <= 113
+    assert 0.57 <= gait.stance <= 0.65 and 25 <= gait.vertical <= 50 and 30 <= gait.lateral <= 65
+    assert 10 <= gait.clearance <= 25
+
+
+def test_a_walk_ends_exactly_where_it_shall(figure: Figure, straight: Walk) -> None:
+    assert figure.stance(straight.frames.q[-1]) == pytest.approx([5.0, 0.0, 0.0], abs=1e-6)
+    still = figure.robot.difference(straight.frames.q[-2], straight.frames.q[-1])
+    assert np.abs(still).max() < 2e-3
+
+
+@pytest.mark.parametrize("goal", [(0.0, 0.0, np.pi), (0.0, 0.4, 0.0), (-0.3, 0.0, 0.0)])
+def test_small_steps_lead_anywhere_without_crossing_legs(
+    figure: Figure, goal: tuple[float, float, float]
+) -> None:
+    prints = shuffle_prints(figure, prints_of(figure, figure.home), np.array(goal))
+    found = walk(figure, figure.home, prints, SHUFFLE)
+    measure = measure_motion(figure, found.frames.q, found.contact)
+    require_feet(measure)
+    assert measure.self_contact == 0 and measure.inside >= 0.95
+    end = figure.stance(found.frames.q[-1])
+    assert end[:2] == pytest.approx(goal[:2], abs=1e-6) and abs(np.cos(end[2] - goal[2])) > 1 - 1e-9
+
+
+Action = Callable[[Figure, Array, Array, str], Motion]
+
+
+@pytest.mark.parametrize(
+    ("act", "ball"),
+    [
+        (reach, (0.45, -0.25, 1.35)),
+        (reach, (0.3, -0.15, 1.85)),
+        (bend, (0.45, -0.25, 0.25)),
+        (bend, (0.5, 0.0, 0.4)),
+    ],
+)
+def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball: tuple[float, ...]) -> None:
+    """Anywhere in the world: the same motion, placed."""
+    place = (1.0, 2.0, 0.7)
+    there = rotation("z", place[2]) @ np.array(ball) + [place[0], place[1], 0.0]
+    motion = act(figure, figure.placed(figure.home, *place), there, "right")
+    assert figure.robot.measure(motion.q[-1], "right_hand").position == pytest.approx(there, abs=1e-3)
+    measure = measure_motion(figure, motion.q, motion.contact)
+    require_feet(measure)
+    assert measure.inside == 1.0 and measure.self_contact == 0 and motion.miss.max() < 1e-5
+    assert measure.jump <= 2.0
+
+
+def test_a_jump_flies_by_its_own_momentum(figure: Figure, abilities: Abilities) -> None:
+    ball = np.array([0.2, -0.2, 2.3])
+    speed = abilities.take_off(ball, "right")
+    assert speed is not None
+    motion = jump(figure, figure.home, ball, "right", speed, corrections=2)
+    near = min(float(np.linalg.norm(figure.pose(row, "right_hand")[0] - ball)) for row in motion.q)
+    assert near <= 0.005
+    measure = measure_motion(figure, motion.q, motion.contact, speeds="jump")
+    require_feet(measure)
+    assert measure.self_contact == 0 and measure.inside >= 0.8
+    air = np.flatnonzero(motion.contact[:, 0] == 0)
+    height = np.array([figure.center(row)[2] for row in motion.q[air]])
+    fall = np.diff(height, n=2) * 60.0**2
+    assert fall == pytest.approx(np.full(len(fall), -9.81), abs=0.15)
+
+
+def test_a_jump_too_high_is_refused(figure: Figure) -> None:
+    with pytest.raises(InvalidGoalError, match=r"more than 2\.6 m/s"):
+        jump(figure, figure.home, np.array([0.2, 0.0, 3.0]), "right", 3.5)
+
+
+def random_motion(figure: Figure, q: Array, rng: np.random.Generator) -> Motion:
+    arm = str(rng.choice(["left", "right"]))
+    side = 1.0 if arm == "left" else -1.0
+    x, y = rng.uniform(0.3, 0.5), side * rng.uniform(0.1, 0.4)
+    kind = int(rng.integers(3))
+    if kind == 0:
+        return rest(figure, q)
+    stance = figure.stance(q)
+    local = np.array([x, y, rng.uniform(1.0, 1.6) if kind == 1 else rng.uniform(0.25, 0.5)])
+    there = rotation("z", stance[2]) @ local + [stance[0], stance[1], 0.0]
+    return (reach if kind == 1 else bend)(figure, q, there, arm)
+
+
+def interrupted(figure: Figure, seed: int) -> tuple[Array, int]:
+    """Frames of a motion left at a random moment for another, and when."""
+    rng = np.random.default_rng(seed)
+    first = random_motion(figure, reach(figure, figure.home, np.array([0.4, -0.2, 1.2])).q[-1], rng)
+    cut = int(rng.integers(3, len(first) - 2))
+    second = join(figure, first.q[cut - 1], first.q[cut], random_motion(figure, first.q[cut], rng))
+    return np.concatenate([first.q[: cut + 1], second.q]), cut
+
+
+def require_smooth(figure: Figure, seed: int) -> None:
+    q, cut = interrupted(figure, seed)
+    _, _, speed = derivatives(figure, q, 1 / 60)
+    change = np.abs(np.diff(speed[cut - 2 : cut + 30, 6:], axis=0)).max()
+    assert change <= 2.0, f"seed {seed}: a joint's speed changes by {change:.2f} rad/s in a frame"
+    assert (np.abs(speed[:, 6:]) <= figure.speeds["daily"][6:] * (1 + 1e-6)).all(), f"seed {seed}"
+    for foot in figure.feet.values():
+        there = figure.pose(figure.home, foot.frame)[0]
+        assert max(np.abs(figure.pose(row, foot.frame)[0] - there).max() for row in q[cut : cut + 30]) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_interrupted_motion_goes_over_smoothly(figure: Figure, seed: int) -> None:
+    require_smooth(figure, seed)
+
+
+@pytest.mark.soak
+def test_hundreds_of_interruptions_go_over_smoothly(figure: Figure) -> None:
+    for seed in range(6, 500):
+        require_smooth(figure, seed)
+
+
+def test_the_center_of_mass_follows_its_zero_moment_point() -> None:
+    """x'' = ω² (x − p) by finite differences, at rest at both ends."""
+    nodes = [
+        (0.0, np.zeros(2)),
+        (0.5, np.array([0.0, 0.1])),
+        (1.0, np.array([0.1, -0.1])),
+        (1.4, np.array([0.1, 0.0])),
+        (3.5, np.array([0.1, 0.0])),
+    ]
+    omega = 3.2
+    plan = plan_center(nodes, np.array([0.02, 0.0]), omega)
+    t = np.linspace(0.0, 3.5, 7001)
+    x, p = plan.at(t)
+    h = t[1] - t[0]
+    force = np.diff(x, n=2, axis=0) / h**2 - omega**2 * (x - p)[1:-1]
+    smooth = np.all([np.abs(t[1:-1] - at) > 2 * h for at, _ in nodes], axis=0)
+    assert np.abs(force[smooth]).max() < 1e-3
+    assert x[0] == pytest.approx([0.02, 0.0]) and np.abs(x[1] - x[0]).max() / h < 1e-2
+    assert np.abs((x[-1] - x[-2]) / h).max() < 1e-2
+
+
+def test_the_margin_of_a_hull() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5]])
+    assert hull_margin(square, np.array([0.5, 0.25])) == pytest.approx(0.25)
+    assert hull_margin(square, np.array([1.3, 1.4])) == pytest.approx(-0.5)
+    assert hull_margin(square[:2], np.array([0.5, 0.1])) == pytest.approx(-0.1)

@@ -1,0 +1,144 @@
+"""The running figure: modes, moving and teleporting balls, frames without a front end, tables, the
+command."""
+
+import csv
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik.bench.figure import measure_motion
+from robot_ik.cli.main import main
+from robot_ik.errors import ConfigError
+from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.session import FigureFrame, FigureSession, Place, Reset, SetBall, SetMode, Start
+from robot_ik.jobs.figure import frames_table, read_balls
+
+
+def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
+    return session.run(seconds)
+
+
+def hand_miss(session: FigureSession, frame: FigureFrame) -> float:
+    assert frame.decision.arm is not None
+    hand = session.figure.robot.measure(frame.q, session.figure.hands[frame.decision.arm])
+    return float(np.linalg.norm(hand.position - frame.ball))
+
+
+def test_active_mode_follows_a_ball_that_moves_and_teleports(abilities: Abilities) -> None:
+    session = FigureSession(abilities)
+    frames = []
+    for k in range(90):  # a ball that glides
+        session.send(SetBall((0.45, -0.25 + 0.3 * np.sin(0.05 * k), 1.2 + 0.2 * np.cos(0.04 * k))))
+        frames.append(session.step())
+    session.send(SetBall((0.5, 0.25, 0.2)))  # and one that is somewhere else at once
+    frames += play(session, 2.5)
+    assert frames[-1].decision.action == "bend" and hand_miss(session, frames[-1]) <= 0.005
+    q, contact = np.array([f.q for f in frames]), np.array([f.contact for f in frames])
+    measure = measure_motion(session.figure, q, contact)
+    assert measure.slip <= 0.1 and measure.too_fast == 0 and measure.outside_limits == 0
+    assert measure.jump <= 2.0 and measure.inside >= 0.99
+
+
+def test_it_walks_to_a_ball_and_reaches_it(abilities: Abilities) -> None:
+    session = FigureSession(abilities, place=(1.0, -1.0, 0.6))
+    session.send(SetBall((2.4, 0.2, 1.2)))
+    frames = play(session, 0.1)
+    while session.busy and len(frames) < 1200:
+        frames.append(session.step())
+    actions = list(dict.fromkeys(f.action for f in frames))
+    assert "walk" in actions and actions.index("reach") > actions.index("walk")
+    assert hand_miss(session, frames[-1]) <= 0.005
+    q, contact = np.array([f.q for f in frames]), np.array([f.contact for f in frames])
+    measure = measure_motion(session.figure, q, contact)
+    assert measure.slip <= 0.1 and measure.penetration <= 0.5 and measure.self_contact == 0
+    assert measure.too_fast == 0 and measure.inside >= 0.93
+
+
+def test_a_walk_left_for_another_ball_ends_with_its_next_steps(abilities: Abilities) -> None:
+    session = FigureSession(abilities)
+    session.send(SetBall((5.0, 0.0, 1.2)))
+    frames = play(session, 3.0)
+    there = float(frames[-1].q[0])
+    session.send(SetBall((5.0, 3.0, 1.2)))
+    frames += play(session, 3.5)
+    q, contact = np.array([f.q for f in frames]), np.array([f.contact for f in frames])
+    assert q[:, 0].max() < there + 2.2  # not to the end of the first walk
+    measure = measure_motion(session.figure, q, contact)
+    assert measure.slip <= 0.1 and measure.penetration <= 0.5 and measure.too_fast == 0
+
+
+def test_passive_mode_acts_on_the_ball_as_it_was(abilities: Abilities) -> None:
+    session = FigureSession(abilities, mode="passive")
+    session.send(SetBall((0.45, -0.25, 1.2)))
+    assert all(f.action == "stand" for f in play(session, 0.3))  # nothing before Start
+    session.send(Start())
+    session.send(SetBall((0.45, 0.25, 0.8)))  # moved while it acts: frozen
+    frame = play(session, 1.5)[-1]
+    assert frame.ball == pytest.approx([0.45, -0.25, 1.2]) and hand_miss(session, frame) <= 0.005
+    session.send(SetMode("active"))
+    frame = play(session, 2.0)[-1]
+    assert frame.ball == pytest.approx([0.45, 0.25, 0.8]) and hand_miss(session, frame) <= 0.005
+    session.send(Reset())
+    frame = play(session, 0.1)[-1]
+    assert np.isnan(frame.ball).all() and frame.q == pytest.approx(session.figure.home)
+    session.send(Place(2.0, 1.0, 1.5))
+    assert session.figure.stance(session.step().q) == pytest.approx([2.0, 1.0, 1.5])
+
+
+def test_the_same_commands_give_the_same_frames(abilities: Abilities) -> None:
+    def frames() -> bytes:
+        session = FigureSession(abilities)
+        session.send(SetBall((0.5, 0.2, 1.4)))
+        return b"".join(f.q.tobytes() for f in play(session, 1.0))
+
+    assert frames() == frames()
+
+
+def test_the_table_of_frames_reads_back_and_claims_true_contacts(abilities: Abilities) -> None:
+    session = FigureSession(abilities)
+    session.send(SetBall((0.45, -0.25, 1.3)))
+    frames = play(session, 0.5)
+    text = frames_table(session.figure, frames, seed=7)
+    header, body = text.splitlines()[:2], "\n".join(text.splitlines()[2:])
+    assert all(line.startswith("# ") for line in header) and "sha256" in header[1]
+    rows = list(csv.DictReader(io.StringIO(body)))
+    assert len(rows) == 30 and {row["left_contact"] for row in rows} == {"flat"}
+    names = [session.figure.model.joint(j).name for j in range(1, session.figure.model.njnt)]
+    read = np.array([[float(row[name]) for name in names] for row in rows])
+    assert read == pytest.approx(np.array([f.q[7:] for f in frames]), abs=1e-9)
+    anchors = np.array([[float(row[f"left_anchor_{axis}"]) for axis in "xyz"] for row in rows])
+    assert np.ptp(anchors, axis=0).max() < 1e-5 and abs(anchors[:, 2]).max() < 1e-5
+    assert rows[0]["seed"] == "7" and rows[-1]["hand"] == "right"
+
+
+def test_the_command_prints_decisions_and_writes_frames(
+    abilities: Abilities, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    balls = tmp_path / "balls.csv"
+    balls.write_text("x,y,z\n0.45,-0.25,1.2\n0.5,-0.2,0.3\nnan,0,1\n")
+    assert main(["figure", "--balls", str(balls)]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [row["action"] for row in rows] == ["reach", "bend", "nothing"]
+    out = tmp_path / "frames.csv"
+    assert main(["figure", "--ball", "0.45", "0.25", "1.1", "--frames", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["decisions"][0]["arm"] == "left" and told["misses"][0]["miss_m"] < 0.005
+    assert len(out.read_text().splitlines()) == told["frames"] + 3
+    balls.write_text("1,2\n")
+    with pytest.raises(ConfigError, match="row 1"):
+        read_balls(balls)
+
+
+def test_the_figure_knows_no_front_end_camera_or_bus() -> None:
+    code = (
+        "import sys, robot_ik.figure.session as s;"
+        "rooms = ('robot_ik.testbed', 'robot_ik.camera', 'robot_ik.hardware');"
+        "bad = [m for m in sys.modules if m.startswith(rooms)];"
+        "assert not bad, bad"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

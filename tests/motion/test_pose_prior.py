@@ -1,0 +1,224 @@
+"""The pose prior: exact rows in the kernels, learning, and what it does to a reach."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import robot_ik as rik
+from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError, UnsupportedGoalError
+from robot_ik.goals import PosePrior, PosePriorGoal
+from robot_ik.kernels import residuals
+from robot_ik.motion import Keyframes, KeyPoses
+from robot_ik.motion.pose_prior import fit_pose_prior, mirrored, thinned
+from robot_ik.pose_prior import feature_names
+from robot_ik.problem import Problem
+from robot_ik.solvers import make_solver
+
+Array = NDArray[np.float64]
+
+
+def some_poses(robot: rik.Robot, count: int, size: float = 0.25) -> Array:
+    rng = np.random.default_rng(0)
+    return np.array(
+        [robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv))) for _ in range(count)]
+    )
+
+
+@pytest.fixture(scope="module", params=["humanoid", "lion", "puma560"])
+def robot(request: pytest.FixtureRequest) -> rik.Robot:
+    return rik.load_robot(request.param)
+
+
+@pytest.fixture(scope="module")
+def humanoid() -> rik.Robot:
+    return rik.load_robot("humanoid")
+
+
+@pytest.fixture(scope="module")
+def prior(robot: rik.Robot) -> PosePrior:
+    return fit_pose_prior(robot, some_poses(robot, 80), parts=3, mirror=False)
+
+
+def rows_at(problem: Problem, q: Array) -> tuple[Array, Array]:
+    compiled = problem.compiled
+    compiled.arrays["q"][:] = q
+    residuals.residual_and_jacobian(compiled.tree, compiled.goals, compiled.work)
+    return compiled.arrays["residual"].copy(), compiled.arrays["jacobian"].copy()
+
+
+def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, prior: PosePrior) -> None:
+    weight = 0.7
+    problem = Problem(robot, PosePriorGoal(prior=prior, weight=weight))
+    for q in some_poses(robot, 3, size=0.4):
+        residual, jacobian = rows_at(problem, q)
+        energy = prior.energy(robot, q) - prior.least
+        assert 0.5 * residual @ residual / weight**2 == pytest.approx(energy, rel=1e-9, abs=1e-9)
+        gradient = np.zeros(robot.nv)
+        gradient[problem.dofs] = -jacobian.T @ residual / weight**2
+        numeric = np.zeros(robot.nv)
+        for v in range(robot.nv):
+            step = np.zeros(robot.nv)
+            step[v] = 1e-6
+            ahead, back = robot.integrate(q, step), robot.integrate(q, -step)
+            numeric[v] = (prior.energy(robot, ahead) - prior.energy(robot, back)) / 2e-6
+        np.testing.assert_allclose(gradient, numeric, atol=1e-6 * max(1.0, np.abs(numeric).max()))
+
+
+def test_gauss_newton_steps_never_make_a_pose_less_likely(robot: rik.Robot, prior: PosePrior) -> None:
+    problem = Problem(robot, PosePriorGoal(prior=prior))
+    for q in some_poses(robot, 3, size=0.5):
+        energies = [prior.energy(robot, q)]
+        for _ in range(8):
+            residual, jacobian = rows_at(problem, q)
+            step = np.zeros(robot.nv)
+            step[problem.dofs] = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            q = robot.integrate(q, step)
+            energies.append(prior.energy(robot, q))
+        # Leans and balls are no linear features: a little is left to them while steps are long.
+        assert (np.diff(energies) < 1e-2 * max(1.0, energies[0] - energies[-1])).all()
+        assert energies[-1] < energies[0] and energies[-1] >= prior.least - 1e-9
+
+
+def test_place_and_heading_say_nothing(humanoid: rik.Robot) -> None:
+    prior = PosePrior.of(humanoid)
+    q = humanoid.home.copy()
+    there = q.copy()
+    there[:3] += [3.0, -2.0, 0.4]
+    there[3:7] = np.cos(0.7), 0.0, 0.0, np.sin(0.7)
+    assert prior.energy(humanoid, there) == pytest.approx(float(prior.energy(humanoid, q)))
+    tilted = q.copy()
+    tilted[3:7] = np.cos(0.4), 0.0, np.sin(0.4), 0.0
+    assert prior.energy(humanoid, tilted) > prior.energy(humanoid, q) + 1.0
+
+
+def test_a_prior_is_saved_and_loaded(robot: rik.Robot, prior: PosePrior, tmp_path: Path) -> None:
+    prior.save(tmp_path / "prior.npz")
+    again = PosePrior.load(tmp_path / "prior.npz")
+    poses = some_poses(robot, 5)
+    np.testing.assert_allclose(again.energy(robot, poses), prior.energy(robot, poses), rtol=1e-4)
+    assert again.names == prior.names == feature_names(robot) and again.contour == prior.contour
+    (tmp_path / "prior.npz").write_bytes(b"nothing")
+    with pytest.raises(ConfigError, match="is no pose prior"):
+        PosePrior.load(tmp_path / "prior.npz")
+
+
+def test_learning_finds_the_parts_of_a_mixture() -> None:
+    puma = rik.load_robot("puma560")
+    rng = np.random.default_rng(5)
+    middles = np.array([np.full(6, -0.8), np.full(6, 0.6)])
+    poses = np.concatenate([middle + 0.1 * rng.standard_normal((150, 6)) for middle in middles])
+    prior = fit_pose_prior(puma, poses, parts=2, mirror=False)
+    found = prior.means * prior.spread + prior.middle
+    assert np.abs(found[np.argsort(found[:, 0])] - middles).max() < 0.03
+    assert prior.weights == pytest.approx([0.5, 0.5], abs=0.02)
+    inside = prior.energy(puma, poses) <= prior.contour
+    assert inside.mean() == pytest.approx(0.99, abs=0.01)
+    assert prior.energy(puma, np.zeros(6)) > prior.contour  # between the two
+    assert (
+        fit_pose_prior(puma, poses, parts=2, mirror=False).means == prior.means
+    ).all()  # same seed, same bits
+    with pytest.raises(InvalidGoalError, match="too few"):
+        fit_pose_prior(puma, poses[:30], parts=4, mirror=False)
+    with pytest.raises(InvalidGoalError, match="positive definite"):
+        PosePrior(("joint1",), [0.0], [1.0], [1.0], [[0.0]], [[[-1.0]]])  # type: ignore[arg-type]
+
+
+def test_thinning_keeps_what_is_far_apart() -> None:
+    x = np.concatenate([np.zeros((50, 2)), [[1.0, 0.0], [0.0, 1.0]]])
+    kept = thinned(x, 3)
+    assert {50, 51} <= set(kept.tolist()) and len(kept) == 3
+
+
+@pytest.mark.parametrize("name", ["humanoid", "lion"])
+def test_the_mirror_image_is_one(name: str) -> None:
+    robot = rik.load_robot(name)
+    q = some_poses(robot, 1)[0]
+    other = mirrored(robot, q)
+    np.testing.assert_allclose(mirrored(robot, other), q, atol=1e-15)
+    for frame in robot.file.tools:
+        fellow = frame.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")
+        one, two = robot.measure(q, frame).position, robot.measure(other, fellow).position
+        np.testing.assert_allclose(two, one * [1.0, -1.0, 1.0], atol=1e-9)
+
+
+def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik.Robot) -> None:
+    """At places between those that the prior has seen: likelier, and mostly inside its 99 % contour."""
+    prior = PosePrior.of(humanoid)
+    home = humanoid.home
+    feet = [rik.PoseGoal.at(f, humanoid.forward(home, f)) for f in ("left_foot", "right_foot")]
+    inside = []
+    for place in ((0.42, -0.2, 1.2), (0.3, -0.45, 1.0), (0.25, -0.1, 1.45), (0.4, -0.3, 0.9)):
+        hand = rik.PositionGoal("right_hand", place)
+        plain = rik.solve(humanoid, [*feet, hand], solver="lm")
+        likely = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm")
+        assert likely.converged and likely.miss.position < 1e-4
+        assert prior.energy(humanoid, likely.q) < prior.energy(humanoid, plain.q)
+        inside.append(prior.energy(humanoid, likely.q) < prior.contour)
+        # Tracked from there it stays: the answer is a minimum.
+        again = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm", start=likely.q)
+        assert np.abs(humanoid.difference(likely.q, again.q)).max() < 0.05
+    assert sum(inside) >= 3
+
+
+def test_the_prior_that_ships_knows_the_motions_that_ship(humanoid: rik.Robot) -> None:
+    prior, book = PosePrior.of(humanoid), KeyPoses.load(humanoid.folder / "poses.toml", humanoid)
+    walk: Keyframes = book.motion("walk")
+    energy = prior.energy(humanoid, walk.sampled(20.0).q)
+    assert (energy < prior.contour).mean() > 0.8
+    assert walk.q[-1, 0] - walk.q[0, 0] > 0.9  # metres in a cycle of two steps
+    wild = some_poses(humanoid, 20, size=0.8)
+    assert (prior.energy(humanoid, wild) > prior.contour).all()
+
+
+def test_what_makes_no_sense_is_refused(humanoid: rik.Robot) -> None:
+    prior = PosePrior.of(humanoid)
+    puma = rik.load_robot("puma560")
+    with pytest.raises(InvalidGoalError, match="needs a PosePrior"):
+        PosePriorGoal()
+    with pytest.raises(InvalidGoalError, match="wanted, never needed"):
+        PosePriorGoal(prior=prior, soft=False)
+    with pytest.raises(InvalidGoalError, match="one pose prior at most"):
+        Problem(humanoid, [PosePriorGoal(prior=prior), PosePriorGoal(prior=prior, weight=2.0)])
+    with pytest.raises(UnknownJointError):
+        Problem(puma, PosePriorGoal(prior=prior))
+    with pytest.raises(ModelError, match="no pose prior ships with 'puma560'"):
+        PosePrior.of(puma)
+    with pytest.raises(UnsupportedGoalError, match="soft"):
+        make_solver("dls").solve(Problem(humanoid, PosePriorGoal(prior=prior)))
+    goal = PosePriorGoal(prior=prior)
+    with pytest.raises(InvalidGoalError, match="no pose to move"):
+        goal.moved_to(rik.Pose())
+    assert goal == PosePriorGoal(prior=prior) and hash(goal) == hash(PosePriorGoal(prior=prior))
+    assert "PosePrior(" in repr(goal)
+
+
+def test_changing_its_weight_needs_no_new_problem(humanoid: rik.Robot) -> None:
+    prior = PosePrior.of(humanoid)
+    problem = Problem(humanoid, PosePriorGoal(prior=prior))
+    one, _ = rows_at(problem, humanoid.home)
+    problem.exchange([PosePriorGoal(prior=prior, weight=2.0)])
+    two, _ = rows_at(problem, humanoid.home)
+    np.testing.assert_allclose(two, 2.0 * one)
+
+
+def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    found = json.loads((docs / "pose_prior.json").read_text(encoding="utf-8"))
+    page = (docs / "poses.md").read_text(encoding="utf-8")
+    labels = {"goals alone": "goals alone", "with a posture goal": "with a soft posture (home)"}
+    for name, row in found["rows"].items():
+        degrees, inside, nearest, miss = (
+            row["rms of elbows and spine, degrees"], row["inside the 99 % contour"], row["nearest pose"],
+            row["largest miss of the hand, mm"],
+        )  # fmt: skip
+        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {miss:.2f} mm |"
+        assert line.replace("%", " %") in page
+    assert f"Held out were {found['held out']} of {found['motions']} motions" in page
+    assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
+    with_prior, plain = found["rows"]["with the prior"], found["rows"]["goals alone"]
+    assert with_prior["rms of elbows and spine, degrees"] < 0.5 * plain["rms of elbows and spine, degrees"]
