@@ -269,9 +269,7 @@ class Page:
     async def _drag_link(self, event: Any) -> None:
         """``async``: viser keeps the order of a drag's phases only then."""
         scene, k = self._scene, self._index(event)
-        if event.phase == "end" or scene is None:
-            self._grab = None
-            self.session.send(Release())
+        if scene is None:
             return
         if self._grab is None:
             name = scene.name_of(event.target)
@@ -282,6 +280,9 @@ class Page:
             self._grab = name, _floats(grip)
         place = np.array(event.end_position) - scene.offsets[k]
         self.session.send(DragLink(k, *self._grab, _floats(place)))
+        if event.phase == "end":
+            self._grab = None
+            self.session.send(Release())
 
     def _index(self, event: Any) -> int:
         return min(event.instance_index or 0, self._view.count - 1)
