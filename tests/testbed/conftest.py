@@ -29,9 +29,9 @@ class Bed:
     def view(self) -> View:
         return self.page._view
 
-    def until(self, holds: Callable[[View], Any], what: str = "") -> View:
+    def until(self, holds: Callable[[View], Any], what: str = "", limit: float = PATIENCE) -> View:
         """Waits until the session is so; fails with what it was waiting for."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + limit
         while not holds(self.view):
             assert time.monotonic() < deadline, what or "the session never came to that"
             time.sleep(0.02)

@@ -41,6 +41,9 @@ READY = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;
     return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 3000;
 }"""
+COLD = 200.0
+"""Seconds in which kernels are compiled on a machine that has none yet."""
+pytestmark = pytest.mark.timeout(300)
 NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering
 # Where a point of the world is on the screen.
 PIXEL = """([x, y, z]) => {
@@ -110,7 +113,7 @@ def look(chromium: Any, bed: Bed, width: int = 1000, height: int = 560) -> Windo
 @pytest.fixture(scope="module")
 def window(chromium: Any, bed: Bed) -> Iterator[Window]:
     """The driving browser; what all tests did to it is judged by the last one."""
-    bed.until(lambda view: view.tick > 0, "kernels were never ready")
+    bed.until(lambda view: view.tick > 0, "kernels were never ready", limit=COLD)
     window = look(chromium, bed)
     yield window
     window.page.close()
