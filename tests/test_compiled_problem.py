@@ -97,7 +97,7 @@ STRESS = """
     from robot_ik.errors import ProblemInUseError, RobotIkError
     from robot_ik.problem import Problem
     from robot_ik.solvers import SOLVERS, make_solver
-    from robot_ik.solvers.base import Answers
+    from robot_ik.solvers.base import BatchResult
 
     def work(name, seed, shared):
         rng = np.random.default_rng(seed)
@@ -113,7 +113,7 @@ STRESS = """
                 solver.solve(problem, own.sample(rng))
             elif what == 2:
                 row = np.concatenate([pose.position, pose.rotation.ravel()])
-                many, answers = np.tile(row, (9, 1)), Answers.empty(9, own.nq)
+                many, answers = np.tile(row, (9, 1)), BatchResult.empty(9, own.nq)
                 solver.solve_many(problem, many, np.tile(own.home, (9, 1)), answers)
                 assert np.isfinite(answers.q).all()
             elif what == 3:

@@ -329,7 +329,8 @@ class Keyframes:
             part = slice(where, where + 7)
             move = Displacement.between(other.at(0.0)[part], self.at(begin)[part])
         total = begin + other.duration
-        times = np.unique(np.append(np.arange(0.0, total, 1.0 / rate), total))
+        grid = np.arange(0.0, total, 1.0 / rate)
+        times = np.append(grid[grid < total - _LEAST_STEP], total)
         rows = []
         for t in times.tolist():
             x = (t - begin) / seconds if seconds > 0.0 else float(t >= begin) * 2.0 - 1.0
