@@ -29,6 +29,9 @@ HISTORY_SECONDS = 5.0
 _TOLERANCE = Tolerance()
 _DRAG_PROBLEMS = 8  # problems of grabbed parts that are kept
 
+# Joints that leave the place of their own anchor as it is.
+_TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
+
 
 @dataclass(frozen=True, eq=False)
 class InstanceView:
@@ -153,9 +156,14 @@ class Instance:
             ball: Likewise.
         """
         body = self.robot.model.body(drag.body).id
-        frame, local = frame_on(self.robot, body)
-        # The frame's origin so that the grabbed point comes to `to` with the body turned as it is now.
-        place = np.array(drag.to) - self.data.xmat[body].reshape(3, 3) @ (grip - local.position)
+        frame, origin = frame_on(self.robot, body, grip)
+        # That origin so that the grabbed point comes to `to` with the body turned as it is now.
+        place = np.array(drag.to) - self.data.xmat[body].reshape(3, 3) @ (grip - origin)
+        if (ball_of_reach := self.robot.reach(frame)) is not None:
+            # Where the part cannot follow, as near as it comes: methods stop where they have a proof.
+            centre, radius = ball_of_reach
+            way = place - centre
+            place = centre + way * min(1.0, 0.999 * radius / max(float(np.linalg.norm(way)), 1e-12))
         solver = self.solver
         wanted = PositionGoal(frame, place)
         if solver is None or not solver.supports(wanted) or self.refused:
@@ -223,8 +231,11 @@ class Instance:
         )
 
 
-def frame_on(robot: Robot, body: int) -> tuple[str, Pose]:
-    """A frame that is fixed to a body, and where it is in the body.
+def frame_on(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
+    """The frame with its origin fixed to a body, nearest to a point of it; where that origin is in the body.
+
+    The origin of a link often lies on the axis that moves it, where it cannot be dragged anywhere.  Where its
+    joints turn about its origin, a child's origin is as fixed to the body, and usually at its other end.
 
     Raises:
         UnknownFrameError: The body has no name and no frame on it.
@@ -236,7 +247,13 @@ def frame_on(robot: Robot, body: int) -> tuple[str, Pose]:
             frames.setdefault(frame.body, (name, frame.local))
     if body not in frames:
         robot.frame(robot.model.body(body).name or f"body {body}")
-    return frames[body]
+    model, found = robot.model, [(frames[body][0], frames[body][1].position)]
+    for child in np.flatnonzero(model.body_parentid == body):
+        joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
+        turns = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
+        if turns and child in frames and not frames[child][1].position.any():
+            found.append((frames[child][0], model.body_pos[child]))
+    return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))
 
 
 def off(goals: Goals, rotation: Array, position: Array, ball: Pose) -> tuple[float, float]:

@@ -184,7 +184,7 @@ def test_dragging_the_ball_moves_ball_and_arm(window: Window, bed: Bed) -> None:
 def test_dragging_a_link_takes_the_arm_along(window: Window, bed: Bed) -> None:
     bed.session.send(MoveGoal((-0.45, -0.3, 0.9)))
     time.sleep(1.5)
-    before, body = bed.view, bed.session.robot.model.body("link2").id
+    before, body = bed.view, bed.session.robot.model.body("link4").id
     window.drag(window.pixel(before.instances[0].xpos[body]), (-60.0, 30.0))
     bed.until(lambda view: bed.count(DragLink) > 0 and bed.count(Release) > 0, "no drag of a part came")
     bed.until(lambda view: np.abs(view.instances[0].q - before.instances[0].q).max() > 0.02)

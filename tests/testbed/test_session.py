@@ -183,6 +183,17 @@ def test_any_link_can_be_dragged_and_the_grabbed_point_comes_along(session: Sess
     assert view.dragged == "" and view.motion == "hand" and view.instances[0].miss < 1e-4
 
 
+def test_a_link_whose_origin_lies_on_the_axis_is_dragged_by_its_other_end(session: Session) -> None:
+    view_after(session, SetMotion("hand"))
+    one, body = session.instances[0], session.robot.model.body("link2").id
+    grip = session.robot.model.body("link3").pos + 0.02
+    here = one.data.xpos[body] + one.data.xmat[body].reshape(3, 3) @ grip
+    to = here + np.array((0.04, 0.05, 0.0))
+    view_after(session, DragLink(0, "link2", tuple(grip), tuple(to)), ticks=60)
+    there = one.data.xpos[body] + one.data.xmat[body].reshape(3, 3) @ grip
+    assert np.linalg.norm(there - to) < 0.5 * np.linalg.norm(here - to)
+
+
 def test_a_drag_that_comes_with_its_end_in_one_tick_counts(session: Session) -> None:
     view_after(session, SetMotion("hand"))
     before = session.instances[0].q
