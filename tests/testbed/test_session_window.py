@@ -53,10 +53,10 @@ def person():
         act("mouseup", 3, "keyup", "ctrl")
         until(lambda: np.linalg.norm(window._view.ball.position - before) > 0.005, "Ctrl-drag did nothing")
         until(lambda: window._view.instances[0].miss < 0.5, "the arm did not follow")
-        act("key", "4")
-        until(lambda: window._view.count == 4 and window._viewer.user_scn.ngeom > 20, "no four arms")
         act("key", "r")
         until(lambda: window._view.motion == "curve", "R did not reset")
+        act("key", "4")
+        until(lambda: window._view.count == 4 and window._viewer.user_scn.ngeom > 20, "no four arms")
     except BaseException as error:
         failed.append(error)
     finally:
