@@ -248,7 +248,7 @@ def frame_on(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
     if body not in frames:
         robot.frame(robot.model.body(body).name or f"body {body}")
     model, found = robot.model, [(frames[body][0], frames[body][1].position)]
-    for child in np.flatnonzero(model.body_parentid == body):
+    for child in map(int, np.flatnonzero(model.body_parentid == body)):
         joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
         turns = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
         if turns and child in frames and not frames[child][1].position.any():
