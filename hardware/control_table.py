@@ -2,7 +2,7 @@
 
 A control table is the memory of a servo: a register is a named, typed piece of it.  One shared table of the
 X series plus the few differences of each model and firmware; a new model is one row in
-``control_table_models``.  ROBOTIS e-manual, pages of the models; names are the manual's in snake_case.
+``x_series``.  ROBOTIS e-manual, pages of the models; names are the manual's in snake_case.
 """
 
 from __future__ import annotations

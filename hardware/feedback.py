@@ -7,7 +7,7 @@ Servos that do not take indirect addresses are read plainly.
 
 Of joints with thresholds (``[joints.stop_at]``) one servo a cycle, in turn, is asked for more in the same
 question: current or load, temperature and supply as well.  Its block is longer by more than the bytes by
-which questions differ (``group``), so that a late answer is still known by its length.
+which questions differ (``dynamixel``), so that a late answer is still known by its length.
 """
 
 from __future__ import annotations

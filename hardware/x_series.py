@@ -1,7 +1,7 @@
-"""The registers of the X series and the shape of what differs by model: rows only.
+"""The X series: its registers, what differs by model, and its motors; rows only.
 
 Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), control table pages docs/en/dxl/x/*.md and the texts they
-include, _includes/en/dxl/control_table_*.md.  ``control_table_models`` holds the models.
+include, _includes/en/dxl/control_table_*.md.  Below them: models, motors.
 """
 
 from __future__ import annotations

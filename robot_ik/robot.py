@@ -1,4 +1,4 @@
-"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out (``robot_description.py``)."""
+"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out."""
 
 from __future__ import annotations
 

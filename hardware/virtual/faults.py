@@ -1,4 +1,4 @@
-"""What can be wrong with a virtual bus, as data; ``fault_kinds`` has what can happen on the way."""
+"""What can be wrong with a virtual bus, as data: on the way, in the supply, in files and in scripts."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from robot_ik.hardware.x_series import TIME_BASED, Motor
 # What a shaft has to hold and what that costs the motor: torque, current, voltage, heat, overload.
 #
 # Torques are N m at the output shaft, positive in the direction in which the encoder counts up.
-# Stall torque, stall current and no load speed are the manual's (``control_table_motors``).  The manual says
+# Stall torque, stall current and no load speed are the manual's (``x_series``).  The manual says
 # neither how fast a servo heats nor when it calls a load an overload: those constants are chosen here so
 # that a
 # shaft held against its stop shuts down within seconds and a lighter steady load within minutes or never.

@@ -1,7 +1,6 @@
 """Marker corners to hundredths of a pixel.
 
-``corners`` is what others call; ``kernel`` is the whole of it compiled, made of ``sides`` (a marker's
-sides as bent curves, and the pixels beside them) and ``edges`` (the fit of one straight edge).
+``refine_markers`` is what others call; all of it is compiled.  ``edge_fit`` fits one straight edge.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 

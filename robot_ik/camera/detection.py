@@ -1,7 +1,6 @@
 """Finds markers in a picture, to about a pixel.
 
-``detector`` finds them; ``search_window`` says where to look in the next picture; ``dictionary_guess`` which
-dictionary they are of when it is not the one that was said.
+Also where to look in the next picture, and which dictionary markers are of when it is not the one given.
 """
 
 from __future__ import annotations

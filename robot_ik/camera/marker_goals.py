@@ -1,8 +1,7 @@
-"""What is seen becomes what is wanted: markers and bodies as a source of goals.
+"""Markers and bodies that are seen become a source of goals.
 
-``marker_source`` is the source; ``sight`` weighs one sight, ``one_euro`` calms what is shown (the filter
-over time is ``camera/motion_filter.py``), ``lost`` says what happens when nothing is seen, ``latest`` looks
-beside the control loop, ``latency`` measures how old a goal is.
+``MarkerGoalSource`` is the source; ``LatestGoals`` looks beside the control loop.  The filter over time is
+in ``camera/motion_filter.py``.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Where a marker or a rigid body with markers is, from corners in one picture.
 
-``estimate`` is what others call; ``marker`` does a single marker, ``branches`` the two poses that may fit
-a flat one, ``corner_fit`` the least squares with its compiled ``kernel``; ``cells`` fits the whole print to
-the pixels, with ``cells_kernel``; ``bodies`` describes boards, cubes and layouts and reads the files of them.
+``estimate_marker`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``; the
+fit of the whole print to the pixels is in ``photometric_pose``.
 """
 
 from __future__ import annotations

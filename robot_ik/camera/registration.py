@@ -1,8 +1,6 @@
-"""The virtual robot in the camera's picture, in time.
+"""The virtual robot in the camera's picture, in time: kept on a board from picture to picture.
 
-``registrar`` keeps it on a board from picture to picture, with remedies against delay; ``draw`` draws it
-by painter or rays, ``gl_draw`` by OpenGL; ``phantoms`` are real things that hide it; ``registration``
-measures in pixels how well it lies.
+``LatencyOptions`` are the remedies against delay; who draws it is in ``camera/drawing/renderers.py``.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Where pictures come from: photographs, folders, films, cameras, network streams.
 
-``frames`` opens a source from one text and defines what a ``Frame`` and a ``FrameSource`` are; ``device``
-is a camera with its thread, ``device_list`` tells which cameras there are without opening one (and without
-OpenCV), ``picture_files`` reads and writes pictures.  Pictures that are computed come from ``made_up``.
+``open_source`` opens a source from one text; ``Frame`` and ``FrameSource`` are defined here.  Cameras with
+their thread are in ``device``, pictures that are computed in ``synthetic``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """From a frame to marker observations, picture after picture.
 
-``tracker`` detects, refines and estimates; ``flips`` remembers both poses of a flat marker, so that a
-lucky error does not flip it; ``sightings`` tells in plain values what is in a picture, and draws it.
+``MarkerTracker`` detects, refines and estimates.  Both poses of a flat marker are remembered, so that a
+lucky error does not flip it.
 """
 
 from __future__ import annotations

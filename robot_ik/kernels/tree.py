@@ -1,4 +1,4 @@
-"""``Tree``: a kinematic tree as flat arrays.  ``model_tree.py`` makes one of an ``MjModel``.
+"""``Tree``: a kinematic tree as flat arrays.  ``model.py`` makes one of an ``MjModel``.
 
 Every active joint is a *node*.  With ``X_k`` the pose of node k in the world,
 
@@ -42,7 +42,7 @@ TREE = Layout(
     high="floats",  # (nv,)
     dof_node="ints",  # (nv,) node of each degree of freedom
     every="ints",  # (n,) 0, 1, …: the list of all nodes
-    tied="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``couplings``
+    tied="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``model``
     law="table",  # (c, 7) q₀ of the two, a₀ … a₄
 )
 open_tree = TREE.open
@@ -55,7 +55,7 @@ class Tree:
     Attributes:
         joint_ids: (n,) MuJoCo joint of each node, in the order of the nodes.
         nq, nv: Length of q and of dq.
-        tied, law: Joints that follow another, see ``couplings.py``.
+        tied, law: Joints that follow another, see ``model.py``.
         handle: Their packed table; holds addresses, so it is only good while this tree lives.
     """
 

@@ -172,7 +172,7 @@ def carry(tree, goal, work):
 #
 #     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
 #
-# n is a coordinate for hinges and slides; ``cones.py`` has the cones of balls.
+# n is a coordinate for hinges and slides; the cones of balls are below.
 
 
 # A joint with less room than this, rad or m, stands at its bound.

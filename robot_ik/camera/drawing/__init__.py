@@ -1,7 +1,6 @@
-"""Drawing without OpenGL: what ``camera/drawing/overlay.py``, ``ar`` and ``made_up`` paint with.
+"""Drawing a robot over a picture or into one, without OpenGL but for ``gl``.
 
-``mesh`` and ``primitives`` make faces of a MuJoCo model, ``painter`` puts them into a picture
-(``scanline`` is its compiled half), ``painted_lines`` are their outlines, ``layer`` the result as a
-transparent sheet.  ``raycast`` asks MuJoCo what a pixel sees; ``raster`` paints black rectangles exactly,
-``text`` writes.
+``meshes`` makes faces of a MuJoCo model, ``painter`` puts them into a picture by the compiled
+``rasteriser``, ``raycast`` asks MuJoCo what a pixel sees; ``renderers`` lists the back ends, ``overlay``
+draws outlines and captions.
 """

@@ -1,7 +1,7 @@
 """A MuJoCo model drawn into a camera picture without OpenGL.
 
 Vertices go through the lens model themselves, so a drawing lies on the raw, distorted picture.  Faces are
-filled by compiled code that keeps the nearest surface at several samples of every pixel (``scanline.py``):
+filled by compiled code that keeps the nearest surface at several samples of every pixel (``rasteriser.py``):
 what passes through something else is cut where it passes, and edges are smooth.
 """
 

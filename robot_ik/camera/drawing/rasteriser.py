@@ -368,7 +368,7 @@ def _cover(low: float, high: float, size: int) -> tuple[slice, Array]:
 
 
 # ------------------------------------------------------------------------------------------
-# Compiled: samples (``scanline.py``) into pixels, and drawings over pictures.
+# Compiled: samples into pixels, and drawings over pictures.
 
 
 @pure

@@ -1,4 +1,4 @@
-"""Back ends that draw a robot on a board: ``painter`` (default) and ``ray``; ``gl`` is in ``gl_draw.py``.
+"""Back ends that draw a robot on a board: ``painter`` (default) and ``ray``; ``gl`` is in ``gl.py``.
 
 All of them give the same sheets for the same robot, camera and light, and none but ``gl`` needs OpenGL.
 """

@@ -1,6 +1,5 @@
 """Sheets to print at true scale: markers, boards, cubes, calibration patterns.
 
-``sheet`` lays a wish out on paper with bars to check the scale; ``blocks`` are what may be on it
-(``cube``: a net to fold), ``page`` writes PDF and PNG from one list, ``bodies`` writes the file that
-tells a tracker what was printed.
+``sheets`` lays a request out on paper with bars to check the scale, and writes the file that describes to a
+tracker what was printed; ``cube`` is a net to fold, ``page`` writes PDF and PNG from one list.
 """

@@ -3,7 +3,7 @@
 Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022), and the swivel angle of
 a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the answer is the one inside the limits
 nearest to the start.  At singular poses the free angle stays as near to the start as can be.  Where there is
-no answer, a proof is tried that nothing within tolerance can be reached (``proof.py``).
+no answer, a proof is tried that nothing within tolerance can be reached (``proofs.py``).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 

@@ -2,7 +2,7 @@
 
 After Tolani, Goswami & Badler (Real-time inverse kinematics techniques for anthropomorphic limbs,
 Graphical Models 62, 2000): the elbow's angle follows from the distance of shoulder and wrist, and each
-joint limit cuts the circle of swivel angles at places that are known in closed form (``edges.py``).
+joint limit cuts the circle of swivel angles at places that are known in closed form (``recognise.py``).
 Between two cuts either all or none of the angles are inside the limits, so that no such interval is
 missed, however narrow; inside them the angle nearest to the start is searched for.
 """

@@ -2,7 +2,7 @@
 
 After Tolani, Goswami & Badler (Graphical Models 62, 2000).  With the joints of the wrist held, a point of
 the hand is one of the forearm: elbow and swivel follow as for the wrist's centre (``limb.py``).  With all
-joints but the shoulder's or the wrist's held, these aim (``aim.py``).  The rest is held where the least
+joints but the shoulder's or the wrist's held, these aim.  The rest is held where the least
 motion of all joints would bring it, as seen from the start (one linear step inside the limits), so that no
 joint must do all the work.  Where that is impossible inside the limits or leads far astray, it is held as
 at the start, or one more joint is moved: a search along one number, the closed form at each of its values.
@@ -74,7 +74,7 @@ def carry_hand(form, left_out):
 #     |o + t a| = d,  t > 0:   t = -o·a ± √((o·a)² - |o|² + d²)
 #
 # The turn must bring that place to the goal's direction u; what is left free is a turn about u.  That is the
-# swivel angle once more, so that its ranges inside the joint limits are known exactly (``search.py``).
+# swivel angle once more, so that its ranges inside the joint limits are known exactly (``limb.py``).
 
 
 # Nearer than this (m) to the goal an axis hardly has a direction, and a centre cannot be turned about.

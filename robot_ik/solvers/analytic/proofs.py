@@ -1,6 +1,6 @@
 """Proofs that no joint angles inside the limits bring the frame within tolerance of its target.
 
-The formulas of the closed forms are followed with intervals in place of numbers (``intervals.py``): the
+The formulas of the closed forms are followed with intervals in place of numbers: the
 wrist's centre is known to the tolerance of the position and what that of the angle makes of the tool's
 length.  Where every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.
 Near singular poses the intervals grow until nothing is proven; they never grow too little.
@@ -271,7 +271,7 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
 
 
 # ------------------------------------------------------------------------------------------
-# The proof of ``proof.py`` for arms with three parallel axes (Universal Robots).
+# The same proof for arms with three parallel axes (Universal Robots).
 
 
 @outlined

@@ -222,7 +222,7 @@ def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> b
 # Recognises limbs that shall bring a point of the hand to a place, or aim an axis of the hand.
 #
 # Neither asks for a whole pose, so more is free than the elbow's swivel, and less is asked of the wrist: any
-# hinges will do there.  The closed form moves some joints and keeps the rest; see ``partial.py``.
+# hinges will do there.  The closed form moves some joints and keeps the rest; see ``limb_goals.py``.
 
 
 def recognise_part(tree: Tree, node: int, local: Array, aimed: Array | None) -> Form | None:
