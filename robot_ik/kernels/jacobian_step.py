@@ -70,7 +70,7 @@ def prepare(tree, goal, work, clamp, alternative):
     The last descent does without it and clamps all goals alike: it is to end where the cost itself is least.
     """
     last = work.state[POLISHING] > 0
-    if alternative > 0.0 and not last:
+    if alternative and not last:
         goal_jacobian(tree, goal, work, goal.target)
     else:
         goal_jacobian(tree, goal, work, work.frames)

@@ -53,7 +53,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import ALL_GOALS, SEARCH, TRY_STEPS, open_work
-from robot_ik.solvers.base import BoneSolver, option
+from robot_ik.solvers.base import BoneSolver, option, options_of
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6
@@ -95,8 +95,8 @@ class Fabrik(BoneSolver):
     def kernel(self) -> Callable[..., None]:
         return fabrik
 
-    def parameters(self) -> tuple[float, ...]:
-        return (self.sweeps, self.kick, self.pull)
+
+open_options = options_of(Fabrik)
 
 
 @pure
@@ -249,17 +249,18 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
             points[n + g, WISH + i] = goal.target[g, i]
     locate_all(tree, goal, work, links, points, one)
     sums[BALL_PULL] = sums[PULL] if lacks_wrist(tree, goal, links, points) else 0.0
-    too_far = bend(tree, goal, work, links, points, options[1])
+    too_far = bend(tree, goal, work, links, points, options.kick)
     reach_back(tree, goal, work, links, points)
     if too_far and goal.kind.shape[0] == 1 and work.state[TRY_STEPS] == 0:
         straighten(tree, links, points)
-    settle(tree, goal, work, links, points, one, sums, int(options[0]))
+    settle(tree, goal, work, links, points, one, sums, options.sweeps)
 
 
 @kernel
 def fabrik(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: sweeps, kick, pull."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
     links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
@@ -267,7 +268,7 @@ def fabrik(tree, goals, work, options):
     link_points(tree, goal, work.nodes, links, points)
     mark_hanging(goal, links)
     work.step[:] = 0.0
-    sums[PULL] = options[2]
+    sums[PULL] = options.pull
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         fabrik_step(tree, goal, work, links, points, one, sums, options)
