@@ -11,6 +11,8 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -39,6 +41,24 @@ if numba_config.DISABLE_JIT:
     )  # fmt: skip
 
 logger = logging.getLogger("robot_ik.kernels")
+
+
+def _load_arrays_without_blas() -> None:
+    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
+
+    numba imports it only to see that it is there, and once more when code that calls it is compiled.
+    """
+    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
+        return
+    linalg: Any = importlib.import_module("numba.np.linalg")
+    look, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = look
+
+
+_load_arrays_without_blas()
 
 F = TypeVar("F", bound=Callable[..., Any])
 

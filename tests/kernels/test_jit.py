@@ -200,3 +200,12 @@ def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
         "import sys, robot_ik; print([m for m in ('numba', 'cv2', 'mujoco', 'numpy') if m in sys.modules])"
     )
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_scipy_is_loaded_only_by_code_that_asks_for_its_linear_algebra() -> None:
+    done = run(
+        "import sys, numpy as np, numba, robot_ik.kernels.kinematics; print('scipy.linalg' in sys.modules)"
+        "\n@numba.njit\ndef product(a): return a @ a"
+        "\nprint(product(2.0 * np.eye(2))[1, 1], 'scipy.linalg' in sys.modules)"
+    )
+    assert done.stdout.split() == ["False", "4.0", "True"], done.stderr
