@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import sys
+import types
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,3 +41,13 @@ def prose(page: Path) -> str:
 
 def named(page: Path) -> str:
     return str(page.relative_to(ROOT))
+
+
+def script(name: str) -> types.ModuleType:
+    """A script of docs/make, imported."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "make" / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look it up
+    spec.loader.exec_module(module)
+    return module

@@ -7,7 +7,6 @@ import json
 import re
 import sys
 import tomllib
-import types
 from pathlib import Path
 from typing import Any
 
@@ -21,35 +20,26 @@ assert _spec is not None and _spec.loader is not None
 pages: Any = importlib.util.module_from_spec(_spec)
 sys.modules[_spec.name] = pages  # dataclasses look it up
 _spec.loader.exec_module(pages)
-ROOT, PAGES, blocks, prose, named = (
+ROOT, PAGES, blocks, prose, named, script = (
     pages.ROOT,
     pages.PAGES,
     pages.blocks,
     pages.prose,
     pages.named,
+    pages.script,
 )
 
 
 # ------------------------------------------------------------------------- tables from the program
 
 
-def script(name: str) -> types.ModuleType:
-    """A program of docs/."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look it up
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_tables_are_what_the_program_says() -> None:
-    tables = script("make_tables")
+    tables = script("tables")
     used = set()
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         used |= {m[2] for m in tables.PLACE.finditer(text)}
-        assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make_tables.py"
+        assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make/tables.py"
     assert used == set(tables.TABLES)
 
 

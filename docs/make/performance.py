@@ -1,7 +1,7 @@
-"""Makes the tables and pictures of docs/performance.md from what docs/measure_performance.py measured.
+"""Makes the tables and pictures of docs/performance.md from what docs/make/measure_performance.py measured.
 
-    python docs/make_performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the page
-    python docs/make_performance.py            # docs/performance.json -> the page
+    python docs/make/performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the page
+    python docs/make/performance.py            # docs/performance.json -> the page
 
 Of RESULTS that lack a folder (``peers``, ``methods``, ``kernels``, ``batch``) the rest is taken: what was
 measured before stays.
@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-DOCS = Path(__file__).resolve().parent
+DOCS = Path(__file__).resolve().parents[1]
 PAGE, DATA, IMAGES = DOCS / "performance.md", DOCS / "performance.json", DOCS / "images"
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 

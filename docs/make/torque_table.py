@@ -1,4 +1,4 @@
-"""Writes the torque table of models/tabletop_puma/README.md: `python docs/make_torque_table.py`.
+"""Writes the torque table of models/tabletop_puma/README.md: `python docs/make/torque_table.py`.
 
 What the joints of the desk arm have to bear, by MuJoCo's inverse dynamics at random poses (seeded) all over
 the joint ranges with a payload between the fingers, beside what its servos can give.  Two loads: standing
@@ -22,7 +22,7 @@ from robot_ik.hardware.config import ArmConfig
 
 Array = NDArray[np.float64]
 
-README = Path(__file__).parents[1] / "models" / "tabletop_puma" / "README.md"
+README = Path(__file__).resolve().parents[2] / "models" / "tabletop_puma" / "README.md"
 ROBOT = "tabletop_puma"
 POSES, SEED = 4000, 0
 PAYLOAD = 0.1

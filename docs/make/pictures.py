@@ -1,4 +1,4 @@
-"""Draws the pictures of these pages: `python docs/make_pictures.py [NAME …]`.
+"""Draws the pictures of these pages: `python docs/make/pictures.py [NAME …]`.
 
 docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the answer of the
 example of that name, with its ball.  calibration.png: what is printed, shown to the camera, still missing.
@@ -38,7 +38,7 @@ from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 
 Image = NDArray[np.uint8]
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).resolve().parents[1]
 # Of one picture of the two, pixels.
 SIZE = (560, 560)
 _BALL_RADIUS, _BALL_COLOUR = 0.045, (0.93, 0.42, 0.10, 1.0)
@@ -69,7 +69,7 @@ SCENES = {
 
 def example(name: str) -> ModuleType:
     """A program of examples/."""
-    spec = importlib.util.spec_from_file_location(Path(name).stem, HERE.parent / "examples" / name)
+    spec = importlib.util.spec_from_file_location(Path(name).stem, DOCS.parent / "examples" / name)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -86,7 +86,7 @@ def with_ball(path: Path, place: tuple[float, ...]) -> mujoco.MjModel:
     """The model with a ball that touches nothing."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.worldbody.add_geom(
-        name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_BALL_RADIUS, 0, 0], pos=list(place),
+        name="ball", type=mujoco.mjtGeom.mjGEOM_SPDOCS, size=[_BALL_RADIUS, 0, 0], pos=list(place),
         rgba=list(_BALL_COLOUR), contype=0, conaffinity=0,
     )  # fmt: skip
     return spec.compile()
@@ -197,7 +197,7 @@ PICTURES: dict[str, Callable[[], Image]] = {
 def main(names: list[str]) -> None:
     """Draws the pictures of those names, by default all."""
     for name in names or list(PICTURES):
-        path = HERE / "images" / f"{name}.png"
+        path = DOCS / "images" / f"{name}.png"
         cv2.imwrite(str(path), PICTURES[name](), [cv2.IMWRITE_PNG_COMPRESSION, 9])
         print(path.name)
 

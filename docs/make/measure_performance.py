@@ -1,8 +1,8 @@
-"""Measures what docs/performance.md says; docs/make_performance.py then makes its tables.
+"""Measures what docs/performance.md says; docs/make/performance.py then makes its tables.
 
     python -m robot_ik.bench.peers install ENVIRONMENTS
-    python docs/measure_performance.py ENVIRONMENTS RESULTS
-    python docs/make_performance.py RESULTS
+    python docs/make/measure_performance.py ENVIRONMENTS RESULTS
+    python docs/make/performance.py RESULTS
 
 A library that is not installed is named, and measured by nobody: its rows are missing then.
 """

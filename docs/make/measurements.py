@@ -1,4 +1,4 @@
-"""Measures what the pages tell of the methods, and writes it there: `python docs/make_measurements.py`.
+"""Measures what the pages tell of the methods, and writes it there: `python docs/make/measurements.py`.
 
 A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, misses and joint changes are
 counted, nothing is timed: one machine gives the same numbers each time.  Other machines may differ in the
@@ -23,7 +23,7 @@ from robot_ik.solvers import SOLVERS
 Array = NDArray[np.float64]
 
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-PAGES = [Path(__file__).parent / name for name in ("solvers.md", "singularities.md")]
+PAGES = [Path(__file__).resolve().parents[1] / name for name in ("solvers.md", "singularities.md")]
 
 # Joints of the PUMA, counted from 0.
 _ELBOW, _WRIST = 2, 4
@@ -81,7 +81,7 @@ def methods() -> Iterator[str]:
 
 def convergence_table(tables: ModuleType) -> str:
     """What the pictures show, in numbers: the share that each method reaches, and its median steps."""
-    plots = _script("make_plots")
+    plots = _script("plots")
     rows = []
     for name in SOLVERS:
         cells = []
@@ -191,7 +191,7 @@ def _script(name: str) -> ModuleType:
 
 
 if __name__ == "__main__":
-    measured = {key: make(_script("make_tables")) for key, make in MEASURED.items()}
+    measured = {key: make(_script("tables")) for key, make in MEASURED.items()}
     for page in PAGES:
         before = page.read_text(encoding="utf-8")
         after = PLACE.sub(lambda m: m[1] + measured[m[2]] + m[4], before)

@@ -1,8 +1,8 @@
 """Writes what was measured of the camera into the pages.
 
     robot-ik bench camera --json FILE
-    python docs/make_camera_figures.py FILE    # FILE -> docs/camera.json -> the pages
-    python docs/make_camera_figures.py         # docs/camera.json, docs/performance.json -> the pages
+    python docs/make/camera_figures.py FILE    # FILE -> docs/camera.json -> the pages
+    python docs/make/camera_figures.py         # docs/camera.json, docs/performance.json -> the pages
 
 Rows of FILE take the place of those that were there; several files may be given.  A table stands between
 `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
@@ -22,7 +22,7 @@ from robot_ik.bench.camera.accuracy import remedy_errors
 from robot_ik.bench.camera.arm import compare_filters
 from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
-DOCS = Path(__file__).resolve().parent
+DOCS = Path(__file__).resolve().parents[1]
 DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
 PAGES = (DOCS / "camera.md", DOCS.parent / "README.md")
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)

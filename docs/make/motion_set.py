@@ -1,4 +1,4 @@
-"""Makes the humanoid's motion set, pose prior and figures: `python docs/make_motion_set.py [FRAMES.csv …]`.
+"""Makes the humanoid's motion set, pose prior and figures: `python docs/make/motion_set.py [FRAMES.csv …]`.
 
 Writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
 docs/pose_prior.json and docs/images/natural_poses.png.  The set: walks whose joint angles are the norm
@@ -31,8 +31,8 @@ from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
 
 Array = NDArray[np.float64]
-HERE = Path(__file__).parent
-MODEL = HERE.parent / "models" / "humanoid"
+DOCS = Path(__file__).resolve().parents[1]
+MODEL = DOCS.parent / "models" / "humanoid"
 SIDES = ("left", "right")
 
 # Degrees at 0, 10 … 90 % of the cycle from heel strike: legs Schwartz et al. (hip less the pelvis's tilt of
@@ -251,12 +251,12 @@ def main(files: Sequence[str]) -> None:
     book.save(MODEL / "poses.toml")
     found = motions(robot, book, [Path(file) for file in files])
     figures = evaluate(robot, found)
-    (HERE / "pose_prior.json").write_text(json.dumps(figures, indent=1) + "\n")
+    (DOCS / "pose_prior.json").write_text(json.dumps(figures, indent=1) + "\n")
     print(json.dumps(figures, indent=1))
     prior = fit_pose_prior(robot, np.concatenate(list(found.values())))
     (MODEL / "assets").mkdir(exist_ok=True)
     prior.save(MODEL / "assets" / "pose_prior.npz")
-    picture(robot, PosePrior.of(robot), HERE / "images" / "natural_poses.png")
+    picture(robot, PosePrior.of(robot), DOCS / "images" / "natural_poses.png")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What one control cycle of six servos costs: ours, and the Dynamixel SDK's own group calls, in the same run.
 
-    python docs/measure_servo_cycle.py             print the table
-    python docs/measure_servo_cycle.py --write     and put it into docs/performance.md
+    python docs/make/measure_servo_cycle.py             print the table
+    python docs/make/measure_servo_cycle.py --write     and put it into docs/performance.md
 
 The servos are a process of its own behind a pty that takes no time for its bytes: it knows the requests and
 has the answers ready, so what is left is the client's software and two changes of process.  It has a core of
@@ -34,7 +34,7 @@ from robot_ik.hardware.dynamixel import PHASES, DynamixelBus
 from robot_ik.hardware.packets import read_request, write_request
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
-PAGE = Path(__file__).with_name("performance.md")
+PAGE = Path(__file__).resolve().parents[1] / "performance.md"
 IDS = tuple(range(1, 7))
 TABLE = CONTROL_TABLES["XM430-W350"]
 GOAL, PRESENT = TABLE["goal_position"], TABLE["present_position"]

@@ -1,4 +1,4 @@
-"""Writes the tables of the documentation that come from the program: `python docs/make_tables.py`.
+"""Writes the tables of the documentation that come from the program: `python docs/make/tables.py`.
 
 A table stands between `<!-- table: NAME -->` and `<!-- end -->`; some are of one method, and have its name
 after theirs: `<!-- table: options lm -->`.  The tests fail where one is out of date.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PLACE = re.compile(r"(<!-- table: (\w+)(?: (\w+))? -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
@@ -133,7 +133,7 @@ def filled(text: str) -> str:
 
 
 if __name__ == "__main__":
-    for page in [*Path(__file__).parent.rglob("*.md"), ROOT / "README.md"]:
+    for page in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]:
         before = page.read_text(encoding="utf-8")
         after = filled(before)
         if after != before:

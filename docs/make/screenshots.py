@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/testbed.md and of the README's first screen: `python docs/make_screenshots.py`.
+"""Makes the pictures of docs/testbed.md and of the README's first screen: `python docs/make/screenshots.py`.
 
 Needs Chromium and the extras web and dev (playwright).  Each picture is the real page in a browser, without a
 GPU, after the session has run for some seconds; the colours are reduced to keep the files small.
@@ -25,7 +25,7 @@ from robot_ik.testbed.commands import Command, MoveGoal, SetArm, ShowBranches, S
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session, run
 
-IMAGES = Path(__file__).resolve().parent / "images" / "testbed"
+IMAGES = Path(__file__).resolve().parents[1] / "images" / "testbed"
 ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--no-first-run",

@@ -1,4 +1,4 @@
-"""Draws how each method converges: `python docs/make_plots.py [METHOD …]`.
+"""Draws how each method converges: `python docs/make/plots.py [METHOD …]`.
 
 It writes docs/images/solvers/METHOD.png, by default of all methods.  Steps are counted, nothing is timed, so
 the same program draws the same picture.  Needs matplotlib (the extra `plots`).
@@ -20,7 +20,7 @@ from robot_ik.solvers import SOLVERS
 
 Array = NDArray[np.float64]
 
-FOLDER = Path(__file__).parent / "images" / "solvers"
+FOLDER = Path(__file__).resolve().parents[1] / "images" / "solvers"
 # Targets of a curve; each is the pose at random joint angles, so each can be reached.
 COUNT = 100
 # Tight enough to show how a method ends: 1 µm and 1 µrad.
