@@ -87,7 +87,9 @@ def give(text: str, folder: Path) -> None:
     if "my_arm.toml" in text:
         (folder / "my_arm.toml").write_bytes((ROOT / "models" / "puma560" / "arm.toml").read_bytes())
     if "path/to/arm.xml" in text:
-        (model,) = [b for b in blocks(ROOT / "docs" / "recipes.md") if b.file.endswith("desk_arm.xml")]
+        (model,) = [
+            b for b in blocks(ROOT / "docs" / "how-to" / "own_robot.md") if b.file.endswith("desk_arm.xml")
+        ]
         (folder / "path" / "to").mkdir(parents=True)
         (folder / "path" / "to" / "arm.xml").write_text(model.text, encoding="utf-8")
 

@@ -73,7 +73,7 @@ def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.
 def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
     assert cli.main(["reach", "--bus", "sim", "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    page = prose(ROOT / "docs" / "reach.md")
+    page = prose(ROOT / "docs" / "start" / "reach.md")
     rows = re.findall(r"^\| `([\w.]+)`", page[page.index("## summary.json") :], re.MULTILINE)
     told = {row.split(".")[0] for row in rows}
     assert told == set(summary)

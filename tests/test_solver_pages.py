@@ -23,6 +23,7 @@ _spec.loader.exec_module(pages)
 script = pages.script
 
 DOCS = pages.ROOT / "docs"
+METHODS = DOCS / "reference" / "solvers"
 PLOTS = DOCS / "images" / "solvers"
 HEADINGS = [
     "Formula and source",
@@ -36,8 +37,8 @@ HEADINGS = [
 
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> None:
-    page = DOCS / "solvers" / f"{name}.md"
-    assert page.is_file(), f"docs/solvers/{name}.md is missing: take another method's page as a pattern"
+    page = METHODS / f"{name}.md"
+    assert page.is_file(), f"docs/reference/solvers/{name}.md is missing; the others show what it holds"
     text = page.read_text(encoding="utf-8")
     assert text.startswith(f"# {name}: ")
     for table in ("method", "options", "floors"):
@@ -45,15 +46,15 @@ def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> N
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert headings == HEADINGS
     picture = PLOTS / f"{name}.png"
-    assert f"(../images/solvers/{name}.png)" in text
+    assert f"(../../images/solvers/{name}.png)" in text
     assert picture.is_file(), f"python docs/make/plots.py {name}"
     assert 3_000 < picture.stat().st_size < 40 * 1024
-    overview = (DOCS / "solvers.md").read_text(encoding="utf-8")
+    overview = METHODS.with_suffix(".md").read_text(encoding="utf-8")
     assert f"(solvers/{name}.md)" in overview
 
 
 def test_pages_and_pictures_are_of_methods_that_are_there() -> None:
-    assert {page.stem for page in (DOCS / "solvers").iterdir()} == set(SOLVERS)
+    assert {page.stem for page in METHODS.iterdir()} == set(SOLVERS)
     assert {picture.stem for picture in PLOTS.iterdir()} == set(SOLVERS)
 
 

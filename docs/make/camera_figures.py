@@ -24,7 +24,11 @@ from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
 DOCS = Path(__file__).resolve().parents[1]
 DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
-PAGES = (DOCS / "camera.md", DOCS.parent / "README.md")
+PAGES = (
+    DOCS / "reference" / "camera_accuracy.md",
+    DOCS / "theory" / "registration.md",
+    DOCS.parent / "README.md",
+)
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 Data = dict[str, Any]
@@ -108,8 +112,8 @@ def headlines(data: Data, others: Data) -> str:
     cells = {(c["solver"], c["set"]): c for c in others["methods"] if c["robot"] == "puma560"}
     cold, warm = cells["auto", "cold"], cells["lm", "warm"]
     bench, pictures = (
-        "[`robot-ik bench`](docs/performance.md)",
-        "[`robot-ik bench camera`](docs/camera.md#how-accurate)",
+        "[`robot-ik bench`](docs/reference/performance.md)",
+        "[`robot-ik bench camera`](docs/reference/camera_accuracy.md)",
     )
     spread = f"{cold['median']:.0f} µs median, {cold['mean']:.0f} µs mean"
     rows = [

@@ -1,7 +1,7 @@
 """Times of the front door: `rik.solve` in a plain loop against a prepared problem, small batches, verdicts.
 
     python docs/make/measure_front_door.py            # prints the table
-    python docs/make/measure_front_door.py --write    # and puts it into docs/performance.md
+    python docs/make/measure_front_door.py --write    # and puts it into docs/reference/performance.md
 
 A time is the wall-clock time of a whole Python call in a plain loop over some poses, garbage collection off,
 one thread.  Each pose counts with the best of some rounds: other work on a machine only adds to a time.
@@ -21,7 +21,7 @@ from rich.console import Console
 
 import robot_ik as rik
 
-PAGE = Path(__file__).resolve().parents[1] / "performance.md"
+PAGE = Path(__file__).resolve().parents[1] / "reference" / "performance.md"
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "tabletop_puma": "tabletop PUMA"}
 #: How far beyond the reach, as a share of it, the poses lie that cannot be met.
 FAR = (1.1, 2.0)
@@ -104,7 +104,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--rounds", type=int, default=10, help="rounds, of which the quietest counts")
     parser.add_argument("--count", type=int, default=300, help="poses in a round")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/performance.md")
+    parser.add_argument("--write", action="store_true", help="put the table into the page")
     options = parser.parse_args()
     gc.disable()
     text = lines({name: measure(rik.load_robot(name), options.rounds, options.count) for name in ROBOTS})

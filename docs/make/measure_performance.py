@@ -1,4 +1,4 @@
-"""Measures what docs/performance.md says; docs/make/performance.py then makes its tables.
+"""Measures what performance.md and comparison.md in docs/reference say, for docs/make/performance.py.
 
     python -m robot_ik.bench.peers install ENVIRONMENTS
     python docs/make/measure_performance.py ENVIRONMENTS RESULTS

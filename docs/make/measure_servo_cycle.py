@@ -1,7 +1,7 @@
 """What one control cycle of six servos costs: ours, and the Dynamixel SDK's own group calls, in the same run.
 
     python docs/make/measure_servo_cycle.py             print the table
-    python docs/make/measure_servo_cycle.py --write     and put it into docs/performance.md
+    python docs/make/measure_servo_cycle.py --write     and put it into docs/reference/hardware.md
 
 The servos are a process of its own behind a pty that takes no time for its bytes: it knows the requests and
 has the answers ready, so what is left is the client's software and two changes of process.  It has a core of
@@ -34,7 +34,7 @@ from robot_ik.hardware.dynamixel import PHASES, DynamixelBus
 from robot_ik.hardware.packets import read_request, write_request
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
-PAGE = Path(__file__).resolve().parents[1] / "performance.md"
+PAGE = Path(__file__).resolve().parents[1] / "reference" / "hardware.md"
 IDS = tuple(range(1, 7))
 TABLE = CONTROL_TABLES["XM430-W350"]
 GOAL, PRESENT = TABLE["goal_position"], TABLE["present_position"]
@@ -234,7 +234,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--rounds", type=int, default=10, help="rounds of all contestants")
     parser.add_argument("--cycles", type=int, default=300, help="cycles in a round")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/performance.md")
+    parser.add_argument("--write", action="store_true", help="put the tables into the page")
     options = parser.parse_args()
     stay_on_core(0)
     found = measure(options.rounds, options.cycles)

@@ -23,7 +23,7 @@ from robot_ik.solvers import SOLVERS
 Array = NDArray[np.float64]
 
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-PAGES = [Path(__file__).resolve().parents[1] / name for name in ("solvers.md", "singularities.md")]
+PAGES = [Path(__file__).resolve().parents[1] / "theory" / name for name in ("methods.md", "singularities.md")]
 
 # Joints of the PUMA, counted from 0.
 _ELBOW, _WRIST = 2, 4
@@ -95,7 +95,7 @@ def convergence_table(tables: ModuleType) -> str:
 
 
 def _linked(name: str) -> str:
-    return f"[`{name}`](solvers/{name}.md)"
+    return f"[`{name}`](../reference/solvers/{name}.md)"
 
 
 def _steps(counts: ArrayLike) -> str:

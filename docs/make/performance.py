@@ -1,7 +1,9 @@
-"""Makes the tables and pictures of docs/performance.md from what docs/make/measure_performance.py measured.
+"""Makes the tables and pictures of performance.md and comparison.md in docs/reference.
 
-    python docs/make/performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the page
-    python docs/make/performance.py            # docs/performance.json -> the page
+From what docs/make/measure_performance.py measured:
+
+    python docs/make/performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the pages
+    python docs/make/performance.py            # docs/performance.json -> the pages
 
 Of RESULTS that lack a folder (``peers``, ``methods``, ``kernels``, ``batch``) the rest is taken: what was
 measured before stays.
@@ -19,7 +21,8 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
-PAGE, DATA, IMAGES = DOCS / "performance.md", DOCS / "performance.json", DOCS / "images"
+PAGES = [DOCS / "reference" / name for name in ("performance.md", "comparison.md")]
+DATA, IMAGES = DOCS / "performance.json", DOCS / "images"
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
@@ -280,10 +283,11 @@ def filled(text: str, data: Data) -> str:
     return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data) + m[4], text)
 
 
-def write_page() -> None:
-    """docs/performance.json -> docs/performance.md."""
+def write_pages() -> None:
+    """docs/performance.json -> the pages."""
     data = json.loads(DATA.read_text(encoding="utf-8"))
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), data), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8"), data), encoding="utf-8")
 
 
 if __name__ == "__main__":
@@ -291,4 +295,4 @@ if __name__ == "__main__":
         data = json.loads(DATA.read_text(encoding="utf-8")) | collect(Path(sys.argv[1]))
         lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data.items()]
         DATA.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-    write_page()
+    write_pages()

@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/testbed.md and of the README's first screen: `python docs/make/screenshots.py`.
+"""Makes the pictures of the testbed, the README's first one too: `python docs/make/screenshots.py`.
 
 Needs Chromium and the extras web and dev (playwright).  Each picture is the real page in a browser, without a
 GPU, after the session has run for some seconds; the colours are reduced to keep the files small.
