@@ -120,5 +120,12 @@ def test_every_package_and_page_is_on_the_map() -> None:
     here = {p.name for p in (ROOT / "robot_ik").iterdir()} | {p.name for p in ROOT.iterdir()}
     here |= {p.name for p in (ROOT / "hardware").iterdir()}
     assert {name.rstrip("/") for name in told} <= here, sorted(told)
-    for page in (page for page in PAGES[1:] if page.parent == ROOT / "docs"):
-        assert f"docs/{page.name}" in readme, f"README does not lead to {page.name}"
+    index = ROOT / "docs" / "index.md"
+    assert "(docs/index.md)" in readme
+    listed = {
+        (index.parent / link).resolve()
+        for link in re.findall(r"^\* \[.*?\]\((\S+)\)", prose(index), re.MULTILINE)
+    }
+    methods = ROOT / "docs" / "reference" / "solvers"  # their overview leads to them
+    for page in (page for page in PAGES[1:] if page.parent != methods):
+        assert page == index or page in listed, f"docs/index.md does not lead to {named(page)}"

@@ -31,7 +31,7 @@ HEADINGS = [
     "When to use it, and when not",
     "Convergence",
     "Options",
-    "Floors",
+    "Solve rates",
 ]
 
 
