@@ -24,7 +24,7 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test explore soak fuzz strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
+.PHONY: help reach test explore soak fuzz strangers check lint types imports format docs wheel test-opencv4 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
@@ -32,6 +32,7 @@ help:
 	@echo 'make explore       the same tests with new random examples of every law'
 	@echo 'make check         ruff, mypy on the built wheel, import contracts'
 	@echo 'make format        let ruff put the layout and the imports in order'
+	@echo 'make docs          the pages and the API as a site, in build/site'
 	@echo 'make soak          the long tests'
 	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
 	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
@@ -83,6 +84,11 @@ format: $(STAMP)
 	@$(PY) -m ruff check --fix .
 	@$(PY) -m ruff format .
 
+# -E reads every page anew, -W makes a warning an error.
+docs: $(STAMP)
+	@$(PY) -m sphinx -E -W --keep-going -q -d build/doctrees -c docs . build/site
+	@echo 'build/site/index.html'
+
 wheel: $(STAMP)
 	@rm -rf build dist
 	@$(PY) -m build --no-isolation . > $(VENV)/build.log 2>&1 || { cat $(VENV)/build.log; exit 1; }
@@ -106,7 +112,7 @@ clean:
 	rm -rf $(VENV) .venv-opencv4 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
-	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,dev]'
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,docs,dev]'
 	@$(PY) .ci/link_stubs.py $(VENV)/stubs
 	@printf '%s\n' '$(CURDIR)' > $@
 
