@@ -5,6 +5,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 STAMP4 := .venv-opencv4/.installed
+DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
 # A sourced ROS set-up puts its own packages and pytest plugins in front of ours.
@@ -85,7 +86,7 @@ format: $(STAMP)
 	@$(PY) -m ruff format .
 
 # -E reads every page anew, -W makes a warning an error.
-docs: $(STAMP)
+docs: $(DOCS_STAMP)
 	@$(PY) -m sphinx -E -W --keep-going -q -d build/doctrees -c docs . build/site
 	@echo 'build/site/index.html'
 
@@ -112,9 +113,14 @@ clean:
 	rm -rf $(VENV) .venv-opencv4 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
-	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,docs,dev]'
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,dev]'
 	@$(PY) .ci/link_stubs.py $(VENV)/stubs
 	@printf '%s\n' '$(CURDIR)' > $@
+
+# Only `make docs` needs these packages.
+$(DOCS_STAMP): $(STAMP)
+	@$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --constraint constraints.txt --editable '.[docs]'
+	@touch $@
 
 # The same versions but for OpenCV; without the extras that no camera test opens.
 $(STAMP4): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE4)

@@ -32,6 +32,8 @@ autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+# Names of attributes are looked up in all classes, and many have a `velocity`.
+suppress_warnings = ["ref.python"]
 
 html_theme = "furo"
 html_title = "robot_ik"
