@@ -30,6 +30,7 @@ myst_enable_extensions = ["colon_fence"]
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike")}
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 # Names of attributes are looked up in all classes, and many have a `velocity`.
