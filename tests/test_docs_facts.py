@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import re
@@ -87,6 +88,19 @@ def test_contributors_are_told_every_target_of_make() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     told = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
     assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == told
+
+
+# ------------------------------------------------------------------------------------- the site
+
+
+def test_the_api_page_lists_every_public_name() -> None:
+    import robot_ik as rik
+
+    page = (ROOT / "docs" / "reference" / "api.rst").read_text(encoding="utf-8")
+    listed = re.findall(r"^\.\. auto(?:class|function|data|exception):: (\w+)$", page, re.MULTILINE)
+    assert sorted(listed) == sorted(name for name in rik.__all__ if name != "__version__")
+    for module, name in re.findall(r"^\.\. auto\w+:: (robot_ik\.[\w.]+)\.(\w+)$", page, re.MULTILINE):
+        assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
 
 
 # ------------------------------------------------------------------------------- the architecture
