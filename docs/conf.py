@@ -6,12 +6,16 @@ same in the files, on the site and in any viewer of Markdown.
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
 import re
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
 from robot_ik import __version__
+from robot_ik.cli import main as cli
 
 project = "robot_ik"
 release = version = __version__
@@ -58,6 +62,24 @@ def add_toctrees(app: Sphinx, name: str, source: list[str]) -> None:
         source[0] = "---\norphan: true\n---\n" + source[0]
 
 
+def add_helps(app: Sphinx, name: str, source: list[str]) -> None:
+    """The help of every command, as the program prints it."""
+    if name == "docs/reference/cli":
+        rows = [((word,), row) for word, row in cli.COMMANDS.items()]
+        rows += [((*words, word), inner) for words, row in rows for word, inner in row.subcommands.items()]
+        for words, row in sorted(rows, key=lambda pair: list(cli.COMMANDS).index(pair[0][0])):
+            if row.options:
+                source[0] += f"\n## {' '.join(words)}\n\n```text\n{help_of(words)}```\n"
+
+
+def help_of(words: tuple[str, ...]) -> str:
+    """What `robot-ik WORDS --help` prints, 96 columns wide."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        os.environ["COLUMNS"] = "96"
+        cli.main([*words, "--help"])
+    return out.getvalue()
+
+
 def toctree(pages: list[str], option: str) -> str:
     """A hidden table of contents."""
     return "\n".join(["", ":::{toctree}", ":hidden:", option, "", *pages, ":::", ""])
@@ -76,4 +98,5 @@ def add_front_page(app: Sphinx, failure: Exception | None) -> None:
 def setup(app: Sphinx) -> None:
     """Sphinx calls it."""
     app.connect("source-read", add_toctrees)
+    app.connect("source-read", add_helps)
     app.connect("build-finished", add_front_page)
