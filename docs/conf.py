@@ -73,9 +73,9 @@ def add_helps(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def help_of(words: tuple[str, ...]) -> str:
-    """What `robot-ik WORDS --help` prints, 96 columns wide."""
+    """What `robot-ik WORDS --help` prints, 82 columns wide."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
-        os.environ["COLUMNS"] = "96"
+        os.environ["COLUMNS"] = "82"
         cli.main([*words, "--help"])
     return out.getvalue()
 
