@@ -81,8 +81,8 @@ def camera(data: Data, others: Data) -> str:
             lines.append(f"| {one.quantity} | {measured(one)}{missed} | {wanted(one)} |")
     for where, names in places.items():
         m = json.loads(where)
-        told = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
-        lines += ["", f"{', '.join(f'`{name}`' for name in names)}: {told}."]
+        place = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
+        lines += ["", f"{', '.join(f'`{name}`' for name in names)}: {place}."]
     return "\n".join([*lines, ""])
 
 

@@ -4,7 +4,7 @@
     python docs/make/measure_performance.py ENVIRONMENTS RESULTS
     python docs/make/performance.py RESULTS
 
-A library that is not installed is named, and measured by nobody: its rows are missing then.
+A library that is not installed is named; its rows are missing then.
 """
 
 from __future__ import annotations

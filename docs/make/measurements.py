@@ -1,4 +1,4 @@
-"""Measures what the pages tell of the methods, and writes it there: `python docs/make/measurements.py`.
+"""Measures the methods and writes the tables of the pages: `python docs/make/measurements.py`.
 
 A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, misses and joint changes are
 counted, nothing is timed: one machine gives the same numbers each time.  Other machines may differ in the

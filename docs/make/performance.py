@@ -259,9 +259,9 @@ def methods(data: Data) -> str:
     rows = []
     for solver in dict.fromkeys(c["solver"] for c in data["methods"]):
         mine = [cells.get((solver, name)) for name in sets]
-        told = "{:.1f} / {} / {}".format
+        cell = "{:.1f} / {} / {}".format
         shown = [
-            told(100 * c["rate"], us(c["median"]), us(c["mean"])) if c and c["count"] else "-" for c in mine
+            cell(100 * c["rate"], us(c["median"]), us(c["mean"])) if c and c["count"] else "-" for c in mine
         ]
         goal = mine[0]["goal"] if mine[0] else ""
         rows.append((f"`{solver}`" + (" (position)" if goal == "position" else ""), *shown))

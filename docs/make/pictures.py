@@ -185,7 +185,7 @@ def error_map() -> Image:
     return np.asarray(drawn, dtype=np.uint8)
 
 
-# One row a picture; whoever adds one adds its function above.
+# One row a picture; its function stands above.
 PICTURES: dict[str, Callable[[], Image]] = {
     **{name: partial(draw, scene) for name, scene in SCENES.items()},
     "calibration": calibration,
