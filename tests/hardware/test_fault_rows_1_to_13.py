@@ -87,7 +87,7 @@ def test_row_05(lab):
 
 
 def test_row_06(lab):
-    """bytes and packets of nobody, twice, out of order; an echo"""
+    """foreign bytes and packets, doubled, out of order; an echo"""
     lab.follows_a_bad_wire(garbage=0.02, duplicate=0.02, wrong_id=0.02, reorder=0.02, echo=1.0)
 
 
