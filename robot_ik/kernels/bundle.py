@@ -8,7 +8,7 @@
 Why not a tuple or a structref: a tuple of 25 arrays is 175 machine words that LLVM copies at each use,
 which makes a solver compile four times longer; a structref counts references at each use, and the
 first of its type costs 0.2 s in every process.  A bundle is one pointer.  A table keeps the arrays alive
-that it points to; a bare address does not keep its table, so whoever holds one holds the table beside it.
+that it points to; a bare address does not keep its table, so its holder holds the table beside it.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -143,7 +143,7 @@ def named_row(title: str, fields: tuple[tuple[str, type], ...]) -> Callable[[Any
 
 
 def address_of(table: NDArray[Any]) -> Any:
-    """The address of a packed table, which whoever uses it must hold too; other arrays as they are.
+    """The address of a packed table, whose user must hold the table too; other arrays as they are.
 
     An integer passes into compiled code a tenth of a microsecond faster than an array.
     """

@@ -71,14 +71,14 @@ _OPTIONS: dict[str, Any] = {
 
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-# Rooms with compiled code: what compiled code of one file takes from another lies in them.
+# Packages with compiled code: what compiled code of one file takes from another lies in them.
 _ROOMS = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
 _IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of ``solvers.ccd``; None for what is not a module of a room with compiled code."""
+    """The source of ``solvers.ccd``; None for what is not in a package with compiled code."""
     if module.split(".")[0] not in _ROOMS:
         return None
     path = _PACKAGE.joinpath(*module.split("."))
@@ -270,7 +270,7 @@ def outlined(function: F) -> F:
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     """The compiled code of an entry point, which takes arguments of the types of these and asks no more.
 
-    numba's own call looks at the type of each argument first, which costs a tenth of a microsecond.
+    numba's own call inspects the type of each argument first, which costs a tenth of a microsecond.
     """
     types = tuple(numba.typeof(argument) for argument in arguments)
     function.compile(types)

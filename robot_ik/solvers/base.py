@@ -87,7 +87,7 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        capabilities: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+        capabilities: What else of a problem it supports: ``couplings``, ``stiffness``, ``priorities``,
             ``soft`` goals.
     """
 
@@ -322,7 +322,7 @@ class Run:
 
     Attributes:
         solver, budget, seed: What ``fresh`` was made for.
-        entry: The compiled loop without numba's look at its arguments.
+        entry: The compiled loop without numba's inspection of its arguments.
         tables: What it works on; holds what ``arguments`` has addresses of.
         arguments: What it takes: the addresses of tables, and arrays.
         fresh: State and values that a solve begins with.

@@ -1,17 +1,17 @@
 """FABRIK: forward and backward reaching over joint positions, on trees of real joints.
 
-Reaching back, each goal pulls its bones from the tip towards the root: a joint's wish is the point at
-bone's length from the next joint's wish, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
+Reaching back, each goal pulls its bones from the tip towards the root: a joint's target is the point at
+bone's length from the next joint's target, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
 fast, iterative solver for the inverse kinematics problem, Graphical Models 73(5), 2011, algorithm 1); at a
-sub-base the wishes of its branches are averaged (section 4.2).  Reaching forward puts the root back and
+sub-base the targets of its branches are averaged (section 4.2).  Reaching forward puts the root back and
 lets the joints follow, root to tip, each turning about its real axis inside its limits to where its bone
-comes nearest to the wish; on a chain of unlimited balls that is the paper's second half to the letter.
+comes nearest to its target; on a chain of unlimited balls that is the paper's second half to the letter.
 
-A pose goal fixes the last node: its anchor's wish is where the wanted pose puts it, and the joints whose
+A pose goal fixes the last node: its anchor's target is where the goal's pose puts it, and the joints whose
 anchors meet there (a ball, a spherical wrist, the last hinge of a planar arm) take the orientation.
 
-A wish says nothing to a hinge of an error across its bone, and hinges whose axes are not parallel would wait
-for each other; so hinges also heed the goal itself a little (``pull``, ours), and so do balls where the last
+A target contains no error across a hinge's bone, and hinges whose axes are not parallel would wait
+for each other; so hinges also weigh the goal itself a little (``pull``, ours), and so do balls where the last
 joints cannot take the orientation by themselves.  Near the full reach of a chain progress is slow.
 """
 
@@ -73,7 +73,11 @@ class Fabrik(BoneSolver):
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     pull: float = option(
-        0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+        0.1,
+        "hinges: weight of the goal beside the targets of points",
+        low=0.0,
+        high=10.0,
+        usual=(0.0, 1.0),
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
     kick: float = option(
@@ -101,7 +105,7 @@ open_options = options_of(Fabrik)
 
 @pure
 def pulled(tree, goal, points, k, c, i):
-    """Coordinate ``i`` of where point ``c``, at its wish, pulls node ``k``."""
+    """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
     if tree.kind[k] == SLIDE:  # cannot turn: comes along as it is
         return points[c, WISH + i] + points[k, NOW + i] - points[c, NOW + i]
     gap = apart(points, k, NOW, c, WISH)

@@ -24,7 +24,7 @@ from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, T
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
-# Cones of balls as constraints of a variable metric (``metric.py``).
+# Cones of balls as constraints of a variable metric.
 #
 # A ball whose turn is as large as its cone allows would leave it along the axis n of that turn, body axes:
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
@@ -175,7 +175,7 @@ def carry(tree, goal, work):
 # n is a coordinate for hinges and slides; the cones of balls are below.
 
 
-# A joint with less room than this, rad or m, stands at its bound.
+# A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
 # Least cosine between a step and the change of slope along it for the metric to learn from them.
 _LEAST_CURVATURE = 1e-8

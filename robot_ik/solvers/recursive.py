@@ -78,7 +78,7 @@ open_options = options_of(Recursive)
 
 @pure
 def meet(points, e, b, p, radius):
-    """Wishes ``b`` on the circle of the spheres about wished ``e`` (its bone) and ``p`` (``radius``).
+    """Target of ``b`` on the circle of the spheres about that of ``e`` (its bone) and ``p`` (``radius``).
 
     Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
     """
@@ -111,7 +111,7 @@ def meet(points, e, b, p, radius):
 
 @pure
 def drag(points, e, b, root, low, high, guard):
-    """Wishes ``b`` at bone's length from wished ``e``, towards where it is, [low, high] from the root."""
+    """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
     length = points[e, LENGTH]
     x, y, z = (
         points[b, NOW] - points[e, WISH],

@@ -90,7 +90,7 @@ def test_a_file_that_is_not_there(arm_config: ArmConfig, tmp_path: Path) -> None
 
 
 def test_the_page_lists_every_kind() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "virtual_bus.md").read_text(encoding="utf-8")
     rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
     for name, kind in KINDS.items():
-        assert name in rows and kind.help in rows[name], f"docs/hardware.md: {name}: {kind.help}"
+        assert name in rows and kind.help in rows[name], f"docs/how-to/virtual_bus.md: {name}: {kind.help}"
