@@ -28,7 +28,7 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
-from robot_ik.camera.drawing.renderers import load_phantoms
+from robot_ik.camera.drawing.renderers import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.cli.servo_hand import load_motion, save_motion
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
@@ -196,8 +196,8 @@ ROWS = {
         _saved(CameraExtrinsics(Pose(), "world", np.eye(6), 0.1, 0.2, today(), LENS.digest).save),
     ),
     "bodies": Row(load_bodies, "bodies.toml", lambda _: BODIES),
-    "boxes": Row(load_phantoms, "boxes.toml", lambda _: BOXES),
-    "things as a model": Row(load_phantoms, "things.xml", lambda _: MJCF),
+    "boxes": Row(load_occluders, "boxes.toml", lambda _: BOXES),
+    "things as a model": Row(load_occluders, "things.xml", lambda _: MJCF),
     "MJCF": Row(load_robot, "m.xml", lambda _: MJCF),
     "URDF": Row(load_robot, "u.xml", lambda _: URDF),
     "intrinsics": Row(CameraIntrinsics.load, "camera.yaml", _saved(LENS.save)),

@@ -59,9 +59,9 @@ class ArOptions:
     """Side of its black square, metres."""
     backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
-    phantoms: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
+    occluders: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
     """Real things in front of which the robot must not be drawn."""
-    phantom_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
+    occluder_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
     """Geoms of the model that are such things."""
     sync: Literal["tracked", "latest"] = "tracked"
     """Show the picture that was tracked (no delay by construction), or the newest."""
@@ -195,8 +195,8 @@ def make_request(options: ArOptions) -> ArRequest:
         motion=options.motion,
         marker=(options.marker, options.marker_size),
         backend=options.backend,
-        phantoms=Path(options.phantoms) if options.phantoms else None,
-        phantom_geoms=options.phantom_geoms,
+        occluders=Path(options.occluders) if options.occluders else None,
+        occluder_geoms=options.occluder_geoms,
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         delay=options.delay,
         alpha=options.alpha,

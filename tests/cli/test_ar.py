@@ -76,7 +76,7 @@ def test_ctrl_c_before_the_first_picture(
         (["--backend", "vulkan"], "vulkan"),
         (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "none.yaml"),
         (["--board", "plate:3"], "plate:3"),
-        (["--phantoms", "none.toml"], "none.toml"),
+        (["--occluders", "none.toml"], "none.toml"),
         (["--robot", "puma56"], "puma560"),
         (["--motion", "gone.toml"], "the script or arm file cannot be read"),
         (["--motion", "brownout"], "brown_out"),
