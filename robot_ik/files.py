@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -211,6 +211,19 @@ def shown(value: object, text: Callable[[object], str] = repr) -> str:
 # Tables with named keys: what pydantic finds wrong, as one sentence with file, key and what is allowed.
 
 
+FORMER: Mapping[str, str] = MappingProxyType(
+    {
+        "things": "objects",
+        "thing": "object",
+        "--phantoms": "--occluders",
+        "--phantom-geoms": "--occluder-geoms",
+        "--camera-place": "--camera-extrinsics",
+        "--place": "--extrinsics",
+    }
+)
+"""Keys and options of before the first release, and what they are called now; nothing reads the old ones."""
+
+
 class WrongKey(ValueError):
     """What is wrong with a key, raised where the file is not known; ``check_table`` adds it.
 
@@ -251,11 +264,9 @@ class WrongKey(ValueError):
 class _TableError(ValueError):
     """What pydantic found wrong in one table, and the keys of such a table."""
 
-    def __init__(
-        self, error: ValidationError, keys: Mapping[str, FieldInfo | None], former: Mapping[str, str]
-    ):
+    def __init__(self, error: ValidationError, keys: Mapping[str, FieldInfo]) -> None:
         super().__init__(str(error))
-        self.error, self.keys, self.former = error, keys, former
+        self.error, self.keys = error, keys
 
 
 class Table(BaseModel):
@@ -267,17 +278,18 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
-    former: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """Keys of files written before the first release, and what they are called now; nothing reads them."""
-
     @model_validator(mode="wrap")
     @classmethod
     def _say_which(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
+        keys = {info.alias or name: info for name, info in cls.model_fields.items()}
+        for key in keys.keys() & data.keys() if isinstance(data, dict) else ():
+            choices = get_args(keys[key].annotation) if get_origin(keys[key].annotation) is Literal else ()
+            if isinstance(data[key], bool) and choices:  # which pydantic takes for 1 or 0 there
+                raise WrongKey(f"{data[key]} is not right", key, ", ".join(map(str, choices)))
         try:
             return validate(data)
         except ValidationError as error:
-            keys = {info.alias or name: info for name, info in cls.model_fields.items()}
-            raise _TableError(error, keys, cls.former) from None
+            raise _TableError(error, keys) from None
 
 
 def keys_of(made: type[Any]) -> PlainValidator:
@@ -405,8 +417,8 @@ def _is_type(part: int | str) -> bool:
 def _unknown_key(name: str, table: _TableError | None) -> WrongKey:
     if table is None:
         return WrongKey("unknown key")
-    if name in table.former:
-        return WrongKey(f"the key {name} is called {table.former[name]} now", allowed=table.former[name])
+    if (now := FORMER.get(name)) in table.keys:
+        return WrongKey(f"the key {name} is called {now} now", allowed=str(now))
     return WrongKey(f"unknown key {shown(name)}", "", ", ".join(table.keys), did_you_mean(name, table.keys))
 
 

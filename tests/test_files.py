@@ -571,3 +571,53 @@ def test_half_a_character_is_refused_in_words_that_can_be_printed(text: str) -> 
     with pytest.raises(ConfigError, match="is no text") as caught:
         files.parse_json(text, "x.json")
     str(caught.value).encode("utf-8")
+
+
+# ------------------------------------------------------------------------------- files of earlier days
+
+FORMER_SCRIPT = """schema = 1
+name = "a script of before the first release"
+physics = true
+[[things]]
+name = "block"
+position = [0.19, 0.05, 0.015]
+size_mm = [20.0, 20.0, 30.0]
+[[steps]]
+do = "expect"
+thing = "block"
+position = [0.19, 0.05, 0.015]
+"""
+
+
+def test_an_old_key_is_answered_with_its_new_name_until_the_file_is_right(folder: Path) -> None:
+    file, text, seen = folder / "old.toml", FORMER_SCRIPT, []
+    for _ in range(9):
+        file.write_text(text)
+        try:
+            load_script(file)
+            break
+        except ConfigError as error:
+            old = error.key.rpartition(".")[2]
+            assert f"the key {old} is called {files.FORMER[old]} now" in str(error)
+            seen.append(old)
+            text = text.replace(f"[[{old}]]", f"[[{files.FORMER[old]}]]")
+            text = text.replace(f"{old} = ", f"{files.FORMER[old]} = ")
+    assert sorted(seen) == sorted(key for key in files.FORMER if not key.startswith("-"))
+
+
+def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:
+    file = folder / "strict.toml"
+    for name, old, new in (
+        ("arm file", "baud = 1_000_000", "baud = true"),
+        ("arm file", "direction = 1", "direction = true"),
+        ("script", "mass_g = 50.0", "mass_g = true"),
+        ("faults", "at_s = 1.5", 'at_s = "1.5"'),
+        ("bodies", "id = 20", "id = true"),
+        ("boxes", "yaw_deg = 30", "yaw_deg = false"),
+        ("robot.toml", "schema = 1", "schema = true"),
+    ):
+        text = ROWS[name].text(folder)
+        assert old in text, name
+        file.write_text(text.replace(old, new, 1))
+        with pytest.raises(ConfigError, match=old.partition(" ")[0]):
+            ROWS[name].read(file)

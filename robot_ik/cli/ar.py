@@ -44,7 +44,9 @@ class ArOptions:
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
     """OpenCV's name of the markers' dictionary."""
-    place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(from robot-ik camera locate)")] = ""
+    extrinsics: Annotated[
+        str, arg(metavar="FILE.toml", help_behavior_hint="(from robot-ik camera locate)")
+    ] = ""
     """Where the camera stands, instead of a board; the robot stands in its world."""
     base: Annotated[tuple[float, ...], arg(metavar="X Y Z [YAW_DEG]", help_behavior_hint="")] = ()
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
@@ -189,7 +191,7 @@ def make_request(options: ArOptions) -> ArRequest:
         intrinsics=Path(options.intrinsics) if options.intrinsics else None,
         board=options.board,
         dictionary=options.dictionary,
-        place=Path(options.place) if options.place else None,
+        extrinsics=Path(options.extrinsics) if options.extrinsics else None,
         base=(x, y, z, yaw),
         scale=options.scale,
         motion=options.motion,

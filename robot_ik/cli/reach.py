@@ -73,7 +73,9 @@ class ReachOptions:
         arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
     ] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
-    camera_place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: --camera-pose)")] = ""
+    camera_extrinsics: Annotated[
+        str, arg(metavar="FILE.toml", help_behavior_hint="(default: --camera-pose)")
+    ] = ""
     """The same from a file of `robot-ik camera locate` or `camera handeye`."""
     marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
     """Which marker to reach; no other ever becomes a goal."""
@@ -212,14 +214,14 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
     from robot_ik.geometry import Pose
 
     numbers = options.camera_pose
-    if options.camera_place:
+    if options.camera_extrinsics:
         if numbers or not options.intrinsics:
             what = "a place file and a pose" if numbers else "a place file without its calibration"
-            raise wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
+            raise wrong("--camera-extrinsics", what, "with --intrinsics FILE and without --camera-pose")
         from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
         from robot_ik.camera.intrinsics import CameraIntrinsics
 
-        place = CameraExtrinsics.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
+        place = CameraExtrinsics.load(options.camera_extrinsics, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")
         return place.pose_parent_camera
     if not numbers:

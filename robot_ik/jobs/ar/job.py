@@ -56,7 +56,7 @@ class ArRequest:
         intrinsics: Calibration of a real camera.
         board: See ``parse_board``; ``dictionary`` of its markers.
         dictionary: See ``board``.
-        place: Of a camera that stands still, instead of a board.
+        extrinsics: Of a camera that stands still, instead of a board.
         base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
             of the board (x right, y up, z out of the print), or in the world of ``place``.
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
@@ -81,7 +81,7 @@ class ArRequest:
     intrinsics: Path | None = None
     board: str = BOARD
     dictionary: str = ""
-    place: Path | None = None
+    extrinsics: Path | None = None
     base: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     scale: float = 0.0
     motion: str = "wave"
@@ -334,8 +334,8 @@ def _pairs(frames: Iterator[Frame], request: ArRequest) -> Iterator[tuple[Frame,
 def _registrar(
     request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
 ) -> Registrar:
-    if request.place is not None:
-        place = CameraExtrinsics.load(request.place, intrinsics)
+    if request.extrinsics is not None:
+        place = CameraExtrinsics.load(request.extrinsics, intrinsics)
         place.require_parent("world")
         return Registrar(
             None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),
