@@ -426,7 +426,7 @@ def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
 
 def _edited(text: str, new: ArmConfig, file: Path) -> str:
     """The text with the zeros of ``new``; checked by reading it again."""
-    every = (*new.joints, *new.aside)
+    every = (*new.joints, *new.auxiliary)
     lines: list[str] = []
     number, wanted = -1, None  # of the table that we are in; None: it has no zero, or had it
     for line in text.splitlines(keepends=True):

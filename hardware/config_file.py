@@ -179,7 +179,7 @@ def arm_file_text(config: ArmConfig) -> str:
         f"stale_ms = {config.stale_ms}",
         f"on_stale = {json.dumps(config.on_stale)}",
     ]
-    for joint in (*config.joints, *config.aside):
+    for joint in (*config.joints, *config.auxiliary):
         unit = joint.unit
         values: dict[str, Any] = {
             "name": joint.name,

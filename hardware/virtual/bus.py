@@ -84,7 +84,7 @@ class VirtualBus:
         Args:
             config: The arm.
             clock: Time of the servos.
-            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Joints aside stand in
+            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
                 the middle of their ranges.
             seed: Of the dice of faults.
 
@@ -98,7 +98,7 @@ class VirtualBus:
                 f"start {q.tolist()} is no pose", file=config.file or config.name, allowed=f"{n} angles, rad"
             )
         q = np.clip(q, config.lower, config.upper)
-        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.aside])
+        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
         servos = [
             VirtualServo(
                 joint.model,

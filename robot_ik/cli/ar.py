@@ -62,9 +62,9 @@ class ArOptions:
     backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
     occluders: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
-    """Real things in front of which the robot must not be drawn."""
+    """Real objects that hide the robot."""
     occluder_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
-    """Geoms of the model that are such things."""
+    """Geoms of the model that do."""
     sync: Literal["tracked", "latest"] = "tracked"
     """Show the picture that was tracked (no delay by construction), or the newest."""
     predict: bool = False

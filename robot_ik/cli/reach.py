@@ -95,9 +95,9 @@ class ReachOptions:
     seconds: float = 10.0
     """How long to follow."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
-    """While following, when the marker stays out of sight: hold there, park at home, or stop."""
+    """While following, when the marker stays unseen: hold there, park at home, or stop."""
     lost_after: Annotated[float, arg(metavar="S")] = 2.0
-    """Out of sight for so many seconds; until then the arm holds."""
+    """Unseen for so many seconds; until then the arm holds."""
     lead: Annotated[float, arg(metavar="S")] = 0.0
     """Predict the marker's motion so far beyond each tick: the lag of the servos."""
     view: bool = False

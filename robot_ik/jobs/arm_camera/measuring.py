@@ -112,7 +112,7 @@ def visit_stops(
     """Goes to each stop in turn; a generator, so that what was seen before an interruption is kept.
 
     Args:
-        setup: Connected and energised (``limbs.connected()``, ``limbs.energise()``).
+        setup: Connected and energised (``setup.connected()``, ``setup.energise()``).
         stops: (nq,) each, inside the limits; see ``plan_views``.
         take: Takes a picture.
         speed: Share of the joints' speed limits.

@@ -29,7 +29,7 @@ from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
 
 # ------------------------------------------------------------------------------------------
-# The world of a script: its synthetic camera, and things that lie about.
+# The world of a script: its synthetic camera, and objects that lie about.
 
 
 SMALLER = 2
@@ -73,16 +73,16 @@ def open_camera(
     return vision
 
 
-def with_objects(robot: Robot, things: Sequence[ObjectTable]) -> mujoco.MjModel:
-    """The robot's model with things on the plane z = 0."""
-    from robot_ik.hardware.virtual.world import Thing, model_with
+def with_objects(robot: Robot, objects: Sequence[ObjectTable]) -> mujoco.MjModel:
+    """The robot's model with objects on the plane z = 0."""
+    from robot_ik.hardware.virtual.world import WorldObject, model_with
 
     boxes = []
-    for thing in things:
-        (x, y, z), half = thing.position, 0.5 * float(np.radians(thing.yaw_deg))
-        wide, deep, high = (1e-3 * edge for edge in thing.size_mm)
-        turn = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
-        boxes.append(Thing(thing.name, (x, y, z), (wide, deep, high), 1e-3 * thing.mass_g, turn))
+    for one in objects:
+        (x, y, z), half = one.position, 0.5 * float(np.radians(one.yaw_deg))
+        wide, deep, high = (1e-3 * edge for edge in one.size_mm)
+        wxyz = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        boxes.append(WorldObject(one.name, (x, y, z), (wide, deep, high), 1e-3 * one.mass_g, wxyz))
     return model_with(robot.path, boxes, floor=0.0)
 
 
@@ -194,7 +194,7 @@ class ScriptRun:
                 finally:
                     report.seconds = now.now()
         finally:
-            _tell_leaving(now, report.steps[-1])
+            _report_leaving(now, report.steps[-1])
         return report
 
     def _prepare(self, now: RunState, stack: contextlib.ExitStack, progress: Progress) -> None:
@@ -228,7 +228,7 @@ class ScriptRun:
                 return
 
 
-def _tell_leaving(now: RunState, row: StepResult) -> None:
+def _report_leaving(now: RunState, row: StepResult) -> None:
     left = now.arm.exit_report
     if left is None:  # it was never connected
         return

@@ -469,7 +469,7 @@ class KeyframeStep(_Move):
 
 
 # ------------------------------------------------------------------------------------------
-# The step that grips: by a servo of the arm's q, or by one that is aside and only told how hard to press.
+# The step that grips: by a servo of the arm's q, or by an auxiliary one that is told how hard to press.
 
 
 GRIPPER = "gripper"
@@ -491,7 +491,7 @@ def fingers_on(robot: Robot, joint: JointMap) -> int:
 def width_mm(now: RunState) -> float:
     """Millimetres between the fingers, measured."""
     at = now.arm.positions()
-    joints = now.config.aside_of(GRIPPER)
+    joints = now.config.auxiliary_of(GRIPPER)
     return sum(1e3 * at[joint.name] * fingers_on(now.robot, joint) for joint in joints)
 
 
@@ -516,7 +516,7 @@ class _Width(Step):
         Raises:
             WrongKey: There is none, or it opens no width, or cannot be told how hard to press.
         """
-        joints = context.config.aside_of(GRIPPER)
+        joints = context.config.auxiliary_of(GRIPPER)
         if not joints and (not isinstance(self, GripStep) or not gripper_joints(context.robot)):
             problem = f"the arm of {context.robot.name!r} has no gripper"
             allowed = "an arm file with a servo for a joint of the group gripper (robot.toml)"
@@ -576,7 +576,7 @@ class GripStep(_Width, _Move):
             StepFailed: Something is between them that should not be, or nothing that should.
             RobotIkError: Of the arm.
         """
-        joints = now.config.aside_of(GRIPPER)
+        joints = now.config.auxiliary_of(GRIPPER)
         if not joints:
             super().run(now, result)
             return
