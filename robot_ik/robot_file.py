@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
-from robot_ik.files import Pair, Place, Several, Table, read_table
+from robot_ik.tables import Pair, Place, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""

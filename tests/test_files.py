@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import robot_ik
-from robot_ik import files, load_robot
+from robot_ik import files, load_robot, tables
 from robot_ik.bench.methods.results import Machine, Results, Settings, read_results, results_text
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
@@ -233,7 +233,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # ------------------------------------------------------------------------------- all are found
 
-READING = {name for name in vars(files) if re.match(r"(read|parse)(_|$)", name)} | {"read_model"}
+READING = {name for name in (*vars(files), *vars(tables)) if re.match(r"(read|parse)(_|$)", name)} | {
+    "read_model"
+}
 
 FOREIGN = {
     "tomllib.loads", "tomllib.load", "json.loads", "json.load", "yaml.load", "yaml.safe_load",
@@ -309,12 +311,13 @@ def _readers() -> set[str]:
     """Functions that read a file through ``robot_ik.files``."""
     found = set()
     for name, tree in _sources():
-        if name == "robot_ik/files.py":
+        if name in ("robot_ik/files.py", "robot_ik/tables.py"):
             continue
         imported = {
             alias.name
             for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and node.module in ("robot_ik.files", "robot_ik.model")
+            if isinstance(node, ast.ImportFrom)
+            and node.module in ("robot_ik.files", "robot_ik.tables", "robot_ik.model")
             for alias in node.names
         }
         for node in ast.walk(tree):

@@ -18,8 +18,8 @@ from pydantic import Field, model_validator
 from robot_ik.camera.image import dictionary_size
 from robot_ik.camera.observations import marker_points
 from robot_ik.errors import CameraError
-from robot_ik.files import Place, Several, Table, WrongKey, Wxyz, read_table
 from robot_ik.geometry import Pose
+from robot_ik.tables import Place, Several, Table, WrongKey, Wxyz, read_table
 
 _CUBE_SIDES = 6
 

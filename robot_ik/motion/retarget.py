@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
-from robot_ik.files import Several, Table, WrongKey, read_table
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.motion.bvh import Bvh, qpos_places
@@ -32,6 +31,7 @@ from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
+from robot_ik.tables import Several, Table, WrongKey, read_table
 
 SIDES = ("left", "right")
 ROLES = (

@@ -27,8 +27,9 @@ from robot_ik.camera.calibration.handeye import (
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
-from robot_ik.files import Place, Table, Wxyz, read_table, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.tables import Place, Table, Wxyz, read_table
 
 Array = NDArray[np.float64]
 

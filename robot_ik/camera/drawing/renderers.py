@@ -21,9 +21,9 @@ from robot_ik.camera.drawing.painter import EMPTY, Box, Layer
 from robot_ik.camera.drawing.raycast import Caster, ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError
-from robot_ik.files import Place, Several, Table, read_table
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.model import read_model
+from robot_ik.tables import Place, Several, Table, read_table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

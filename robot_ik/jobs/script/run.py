@@ -13,7 +13,6 @@ import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import RobotIkError, apart
-from robot_ik.files import WrongKey
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.inverse_kinematics import solve
@@ -27,6 +26,7 @@ from robot_ik.jobs.script.steps import Action, Step
 from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
+from robot_ik.tables import WrongKey
 
 # ------------------------------------------------------------------------------------------
 # The world of a script: its synthetic camera, and objects that lie about.

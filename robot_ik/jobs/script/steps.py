@@ -17,7 +17,6 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robot_ik.errors import apart
 from robot_ik.execution import follow
-from robot_ik.files import Pair, Place, Table, WrongKey, Wxyz
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.hardware.arm import ArmState
@@ -31,6 +30,7 @@ from robot_ik.motion.trajectory import joint_move
 from robot_ik.problem import Problem
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
+from robot_ik.tables import Pair, Place, Table, WrongKey, Wxyz
 
 if TYPE_CHECKING:
     from robot_ik.execution import FollowReport
