@@ -175,7 +175,7 @@ class _BodyTable(Table):
 
     @model_validator(mode="after")
     def _can_be(self) -> _BodyTable:
-        assert self.body
+        _ = self.body  # which raises where it cannot be
         return self
 
 

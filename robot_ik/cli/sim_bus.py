@@ -37,8 +37,8 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if h
 def _help(kind: str) -> str:
     """One line of a flag that is short for a row of ``FAULTS``."""
     row = FAULTS[kind]
-    whom = "Joints whose servo: " if row.servo else f"Probability, {row.span}: "
-    return f"{whom}{row.help}."
+    whom = "Joints with the fault" if row.servo else f"Probability ({row.span}) of the fault"
+    return f"{whom} {kind}: {row.help}."
 
 
 _FILE_HELP = (
