@@ -124,8 +124,10 @@ class FaultPlayer:
         """
         from robot_ik.hardware.virtual.faults import make_fault
 
-        keys = {"kind": kind, "joint": joint, "id": id, "value": value, "at_s": in_s, "for_s": for_s}
-        self._bus.inject(make_fault(self._config, "fault_script", **keys))
+        fault = make_fault(
+            self._config, "fault_script", kind=kind, joint=joint, id=id, value=value, at_s=in_s, for_s=for_s
+        )
+        self._bus.inject(fault)
 
     def clear(self, kind: str | None = None) -> int:
         """Takes faults back, all or of one kind; servos that shut down restart.  How many there were."""

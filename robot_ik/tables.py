@@ -233,6 +233,8 @@ def _sentence(detail: ErrorDetails) -> str:
     """What would be right: pydantic's sentence cut to that."""
     if detail["type"] in ("dict_type", "model_type", "list_type", "tuple_type"):
         return "a table" if detail["type"] in ("dict_type", "model_type") else "a list"
+    if detail["type"] == "bool_type":
+        return "true or false"
     text = detail["msg"]
     for start in ("Input should be ", "String should have ", "Value should "):
         text = text.removeprefix(start)
