@@ -44,7 +44,7 @@ def test_row_01(lab):
     with lab.arm() as arm:
         arm.enable()
         lab.drive(arm)
-        arm.virtual_bus.inject(Fault("silent", id=3, lasts=0.005))
+        arm.virtual_bus.inject(Fault("silent", id=3, for_s=0.005))
         lab.drive(arm, 1)
         lab.drive(arm, 5)
         assert arm.state is ArmState.ENABLED and arm.ages.max() == 0.0
@@ -88,7 +88,7 @@ def test_row_05(lab):
 
 def test_row_06(lab):
     """foreign bytes and packets, doubled, out of order; an echo"""
-    lab.follows_a_bad_wire(garbage=0.02, duplicate=0.02, wrong_id=0.02, reorder=0.02, echo=1.0)
+    lab.follows_a_bad_wire(garbage=0.02, duplicate=0.02, wrong_id=0.02, reorder=0.02, echo=True)
 
 
 def test_row_07(lab):
