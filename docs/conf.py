@@ -13,6 +13,7 @@ import re
 from pathlib import Path
 
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 
 from robot_ik import __version__
 from robot_ik.cli import main as cli
@@ -76,7 +77,8 @@ def help_of(words: tuple[str, ...]) -> str:
     """What `robot-ik WORDS --help` prints, 82 columns wide."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
         os.environ["COLUMNS"] = "82"
-        cli.main([*words, "--help"])
+        if cli.main([*words, "--help"]):
+            raise ExtensionError(f"robot-ik {' '.join(words)} --help failed")
     return out.getvalue()
 
 

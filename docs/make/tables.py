@@ -107,6 +107,19 @@ def servos() -> str:
     )
 
 
+def faults() -> str:
+    """One row for each kind of fault."""
+    from robot_ik.hardware.virtual.faults import FAULTS
+
+    return markdown(
+        ("kind", "what happens", "to a", "value"),
+        (
+            (f"`{name}`", kind.help, "servo" if kind.servo else "bus", kind.span)
+            for name, kind in FAULTS.items()
+        ),
+    )
+
+
 def commands() -> str:
     """One row for each command of `robot-ik`."""
     from robot_ik.cli.main import COMMANDS
@@ -123,7 +136,7 @@ def keys() -> str:
 
 
 TABLES: dict[str, Callable[..., str]] = {
-    make.__name__: make for make in (solvers, method, options, floors, buses, servos, commands, keys)
+    make.__name__: make for make in (solvers, method, options, floors, buses, servos, faults, commands, keys)
 }
 
 

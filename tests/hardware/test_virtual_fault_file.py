@@ -8,7 +8,7 @@ import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual.faults import FAULTS, Fault, load_faults, parse_faults
+from robot_ik.hardware.virtual.faults import Fault, load_faults, parse_faults
 
 GOOD = """
 schema = 1
@@ -87,14 +87,3 @@ def test_a_slip_is_named(text: str, key: str, said: str, arm_config: ArmConfig) 
 def test_a_file_that_is_not_there(arm_config: ArmConfig, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         load_faults(tmp_path / "none.toml", arm_config)
-
-
-def test_the_page_lists_every_kind() -> None:
-    """Row for row: whoever adds a kind puts what is printed here into the page."""
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "virtual_bus.md").read_text(encoding="utf-8")
-    said = page.partition("| kind | what happens")[2].partition("\n\n")[0].splitlines()[2:]
-    rows = [
-        f"| `{name}` | {kind.help} | {'servo' if kind.servo else 'bus'} | {kind.span} |"
-        for name, kind in FAULTS.items()
-    ]
-    assert said == rows
