@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from llvmlite import binding as llvm
+from llvmlite import binding as llvm  # type: ignore[import-untyped]
 from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
@@ -158,7 +158,7 @@ class _NoEnvironment:
         """Does nothing: an environment is for Python objects, and inner functions have none."""
 
 
-class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _InnerLibrary(JITCodeLibrary):
     """LLVM code of a function that compiled code alone calls, to be linked into its callers."""
 
     codegen = _NoEnvironment
@@ -187,18 +187,18 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
         return library
 
 
-class _InnerCompiler(Compiler):  # type: ignore[misc]
+class _InnerCompiler(Compiler):
     def compile_extra(self, function: Any) -> Any:
         self.state.library = _InnerLibrary(self.state.targetctx.codegen(), function.__qualname__)
         return super().compile_extra(function)
 
 
-class _InnerCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+class _InnerCacheImpl(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         return CompileResult._rebuild(_InnerContext(target_context), *payload)
 
 
-class _InnerCache(FunctionCache):  # type: ignore[misc]
+class _InnerCache(FunctionCache):
     _impl_class = _InnerCacheImpl
 
 
@@ -237,7 +237,7 @@ def _compile_inner(function: F, **options: Any) -> F:
         compiled._cache = _InnerCache(function)
     finally:
         numba_config.CACHE_DIR = previous
-    return compiled  # type: ignore[no-any-return]
+    return compiled
 
 
 def kernel(function: F) -> F:
@@ -273,7 +273,13 @@ def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     numba's own call inspects the type of each argument first, which costs a tenth of a microsecond.
     """
     types = tuple(numba.typeof(argument) for argument in arguments)
-    function.compile(types)
+    try:
+        function.compile(types)
+    except RuntimeError as error:
+        if "no compiled object yet" not in str(error):
+            raise
+        # A signal came while LLVM made machine code: ctypes dropped what its handler raised.
+        raise KeyboardInterrupt from error
     found: Callable[..., Any] = function.overloads[types].entry_point
     return found
 

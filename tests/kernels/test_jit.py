@@ -202,6 +202,31 @@ def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
     assert done.stdout.strip() == "[]", done.stderr
 
 
+def test_ctrl_c_while_machine_code_is_made_is_not_lost_and_the_next_call_works(tmp_path: Path) -> None:
+    """There numba runs in a callback of ctypes, which drops what a handler raises."""
+    (tmp_path / "mine.py").write_text(MINE)
+    code = """
+import os, signal
+from numba.core.codegen import CPUCodeLibrary
+notified, sent = CPUCodeLibrary._object_compiled_hook.__func__, []
+def compiled(cls, module, code):
+    if module.name == "doubled" and not sent:
+        sent.append(os.kill(os.getpid(), signal.SIGINT))
+        [None for _ in range(1000)]
+    return notified(cls, module, code)
+CPUCodeLibrary._object_compiled_hook = classmethod(compiled)
+from mine import doubled
+from robot_ik.kernels.jit import entry
+for _ in range(2):
+    try:
+        print(entry(doubled, 2.0)(2.0))
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+    done = run(code, XDG_CACHE_HOME=tmp_path / "cache", PYTHONPATH=tmp_path)
+    assert done.stdout.split() == ["interrupted", "4.0"], done.stderr
+
+
 def test_scipy_is_loaded_only_by_code_that_asks_for_its_linear_algebra() -> None:
     done = run(
         "import sys, numpy as np, numba, robot_ik.kernels.kinematics; print('scipy.linalg' in sys.modules)"
