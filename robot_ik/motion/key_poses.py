@@ -151,7 +151,7 @@ class KeyPoses:
 
     @classmethod
     def load(cls, path: Path | str, robot: Robot) -> KeyPoses:
-        """Reads what ``save`` wrote; joints that a pose does not name stand as at home.
+        """Reads what ``save`` wrote; joints that a pose does not name are as in the home pose.
 
         Raises:
             ConfigError: With file, key and what is allowed.

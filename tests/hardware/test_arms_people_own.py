@@ -1,6 +1,6 @@
 """Arms that people own, with their servos as makers and other programs leave them: they work, and again.
 
-Registers are those of the sources in models/<arm>/README.md; nothing here was tried on metal.
+Registers are those of the sources in models/<arm>/README.md; nothing here was tried on real servos.
 """
 
 from __future__ import annotations

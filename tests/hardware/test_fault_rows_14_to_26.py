@@ -1,4 +1,4 @@
-"""Faults 14 to 26 of docs/safety.md, one test a row by its number."""
+"""Faults 14 to 26 of docs/reference/safety.md, one test a row by its number."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def test_a_file_that_is_not_there(arm_config: ArmConfig, tmp_path: Path) -> None
 
 def test_the_page_lists_every_kind() -> None:
     """Row for row: whoever adds a kind puts what is printed here into the page."""
-    page = (Path(__file__).parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "virtual_bus.md").read_text(encoding="utf-8")
     said = page.partition("| kind | what happens")[2].partition("\n\n")[0].splitlines()[2:]
     rows = [
         f"| `{name}` | {kind.help} | {'servo' if kind.servo else 'bus'} | {kind.span} |"

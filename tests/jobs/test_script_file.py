@@ -178,7 +178,7 @@ def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_the_page_tells_every_step_and_every_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "testing.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", page[page.index("| `do` |") :], re.MULTILINE))
     everywhere = {"do", "name", "time_limit_s", "raises", "speed", "tolerance_mm", "tolerance_deg"}
     for name, kind in STEPS.items():
