@@ -449,7 +449,7 @@ def resolve(
         places: Tuple with as many numbers as a pixel has samples, so that this is compiled for as many.
         planes: See ``whose``.
         extent: See ``whose``.
-        owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or an occluder, not drawn.
+        owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or a phantom, not drawn.
         base: (m, 3) float32 colours 0..255; ``gloss`` of the highlights likewise.
         gloss: See ``base``.
         colour: (h, w, 3) uint8, 0 before: colour times coverage; ``coverage`` (h, w).
