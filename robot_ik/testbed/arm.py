@@ -32,6 +32,7 @@ STALE = 0.5
 """Seconds without new joint angles after which the arm holds."""
 TEACH_LIMIT = 600.0
 """Seconds that a recording may take."""
+_SETTLE = 1.0  # seconds for which the end of a recording is sent: the limiter comes after a quick hand
 _TELEMETRY_PERIOD = 0.5  # seconds between two looks at currents and temperatures
 _CLOSE_LIMIT = 10.0
 
@@ -82,7 +83,7 @@ class ArmLink:
         self._measured: Array | None = None
         self._servos: Sequence[ServoState] = ()
         self._message = ""
-        self._alive = -np.inf  # when the session last ran
+        self._running, self._alive = True, -np.inf  # whether the session runs, and when it last did
         self._recorder = RecorderSink(arm.joints)
         self.recording: Trajectory | None = None
         self._plan: Iterator[Array] | None = None
@@ -115,9 +116,11 @@ class ArmLink:
         """Leaves the newest joint angles (nq,) of a robot for the arm; another robot's are none of them."""
         if robot.joints != self._robot.joints or robot.path != self._robot.path:
             self._message = f"the arm is a {self._robot.name}: it holds"
-        elif running:
-            self._alive = time.monotonic()
-            self._wanted = q[self._order].copy(), self._alive
+        else:
+            self._running = running
+            if running:
+                self._alive = time.monotonic()
+                self._wanted = q[self._order].copy(), self._alive
 
     def view(self) -> ArmView:
         """What is seen of it."""
@@ -191,7 +194,7 @@ class ArmLink:
             self._replay()
         elif arm.state is ArmState.ENABLED:
             arm.hold()
-            if wish == "replay":
+            if wish == "replay" and not self._running:
                 self._wish, self._message = "hold", "stopped: press Replay to begin it anew"
         self._measured = arm.read().q
         if wish == "teach" and arm.state is ArmState.CONNECTED:
@@ -206,7 +209,8 @@ class ArmLink:
         if self._plan is None:
             motion, _ = playable(shown, arm.config, 1.0)
             way = approach(arm.read().q, motion.q[0], arm.config)
-            self._plan = iter([*way.q, *motion.q])
+            rest = np.repeat(motion.q[-1:], round(_SETTLE * arm.config.rate_hz), axis=0)
+            self._plan = iter([*way.q, *motion.q, *rest])
         q = next(self._plan, None)
         if q is None:
             self._wish, self._plan = "hold", None
@@ -218,11 +222,13 @@ class ArmLink:
         arm = self._arm
         self._recorder.send(q, arm.clock.now())
         if arm.virtual_bus is not None and self._wanted is not None:
-            ways = dict(zip(arm.joints, zip(q.tolist(), self._wanted[0].tolist(), strict=True), strict=True))
+            most = arm.config.velocity / arm.config.rate_hz  # no hand is quicker than the arm
+            there = q + np.clip(self._wanted[0] - q, -most, most)
+            ways = dict(zip(arm.joints, zip(q.tolist(), there.tolist(), strict=True), strict=True))
             with arm.virtual_bus.lock:
                 for servo in arm.config.servos:
-                    here, there = ways.get(servo.name, (0.0, 0.0))
-                    ticks = servo.position(there) - servo.position(here)
+                    begin, end = ways.get(servo.name, (0.0, 0.0))
+                    ticks = servo.position(end) - servo.position(begin)
                     arm.virtual_bus.servo(servo.id).turn_by_hand(ticks)
         if len(self._recorder) > TEACH_LIMIT * arm.config.rate_hz:
             self._wish, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"

@@ -20,6 +20,7 @@ from robot_ik.testbed.commands import (
     SetMethod,
     SetMotion,
     SetOption,
+    SetRobot,
     Start,
 )
 from tests.testbed.conftest import PATIENCE, Bed, serve
@@ -121,9 +122,19 @@ def window(chromium: Any, bed: Bed) -> Iterator[Window]:
 
 @pytest.fixture(autouse=True)
 def afresh(bed: Bed) -> None:
+    if bed.view.robot != "puma560":
+        bed.session.send(SetRobot("puma560"))
     for command in (SetCount(1), SetMethod(0, "dls"), Reset()):
         bed.session.send(command)
-    bed.until(lambda view: view.count == 1 and not view.busy and view.motion == "curve" and view.running)
+    bed.until(
+        lambda view: (
+            view.robot == "puma560"
+            and view.count == 1
+            and not view.busy
+            and view.motion == "curve"
+            and view.running
+        )
+    )
     bed.sent.clear()
 
 
@@ -196,6 +207,27 @@ def test_compare_four_shows_four_rows(window: Window, bed: Bed) -> None:
     bed.until(lambda view: view.count == 4)
     for name in ("lm", "pseudoinverse", "ccd"):
         window.page.get_by_role("cell", name=name, exact=True).wait_for()
+
+
+def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -> None:
+    bed.session.send(SetRobot("humanoid"))
+    bed.until(lambda view: view.robot == "humanoid" and not view.busy)
+    window.page.get_by_role("tab", name="Figure", exact=True).click()
+    menu = window.page.get_by_role("textbox", name="Moved by").or_(
+        window.page.get_by_role("combobox", name="Moved by")
+    )
+    menu.first.click()
+    window.page.get_by_role("option", name="itself, following", exact=True).click()
+    bed.until(lambda view: view.figure is not None, "nobody decides")
+    bed.session.send(MoveGoal((0.5, -0.2, 1.3)))
+    seen = bed.until(lambda view: view.figure and view.figure.decision == "reach", "it does not reach")
+    assert seen.figure is not None
+    window.page.get_by_text(seen.figure.reason).first.wait_for(timeout=1e3 * PATIENCE)
+    before, count = seen.ball.position, bed.count(MoveGoal)
+    time.sleep(1.5)  # until the slow browser has drawn it
+    window.drag(window.pixel(before), (40.0, -30.0))
+    bed.until(lambda view: bed.count(MoveGoal) > count, "no drag of the ball came")
+    assert bed.view.figure is not None
 
 
 def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Window, bed: Bed) -> None:

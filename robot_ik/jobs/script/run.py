@@ -163,7 +163,9 @@ class ScriptRun:
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:
             arm_file = Path(seen_from(script, content.arm))
-        self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
+        self._request = ReachRequest(
+            robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed, record=request.record
+        )
         self.setup = prepare_robot(self._request)
         check_script(script, self.setup)
         rows = [StepResult(step.title, step.do) for step in script.steps]
