@@ -216,19 +216,22 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     window.page.get_by_role(
         "combobox", name="Moved by"
     ).focus()  # a click waits for frames, and these are slow
-    for key in ("Enter", "ArrowDown", "Enter"):
+    for key in ("Enter", "ArrowDown", "ArrowDown", "Enter"):
         window.page.keyboard.press(key)
         window.page.wait_for_timeout(300)
-    bed.until(lambda view: view.figure is not None, "nobody decides")
-    bed.session.send(MoveGoal((0.5, -0.2, 1.3)))
-    seen = bed.until(lambda view: view.figure and view.figure.decision == "reach", "it does not reach")
-    assert seen.figure is not None
-    window.page.get_by_text(seen.figure.reason).first.wait_for(timeout=1e3 * PATIENCE)
-    before, count = seen.ball.position, bed.count(MoveGoal)
-    time.sleep(1.5)  # until the slow browser has drawn it
-    window.drag(window.pixel(before), (40.0, -30.0))
+    bed.until(lambda view: view.figure and view.figure.mode == "passive", "nobody decides")
+    bed.session.send(MoveGoal((0.5, -0.3, 1.3)))
+    window.page.get_by_text("drag the ball, then press Act now").wait_for(timeout=1e3 * PATIENCE)
+    time.sleep(2.0)  # until the slow browser has drawn it
+    before, count = bed.view.ball.position, bed.count(MoveGoal)
+    window.drag(window.pixel(before), (20.0, -15.0))
     bed.until(lambda view: bed.count(MoveGoal) > count, "no drag of the ball came")
-    assert bed.view.figure is not None
+    button = window.page.get_by_role("button", name="Act now")
+    button.focus()
+    window.page.keyboard.press("Enter")
+    seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it was not told to act")
+    assert seen.figure is not None and seen.figure.decision in ("reach", "bend", "walk", "nothing")
+    window.page.get_by_text(seen.figure.reason).first.wait_for(timeout=1e3 * PATIENCE)
 
 
 def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Window, bed: Bed) -> None:
