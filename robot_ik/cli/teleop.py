@@ -30,7 +30,7 @@ KEYS = "keys"
 class TeleopOptions:
     """Leads an arm by another one that a person guides, or by the keys of this terminal.
 
-        robot-ik teleop --leader leader.toml --leader-bus /dev/ttyACM0 --follower-bus /dev/ttyACM1
+        robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
         robot-ik teleop --follower tabletop_puma --follower-bus pty
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that

@@ -439,9 +439,9 @@ def teleoperate(
     while not over() and (seconds is None or clock.now() - begin < seconds):
         now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
         report.ticks += 1
+        here = _where(follower) if blend is None else {}
         try:
             if blend is None:
-                here = _where(follower)
                 operator.engage(here)
                 blend = Blend(here, operator.command(now), follower.config, now)
                 report.engaged += 1

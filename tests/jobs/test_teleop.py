@@ -164,6 +164,19 @@ def test_a_leader_that_stays_away_ends_it_and_the_follower_holds() -> None:
         assert follower.state is ArmState.HOLD
 
 
+def test_a_follower_that_fails_is_no_lost_leader() -> None:
+    begin = home("tabletop_puma")
+    with pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower):
+        operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
+        asked: list[float] = []
+        operator.recover = asked.append  # type: ignore[method-assign]
+        with pytest.raises(HardwareError):
+            teleoperate(
+                operator, follower, seconds=5.0, on_tick=lambda tick: silence(follower, tick.time > 0.2)
+            )
+        assert asked == [] and follower.state is ArmState.FAULT
+
+
 def test_force_feedback_needs_servos_that_push_gently() -> None:
     begin = home("tabletop_puma")
     with (

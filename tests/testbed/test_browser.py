@@ -21,6 +21,7 @@ from robot_ik.testbed.commands import (
     SetMotion,
     SetOption,
     SetRobot,
+    SetRunning,
     Start,
 )
 from tests.testbed.conftest import PATIENCE, Bed, serve
@@ -97,6 +98,7 @@ def chromium(require: Callable[..., str]) -> Iterator[Any]:
 
 def look(chromium: Any, bed: Bed, width: int = 1000, height: int = 560) -> Window:
     page = chromium.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(2e3 * PATIENCE)
     window = Window(page)
     page.on("console", lambda message: window.said.append(f"{message.type}: {message.text}"))
     page.on("pageerror", lambda error: window.said.append(f"error: {error}"))
@@ -211,7 +213,8 @@ def test_compare_four_shows_four_rows(window: Window, bed: Bed) -> None:
 
 def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -> None:
     bed.session.send(SetRobot("humanoid"))
-    bed.until(lambda view: view.robot == "humanoid" and not view.busy)
+    bed.session.send(SetRunning(False))  # a figure that moves keeps a browser without a GPU busy
+    bed.until(lambda view: view.robot == "humanoid" and not view.busy and not view.running)
     window.page.get_by_role("tab", name="Figure", exact=True).click()
     window.page.get_by_role(
         "combobox", name="Moved by"
@@ -226,6 +229,7 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     before, count = bed.view.ball.position, bed.count(MoveGoal)
     window.drag(window.pixel(before), (20.0, -15.0))
     bed.until(lambda view: bed.count(MoveGoal) > count, "no drag of the ball came")
+    bed.session.send(SetRunning(True))
     button = window.page.get_by_role("button", name="Act now")
     button.focus()
     window.page.keyboard.press("Enter")
