@@ -205,7 +205,8 @@ def film(
         if out is not None:
             sink = stack.enter_context(open_sink(out, log.start.rate / every, overwrite=overwrite))
         recorder: Recorder | None = None
-        rows, joints = None, ()
+        rows: Recording | None = None
+        joints: tuple[str, ...] = ()
         for session in replayed(log):
             recorder = recorder or Recorder(session, artist, size, sink)
             view = session.view()

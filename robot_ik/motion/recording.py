@@ -24,7 +24,8 @@ SMOOTHING = 0.1
 class MotionCaps(Protocol):
     """What an arm allows, as its file says: names of joints, (n,) limits and caps, rad, rad/s, rad/s²."""
 
-    rate_hz: float
+    @property
+    def rate_hz(self) -> float: ...
 
     @property
     def names(self) -> tuple[str, ...]: ...

@@ -393,7 +393,7 @@ class FigurePanel:
                 "Moved by", tuple(_FIGURE_WORDS), visible=view.can_act,
                 hint="Following: it acts whenever the ball moves. When told: on the ball as it is then",
             ),
-            lambda word: send(SetFigure(_FIGURE_WORDS[word])),
+            lambda word: send(SetFigure(_FIGURE_WORDS[word])),  # type: ignore[arg-type]
         )  # fmt: skip
         self._act = gui.add_button(
             "Act now", icon=viser.Icon.RUN, visible=False, hint="On the ball where it is; it then stays there"
