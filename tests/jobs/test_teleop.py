@@ -13,7 +13,6 @@ from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual.faults import Faults
 from robot_ik.jobs.teleop import (
     Blend,
     JointCoupling,
@@ -119,7 +118,8 @@ def test_ranges_are_laid_onto_each_other_and_names_must_agree() -> None:
 
 def silence(arm: Arm, on: bool) -> None:
     assert arm.virtual_bus is not None
-    arm.virtual_bus.set_faults(Faults(silent=frozenset(arm.config.servo_ids if on else ())))
+    for servo in arm.virtual_bus.servos:
+        servo.silent = on
 
 
 def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
