@@ -176,7 +176,8 @@ class ExitGuard:
     """One arm's share in the handlers of the signals that end a program, and a last resort at its end.
 
     Handlers are installed only from the main thread (Python allows no other) and only for signals that the
-    process does not ignore.  In another thread only the last resort is armed.
+    process does not ignore.  In another thread only the last resort is armed: a program that enables arms
+    there installs a guard of its own in the main thread first, and leaves them when the exception comes.
 
     Args:
         last_resort: Called by ``atexit`` if the guard was not removed before; must not raise.
@@ -233,7 +234,10 @@ class _Handlers:
         if guard not in self._guards:
             self._guards.append(guard)
         if not _in_main_thread():
-            log.warning("not in the main thread: SIGINT and SIGTERM cannot be turned into an orderly exit")
+            if not any(isinstance(signal.getsignal(number), _Handler) for number in SIGNALS):
+                log.warning(
+                    "not in the main thread: SIGINT and SIGTERM cannot be turned into an orderly exit"
+                )
             return
         self._raised_at = None
         for number in SIGNALS:

@@ -21,7 +21,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from robot_ik.jobs.testbed import StageCamera, arm_link
-from robot_ik.testbed.commands import Command, MoveGoal, SetArm, ShowBranches, Start
+from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session, run
 
@@ -58,7 +58,11 @@ SHOTS = (
     Shot("four_dark", Start(count=4), dark=True),
     Shot("humanoid", Start("humanoid"), tab="Goals"),
     Shot("branches", Start("ur5e"), tab="Goals", commands=(ShowBranches(True),)),
-    Shot("camera", Start(), tab="Camera", camera=True),
+    Shot(
+        "figure", Start("humanoid"), tab="Figure",
+        commands=(SetFigure("active"), MoveGoal((0.5, -0.2, 1.3))),
+    ),
+    Shot("camera", Start("tabletop_puma"), tab="Camera", camera=True),
     Shot(
         "arm", Start("tabletop_puma"), tab="Arm", bus="sim",
         commands=(MoveGoal((0.2, 0.05, 0.1)), SetArm("follow")),

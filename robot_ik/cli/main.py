@@ -156,6 +156,9 @@ COMMANDS: dict[str, Command] = {
     "servo": Command(
         "", "", "servos by hand: find, set up, calibrate, watch, move, record, save", subcommands=_SERVO
     ),
+    "teleop": Command(
+        "robot_ik.cli.teleop", "TeleopOptions", "lead an arm by another one, or by the keys of this terminal"
+    ),
     "stop": Command(
         "robot_ik.cli.stop",
         "StopOptions",

@@ -16,6 +16,7 @@ from robot_ik.cli.connection import bus_argument, robot_meant
 from robot_ik.cli.solve import make_goal
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import InvalidGoalError, apart
+from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:
@@ -108,6 +109,10 @@ class ReachOptions:
     """Where reach.png, trajectory.csv and summary.json go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
+    record: Annotated[
+        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
+    ] = None
+    """Write every command and measurement while it happens (.mcap: extra `record`)."""
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""
     json: bool = False
@@ -130,6 +135,7 @@ def run(options: ReachOptions) -> int:
     # Before anything moves: a run whose results cannot be kept is not started.
     with (
         results_folder(options.out, "reach", FILES, overwrite=options.overwrite) as folder,
+        claimed(options.record, overwrite=options.overwrite),
         console.progress() as bar,
     ):
         task = bar.add_task("opening", total=1.0, note="")
@@ -200,6 +206,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
         arm_file=Path(options.arm) if options.arm else None,
         speed=options.speed,
         line=options.line,
+        record=options.record,
         follow=options.seconds if options.follow else 0.0,
         when_lost=options.when_lost,
         lost_after=options.lost_after,

@@ -48,6 +48,10 @@ class RunOptions:
     """Write the report as JUnit XML, for build servers."""
     json: Annotated[Path | None, arg(metavar="FILE|-", help_behavior_hint="(default: none)")] = None
     """Write the report as JSON; with - it goes to stdout instead of the table."""
+    record: Annotated[
+        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
+    ] = None
+    """Write every command and measurement while it happens (.mcap: extra `record`)."""
     overwrite: bool = False
     """These files may be there from an earlier run: they are replaced."""
 
@@ -66,7 +70,7 @@ def run(options: RunOptions) -> int:
     files = [file for file in (options.junit, options.json) if str(file) != "-"]
     if files[0] is not None and len(files) == 2 and files[0] == files[1]:
         raise wrong("--json", f"{files[0]} is the file of --junit, too", "a name of its own")
-    with claimed(*files, overwrite=options.overwrite):
+    with claimed(*files, options.record, overwrite=options.overwrite):
         return _run(script, options)
 
 
@@ -74,7 +78,7 @@ def _run(script: Script, options: RunOptions) -> int:
     from robot_ik.jobs.script import ScriptRequest, ScriptRun
 
     arm = Path(options.arm) if options.arm else None
-    this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed))
+    this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed, options.record))
     try:
         with console.progress() as bar, _quiet(options.bus):
             task = bar.add_task("getting ready", total=1.0, note="")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import functools
 import json
@@ -34,7 +35,7 @@ from robot_ik.cli.connection import (
 from robot_ik.cli.servo_motion import parse_angles, shown_value, slowed
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, TrajectoryError
 from robot_ik.files import claimed, read_json, write_atomically
-from robot_ik.ports import Array, Clock
+from robot_ik.ports import Array, Clock, JointSink
 from robot_ik.tables import config_error
 
 if TYPE_CHECKING:
@@ -334,14 +335,8 @@ def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
 
 SUFFIXES = (".csv", ".json")
 
-APPROACH = 0.25
-"""Share of the caps on the way to where a recording begins."""
-
 ALLOWED_OUTSIDE = math.radians(1.0)
 """rad by which a recording may pass a limit, as a soft stop gives; it is played at the limit."""
-
-SMOOTHING = 0.1
-"""s over which a recording is averaged before it is played."""
 
 ARRIVED = math.radians(2.0)
 """rad between the end of a recording and the arm, up to which it counts as played."""
@@ -498,6 +493,10 @@ class PlayOptions(BusOptions):
     """A file of teach."""
     speed: float = 1.0
     """Share of the recorded speed, above 0 and up to 1."""
+    record: Annotated[
+        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
+    ] = None
+    """Write every command and measurement while it happens (.mcap: extra `record`)."""
     on_exit: Annotated[
         str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
     ] = ""
@@ -506,6 +505,8 @@ class PlayOptions(BusOptions):
 
 def run_play(options: PlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
+    from robot_ik.motion.recording import playable
+
     config = load_arm(options.arm).whole
     require_model(config)
     slowed(config, options.speed)  # its check
@@ -521,46 +522,28 @@ def run_play(options: PlayOptions) -> int:
             )
     motion, stretch = playable(motion, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
-    with driving(arm):
-        return tried(lambda: _play(arm, motion, stretch))
+    with claimed(options.record, overwrite=True), contextlib.ExitStack() as stack:
+        sinks: list[JointSink] = [arm]
+        if options.record is not None:
+            from robot_ik.jobs.recording import RecordingSink, open_recording
+
+            recording = stack.enter_context(open_recording(options.record, config.names))
+            sinks.append(RecordingSink(recording, config.names, arm.positions))
+        stack.enter_context(driving(arm))
+        return tried(lambda: _play(arm, motion, stretch, sinks))
 
 
-def playable(motion: Trajectory, config: ArmConfig, speed: float) -> tuple[Trajectory, float]:
-    """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
-    from robot_ik.motion import Trajectory
-
-    smooth = smoothed(motion, config.rate_hz)
-    q = np.clip(smooth.q, config.lower, config.upper)
-    needed = float((Trajectory(smooth.times, q, motion.joints).peak_velocity / config.velocity).max())
-    stretch = max(1.0 / speed, needed)
-    return Trajectory(stretch * smooth.times, q, motion.joints).resampled(config.rate_hz), stretch
-
-
-def smoothed(motion: Trajectory, rate: float) -> Trajectory:
-    """The running mean over ``SMOOTHING``, at ``rate`` Hz; it begins and ends where the motion does.
-
-    Whole ticks, read at uneven times, have steps in them that no hand has made.
-    """
-    from robot_ik.motion import Trajectory
-
-    count = math.ceil(motion.duration * rate) + 1
-    q = np.array([motion.at(motion.times[0] + k / rate) for k in range(count)])
-    width = max(round(SMOOTHING * rate), 1)
-    padded = np.pad(q, ((width - 1, width - 1), (0, 0)), "edge")
-    mean = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
-    return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
-
-
-def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
+def _play(arm: Arm, motion: Trajectory, stretch: float, sinks: Sequence[JointSink]) -> int:
     from robot_ik.execution import execute
     from robot_ik.hardware.control_table import OperatingMode
+    from robot_ik.motion.recording import approach
 
     arm.enable()
     first = approach(arm.read().q, motion.q[0], arm.config)
     with console.busy("going to where it begins", first.duration):
-        execute(first, [arm], source=arm, clock=arm.clock, settle=0.2)
+        execute(first, sinks, source=arm, clock=arm.clock, settle=0.2)
     with console.busy("playing", motion.duration):
-        done = execute(motion, [arm], source=arm, clock=arm.clock, settle=0.4)
+        done = execute(motion, sinks, source=arm, clock=arm.clock, settle=0.4)
     assert done.final_error is not None and done.tracking_error is not None  # there was a source
     # By the last gear: a slide's way as its pinion turns.  Fingers that press may be held by something.
     levers = np.array([joint.lever for joint in arm.config.joints])
@@ -580,18 +563,3 @@ def _play(arm: Arm, motion: Trajectory, stretch: float) -> int:
             hint="is something in its way, or is it too weak?",
         )
     return console.DONE
-
-
-def approach(here: Array, there: Array, config: ArmConfig) -> Trajectory:
-    """From rest to rest by a quintic, at ``APPROACH`` of the caps; its peaks: 1.875 d/T and 5.774 d/T^2."""
-    from robot_ik.motion import Trajectory
-
-    way = np.abs(there - here)
-    times = (
-        1.875 * way / (APPROACH * config.velocity),
-        np.sqrt(5.774 * way / (APPROACH * config.acceleration)),
-    )
-    seconds = max(float(np.max(times)), 2.0 / config.rate_hz)
-    t = np.linspace(0.0, seconds, math.ceil(seconds * config.rate_hz) + 1)
-    s = t / seconds
-    return Trajectory(t, here + np.outer(10 * s**3 - 15 * s**4 + 6 * s**5, there - here), config.names)

@@ -45,6 +45,10 @@ class VideoOptions:
     """How long."""
     csv: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Numbers of every picture: angles, misses, times."""
+    record: Annotated[
+        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
+    ] = None
+    """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
     size: tuple[int, int] = (1280, 720)
     """Width and height, pixels."""
     rate: float = 30.0
@@ -68,10 +72,11 @@ def run(options: VideoOptions) -> int:
     width, height = (side - side % 2 for side in options.size)
     from robot_ik.jobs.testbed import film
 
-    with claimed(options.csv, overwrite=options.overwrite), console.progress() as bar:
+    with claimed(options.csv, options.record, overwrite=options.overwrite), console.progress() as bar:
         task = bar.add_task("filming", total=None, note="")
         view = film(
-            log, out, numbers=options.csv, seconds=options.seconds, rate_hz=options.rate,
+            log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
+            rate_hz=options.rate,
             size=(width, height), backend=options.backend, overwrite=options.overwrite,
             on_tick=lambda view, count: bar.update(task, total=count, completed=view.tick),
         )  # fmt: skip

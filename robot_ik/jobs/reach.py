@@ -31,6 +31,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Stage, stage_for
 from robot_ik.jobs.verdict import (
@@ -102,6 +103,7 @@ class ReachRequest:
             the marker while following.
         lead: Seconds to predict the marker beyond each tick.
         view: Mirror the motion in a window.
+        record: File of all commands and measurements, .csv or .mcap.
         seed: Of restarts and of the synthetic camera's noise.
         rehearsal: What shall go wrong.
     """
@@ -125,6 +127,7 @@ class ReachRequest:
     lost_after: float = 2.0
     lead: float = 0.0
     view: bool = False
+    record: Path | None = None
     seed: int = 0
     rehearsal: Rehearsal = Rehearsal()
 
@@ -263,6 +266,8 @@ def run_reach(
         ahead = stack.enter_context(CompiledAhead.solver(request.robot, method))
         setup = prepare_robot(request)
         frame = setup.frame
+        if request.record is not None:
+            setup.record(stack.enter_context(open_recording(request.record, setup.robot.joints)))
         vision = open_vision(request, setup, frame, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, frame, setup, vision)

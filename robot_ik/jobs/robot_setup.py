@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
+from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Clock, JointSink, JointSource, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
@@ -83,6 +84,7 @@ class RobotSetup:
         frame: What shall be moved.
         freedoms: How many joints move it.
         limits: How that intersection came about.
+        recorder: Writes what is commanded and measured; empty: nobody does.
         config, arm: None without a bus.
         clock: Of the run; virtual where nothing real waits.
         scene: Driven by what is read back (by what is commanded, without a bus).
@@ -102,6 +104,12 @@ class RobotSetup:
         self.freedoms = len(joints_that_move(robot, frame))
         self.scene = KinematicScene(robot)
         self._command = LastCommand(robot.home)
+        self.recorder: list[JointSink] = []
+
+    def record(self, recording: Recording) -> None:
+        """From here on every command is written, with what the servos measured last."""
+        measured = None if self.arm is None else self.arm.positions
+        self.recorder = [RecordingSink(recording, self.robot.joints, measured)]
 
     @property
     def source(self) -> JointSource | None:
@@ -111,7 +119,7 @@ class RobotSetup:
     @property
     def sinks(self) -> list[JointSink]:
         """Who takes commands."""
-        return [self._command] if self.arm is None else [self.arm, self._command]
+        return [*([] if self.arm is None else [self.arm]), self._command, *self.recorder]
 
     @property
     def commanded(self) -> Array:

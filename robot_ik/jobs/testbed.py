@@ -7,21 +7,29 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.gl import GlArtist, make_artist
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker, Sighting, drawn
 from robot_ik.errors import CameraError, ConfigError, ModelError
+from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.recording import Recording, open_recording
 from robot_ik.jobs.scene import stage_for
+from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, replayed
+from robot_ik.testbed.staging import GOAL_COLOUR
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -80,7 +88,10 @@ def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
 
 
 class StageCamera:
-    """The synthetic camera of a robot's scene, for the page: a picture of robot 1 and a line about it.
+    """The synthetic camera of a robot's scene, for the page: a picture of robot 1 with what is seen in it.
+
+    Markers are detected in the picture alone, as a real camera's are; what the synthetic one knows is not
+    asked.
 
     Args:
         session: Whose first instance is seen.
@@ -90,25 +101,57 @@ class StageCamera:
         self._session = session
         self._robot: Robot | None = None
         self._source: SyntheticSource | None = None
+        self._tracker: MarkerTracker | None = None
 
     def __call__(self) -> tuple[Image, str] | None:
-        """The next picture, RGB at half size; None while the robot has no scene."""
-        robot = self._session.robot
-        if robot is not self._robot:
-            self._robot, self._source = robot, None
-            with contextlib.suppress(CameraError, ModelError):
-                scene = stage_for(robot).scene(robot)
-                self._source = SyntheticSource(scene, lambda: self._session.instances[0].q, quality="fast")
-        if self._source is None:
+        """The next picture, RGB at half size, and a line about it; None while the robot has no scene."""
+        if self._session.robot is not self._robot:
+            self._robot = self._session.robot
+            self._open(self._robot)
+        if self._source is None or self._tracker is None:
             return None
-        begin = time.monotonic()
         frame = self._source.read()
-        truth: Any = frame.truth or {}
-        seen = sorted(truth.get("corners", {}))
-        age = 1e3 * (time.monotonic() - begin)
-        ids = ", ".join(map(str, seen)) or "none"
-        text = f"<small>synthetic camera; markers in view: {ids}; {age:.0f} ms old</small>"
-        return np.ascontiguousarray(frame.image[::2, ::2, ::-1]), text
+        begin = time.monotonic()
+        sighting = Sighting(frame, self._tracker.observe(frame), {})
+        looked = time.monotonic() - begin
+        lens, scene = self._source.scene.intrinsics, self._source.scene
+        image = drawn(sighting, lens)
+        _draw_ball(image, scene.pose_world_camera, lens, np.array(self._session.ball.position))
+        small = np.ascontiguousarray(image[::2, ::2, ::-1])
+        return small, _line_about(sighting, looked, time.monotonic() - frame.time)
+
+    def _open(self, robot: Robot) -> None:
+        self._source = self._tracker = None
+        with contextlib.suppress(CameraError, ModelError):
+            stage = stage_for(robot)
+            scene = stage.scene(robot)
+            sizes = {marker.id: marker.size for marker in scene.markers}
+            self._tracker = MarkerTracker(scene.intrinsics, stage.dictionary, sizes, window=True)
+            self._source = SyntheticSource(scene, lambda: self._session.instances[0].q, quality="fast")
+
+
+def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, place: Array) -> None:
+    """A circle round where the ball would be seen."""
+    inside = camera.inverse().apply(place)
+    if inside[2] > 0.0:
+        x, y = np.round(16.0 * lens.project(inside[None])[0]).astype(int).tolist()
+        if max(abs(x), abs(y)) < 1 << 20:
+            cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
+
+
+def _line_about(sighting: Sighting, looked: float, age: float) -> str:
+    """Markers with distance and the noise of their corners; how old the picture is."""
+    rows = "".join(
+        f"<tr><td>{marker.id}</td><td>{np.linalg.norm(marker.pose.position):.3f}</td>"
+        f"<td>{marker.reprojection_error:.2f}</td></tr>"
+        for marker in sighting.markers
+        if isinstance(marker, MarkerObservation)
+    )
+    head = "<tr><th>marker seen</th><th>away, m</th><th>off, px</th></tr>"
+    return (
+        f"<table>{head}{rows}</table><small>synthetic camera; the picture is {1e3 * age:.0f} ms old, "
+        f"{1e3 * looked:.0f} of them for finding markers; orange: the ball</small>"
+    )
 
 
 def film(
@@ -116,6 +159,7 @@ def film(
     out: Path | None,
     *,
     numbers: Path | None = None,
+    record: Path | None = None,
     seconds: float = 0.0,
     rate_hz: float = 30.0,
     size: tuple[int, int] = (1280, 720),
@@ -129,6 +173,7 @@ def film(
         log: What happens.
         out: A film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg) or a folder; None: no pictures.
         numbers: CSV file with a row for each instance of each picture.
+        record: Angles and ball at each picture, .csv or .mcap: what other tools read.
         seconds: How long; 0: as long as the log.
         rate_hz: Pictures a second.
         size: Of the pictures, pixels.
@@ -160,13 +205,29 @@ def film(
         if out is not None:
             sink = stack.enter_context(open_sink(out, log.start.rate / every, overwrite=overwrite))
         recorder: Recorder | None = None
+        rows: Recording | None = None
+        joints: tuple[str, ...] = ()
         for session in replayed(log):
             recorder = recorder or Recorder(session, artist, size, sink)
             view = session.view()
             if (view.tick - 1) % every == 0:
                 recorder.draw(view)
+                if record is not None and rows is None:
+                    joints = session.robot.joints
+                    rows = stack.enter_context(open_recording(record, joints))
+                if rows is not None and session.robot.joints == joints:  # one recording is of one robot
+                    _write(rows, view)
             on_tick(view, wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
     assert view is not None
     return view
+
+
+def _write(rows: Recording, view: View) -> None:
+    """Angles of each robot, and the ball."""
+    for k, one in enumerate(view.instances):
+        rows.write(
+            view.now, commanded=one.q, goal=view.ball, text=view.message if k == 0 else "",
+            robot=k + 1 if view.count > 1 else 0,
+        )  # fmt: skip

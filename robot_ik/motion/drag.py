@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
+from robot_ik.geometry import Pose
 from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal, vector
 from robot_ik.motion.trajectory import require_positive
 from robot_ik.ports import Array
@@ -26,6 +28,8 @@ from robot_ik.solvers import make_solver
 _BUDGET = Budget(iterations=20, restarts=0)
 # m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
 _LEASH = 0.06
+# Joints that leave the place of their own anchor as it is.
+_TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
 # So often a step that is too fast is halved before the figure rests for a tick.
 _HALVINGS = 8
 
@@ -38,6 +42,8 @@ class Drag:
         drag.take("head")                       # another frame from here on
         for q in drag.shift_weight("left_foot"): ...
         drag.release("right_foot")              # stands on one leg
+        drag.grab("left_shin", (0, 0.02, -0.1)) # a point of a body, as a mouse picks it
+        q = drag.pull((0.1, 0.2, 0.4))          # every tick
 
     Attributes:
         robot: Whose joints.
@@ -82,6 +88,7 @@ class Drag:
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
+        self._grip: tuple[str, Array] | None = None  # a frame of the grabbed body, and the way to its point
         self.dragged: str | None = None
         self.place(robot.home if start is None else start)
         for frame in pinned:
@@ -116,8 +123,38 @@ class Drag:
             self.robot.frame(frame)
             if frame in self._pins:
                 raise InvalidGoalError(f"{frame!r} is pinned", hint=f"release({frame!r}) first")
-        self.dragged = frame
+        self.dragged, self._grip = frame, None
         self._moved()
+
+    def grab(self, body: str, grip: ArrayLike) -> None:
+        """Takes hold of a point of a body: ``pull`` brings it to a place.
+
+        Args:
+            body: Name of a body.
+            grip: (3,) the point in the body's own frame, metres.
+
+        Raises:
+            UnknownFrameError: With the close names.
+            InvalidGoalError: That part is pinned.
+        """
+        index = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, body)
+        index, point = index if index >= 0 else self.robot.frame(body).body, vector(grip, 3, "grip")
+        frame, origin = frame_near(self.robot, index, point)
+        self.take(frame)
+        own, local = _frames_of_bodies(self.robot)[index]
+        self._grip = own, local.rotation.T @ (point - origin)
+
+    def pull(self, to: ArrayLike) -> Array:
+        """One tick: the grabbed point towards ``to`` (3,), world, metres, with the body turned as it is now.
+
+        Returns:
+            As ``step``.
+        """
+        place = vector(to, 3, "to")
+        if self._grip is not None:
+            frame, lever = self._grip
+            place = place - self.robot.forward(self.q, frame).rotation @ lever
+        return self.step(place)
 
     def pin(self, frame: str) -> None:
         """Keeps a frame where it is now.
@@ -245,3 +282,34 @@ class Drag:
         if needed and not found.converged:
             return None
         return np.array(found.q) if math.isfinite(float(found.q.sum())) else None
+
+
+def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:
+    """The first frame on each body: its name, and its pose in the body."""
+    frames: dict[int, tuple[str, Pose]] = robot.memory.setdefault("frame_of_body", {})
+    if not frames:
+        for name in robot.frames:
+            frame = robot.frame(name)
+            frames.setdefault(frame.body, (name, frame.local))
+    return frames
+
+
+def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
+    """The frame with its origin fixed to a body, nearest to a point of it; where that origin is in the body.
+
+    The origin of a link often lies on the axis that moves it, where it cannot be dragged anywhere.  Where its
+    joints turn about its origin, a child's origin is as fixed to the body, and usually at its other end.
+
+    Raises:
+        UnknownFrameError: The body has no name and no frame on it.
+    """
+    frames, model = _frames_of_bodies(robot), robot.model
+    if body not in frames:
+        robot.frame(model.body(body).name or f"body {body}")
+    found = [(frames[body][0], frames[body][1].position)]
+    for child in map(int, np.flatnonzero(model.body_parentid == body)):
+        joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
+        turns = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
+        if turns and child in frames and not frames[child][1].position.any():
+            found.append((frames[child][0], model.body_pos[child]))
+    return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))

@@ -218,12 +218,16 @@ class Trajectory:
         Raises:
             OutputError: The folder is missing or not writable.
         """
+        write_atomically(Path(path), self.csv_text())
+
+    def csv_text(self) -> str:
+        """What ``save_csv`` writes."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow([_TIME_COLUMN, *self.joints])
         rows = np.column_stack([self.times, self.q]).tolist()
         writer.writerows([[repr(value) for value in row] for row in rows])
-        write_atomically(Path(path), stream.getvalue())
+        return stream.getvalue()
 
     @classmethod
     def load_csv(cls, path: Path | str) -> Trajectory:

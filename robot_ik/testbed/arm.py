@@ -3,13 +3,15 @@
 One thread drives the arm, at the arm's own rate; the session only leaves the newest joint angles for it.
 So a slow page never makes a late bus cycle, and a session that stops leaving angles makes the arm hold.
 The limiter of the arm stands between: a ball that jumps makes the arm walk.
+
+The same thread records what a hand shows the limp arm, and repeats it.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,12 +21,18 @@ import numpy as np
 from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.health import ServoState, read_states
+from robot_ik.hardware.watchdogs import ExitGuard
+from robot_ik.motion.recording import approach, playable
+from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 
-Wish = Literal["follow", "hold", "release"]
+Wish = Literal["follow", "hold", "release", "teach", "replay"]
 STALE = 0.5
 """Seconds without new joint angles after which the arm holds."""
+TEACH_LIMIT = 600.0
+"""Seconds that a recording may take."""
+_SETTLE = 1.0  # seconds for which the end of a recording is sent: the limiter comes after a quick hand
 _TELEMETRY_PERIOD = 0.5  # seconds between two looks at currents and temperatures
 _CLOSE_LIMIT = 10.0
 
@@ -41,6 +49,7 @@ class ArmView:
         xpos, xquat: Bodies' poses at the measured angles; None when not known.
         apart: Largest distance of a joint from what the session commands, rad or m.
         servos: Currents, temperatures, errors.
+        recorded: Seconds that a hand has shown; 0: nothing.
         message: What went wrong, in one sentence; empty: nothing.
     """
 
@@ -52,6 +61,7 @@ class ArmView:
     xquat: Array | None
     apart: float
     servos: tuple[ServoState, ...]
+    recorded: float
     message: str
 
 
@@ -73,30 +83,44 @@ class ArmLink:
         self._measured: Array | None = None
         self._servos: Sequence[ServoState] = ()
         self._message = ""
+        self._running, self._alive = True, -np.inf  # whether the session runs, and when it last did
+        self._recorder = RecorderSink(arm.joints)
+        self.recording: Trajectory | None = None
+        self._plan: Iterator[Array] | None = None
+        self._guard = ExitGuard(self.close)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._drive, name="testbed-arm", daemon=True)
 
     def open(self) -> None:
         """Connects the arm; torque stays as it is.
 
+        Signals end in an exception from here on, in the main thread: whoever is there leaves the arm.
+
         Raises:
             HardwareError: As ``Arm.connect``.
         """
         self._arm.connect()
+        self._guard.install()
         self._thread.start()
 
     # ---------------------------------------------------------------------------- from the session's loop
 
     def ask(self, wish: Wish) -> None:
-        """Follow the session, hold where it stands, or let go."""
+        """Follow the session, hold where it stands, let go, record a hand, or repeat what it has shown."""
+        if wish == "replay" and self._wish != "teach" and self.recording is None:
+            self._message = "nothing was recorded yet: press Teach, guide the arm, press Replay"
+            return
         self._wish, self._message = wish, ""
 
     def follow(self, robot: Robot, q: Array, running: bool) -> None:
         """Leaves the newest joint angles (nq,) of a robot for the arm; another robot's are none of them."""
         if robot.joints != self._robot.joints or robot.path != self._robot.path:
             self._message = f"the arm is a {self._robot.name}: it holds"
-        elif running:
-            self._wanted = q[self._order].copy(), time.monotonic()
+        else:
+            self._running = running
+            if running:
+                self._alive = time.monotonic()
+                self._wanted = q[self._order].copy(), self._alive
 
     def view(self) -> ArmView:
         """What is seen of it."""
@@ -111,7 +135,8 @@ class ArmLink:
                 apart = float(np.abs(q - self._wanted[0]).max())
             q = whole
         state, servos = self._arm.state.value, tuple(self._servos)
-        return ArmView(state, self._wish, self._port, q, *poses, apart, servos, self._message)
+        shown = self.recording.duration if self.recording is not None else 0.0
+        return ArmView(state, self._wish, self._port, q, *poses, apart, servos, shown, self._message)
 
     def close(self) -> None:
         """Leaves the arm by its exit policy."""
@@ -119,6 +144,7 @@ class ArmLink:
         if self._thread.is_alive():
             self._thread.join(_CLOSE_LIMIT)
         self._arm.close()
+        self._guard.remove()
 
     @property
     def left(self) -> str:
@@ -151,18 +177,68 @@ class ArmLink:
             arm.clock.sleep_until(arm.clock.now() + period)
         if arm.state is ArmState.FAULT:
             return
-        fresh = self._wanted is not None and time.monotonic() - self._wanted[1] < STALE
-        if wish == "release":
+        if wish != "teach":
+            self._end_recording()
+        if wish != "replay":
+            self._plan = None
+        fresh = time.monotonic() - self._alive < STALE
+        if wish in ("release", "teach"):
             if arm.state is not ArmState.CONNECTED:
                 self._let_go()
         elif arm.state is ArmState.CONNECTED:
-            if wish == "follow":
+            if wish in ("follow", "replay"):
                 arm.enable()
         elif wish == "follow" and fresh and self._wanted is not None:
             arm.send(self._wanted[0], arm.clock.now())
+        elif wish == "replay" and fresh:
+            self._replay()
         elif arm.state is ArmState.ENABLED:
             arm.hold()
+            if wish == "replay" and not self._running:
+                self._wish, self._message = "hold", "stopped: press Replay to begin it anew"
         self._measured = arm.read().q
+        if wish == "teach" and arm.state is ArmState.CONNECTED:
+            self._record(self._measured)
+
+    def _replay(self) -> None:
+        """The next sample of what the hand has shown, after a slow way to where it begins; then hold."""
+        arm, shown = self._arm, self.recording
+        if shown is None:
+            self._wish = "hold"
+            return
+        if self._plan is None:
+            motion, _ = playable(shown, arm.config, 1.0)
+            way = approach(arm.read().q, motion.q[0], arm.config)
+            rest = np.repeat(motion.q[-1:], round(_SETTLE * arm.config.rate_hz), axis=0)
+            self._plan = iter([*way.q, *motion.q, *rest])
+        q = next(self._plan, None)
+        if q is None:
+            self._wish, self._plan = "hold", None
+        else:
+            arm.send(q, arm.clock.now())
+
+    def _record(self, q: Array) -> None:
+        """One sample (n,) of what a hand shows; simulated servos are guided by the page's first robot."""
+        arm = self._arm
+        self._recorder.send(q, arm.clock.now())
+        if arm.virtual_bus is not None and self._wanted is not None:
+            most = arm.config.velocity / arm.config.rate_hz  # no hand is quicker than the arm
+            there = q + np.clip(self._wanted[0] - q, -most, most)
+            ways = dict(zip(arm.joints, zip(q.tolist(), there.tolist(), strict=True), strict=True))
+            with arm.virtual_bus.lock:
+                for servo in arm.config.servos:
+                    begin, end = ways.get(servo.name, (0.0, 0.0))
+                    ticks = servo.position(end) - servo.position(begin)
+                    arm.virtual_bus.servo(servo.id).turn_by_hand(ticks)
+        if len(self._recorder) > TEACH_LIMIT * arm.config.rate_hz:
+            self._wish, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"
+
+    def _end_recording(self) -> None:
+        """What was recorded becomes the motion to repeat."""
+        if len(self._recorder) > 1:
+            self.recording = self._recorder.trajectory()
+        if len(self._recorder):
+            self._recorder = RecorderSink(self._arm.joints)
 
     def _let_go(self) -> None:
         """Torque off, and connected again."""

@@ -51,65 +51,64 @@ class Command:
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 
 
+class SetupCommand(Command):
+    """A command that rebuilds."""
+
+    rebuilds: ClassVar[bool] = True
+
+
 @dataclass(frozen=True)
-class SetRobot(Command):
+class SetRobot(SetupCommand):
     """Another robot: a name of the catalogue or the path of a model."""
 
     name: Annotated[str, Field(max_length=4096)]
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class SetCount(Command):
+class SetCount(SetupCommand):
     """One robot, or two or four side by side."""
 
     count: Count
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class SetMethod(Command):
+class SetMethod(SetupCommand):
     """The method of one instance, with its default options."""
 
     instance: Index
     method: Annotated[str, Field(max_length=100)]
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class SetOption(Command):
+class SetOption(SetupCommand):
     """One option of an instance's method."""
 
     instance: Index
     name: Annotated[str, Field(max_length=100)]
     value: bool | int | Annotated[float, Field(allow_inf_nan=False)] | Annotated[str, Field(max_length=100)]
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class SetGoalKind(Command):
+class SetGoalKind(SetupCommand):
     """What the ball asks of the tool."""
 
     kind: GoalKind
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class SetExtraGoal(Command):
+class SetExtraGoal(SetupCommand):
     """A goal beside the ball's on or off, and its priority: 0 is served first."""
 
     name: Annotated[str, Field(max_length=100)]
     on: bool
     priority: Annotated[int, Field(ge=0, le=9)] = 0
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
-class SetLimits(Command):
+class SetLimits(SetupCommand):
     """Joint limits on or off."""
 
     on: bool
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -172,11 +171,10 @@ class Reset(Command):
 
 
 @dataclass(frozen=True)
-class ShowBranches(Command):
+class ShowBranches(SetupCommand):
     """All branches of a closed form as ghosts, on or off."""
 
     on: bool
-    rebuilds: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -187,13 +185,29 @@ class PickBranch(Command):
 
 
 @dataclass(frozen=True)
+class SetFigure(SetupCommand):
+    """A figure decides by itself: it follows the ball (active), acts when it is told to (passive), or not."""
+
+    mode: Literal["off", "active", "passive"]
+
+
+@dataclass(frozen=True)
+class Act(Command):
+    """A passive figure acts on the ball where it is now."""
+
+
+@dataclass(frozen=True)
 class SetArm(Command):
-    """The servo arm: follow the first instance, hold where it is, or let go (torque off)."""
+    """The servo arm: follow the first instance, hold, let go (torque off), record a hand, or repeat that."""
 
-    state: Literal["follow", "hold", "release"]
+    state: Literal["follow", "hold", "release", "teach", "replay"]
 
 
-COMMANDS: dict[str, type[Command]] = {kind.key(): kind for kind in Command.__subclasses__()}
+COMMANDS: dict[str, type[Command]] = {
+    kind.key(): kind
+    for kind in (*SetupCommand.__subclasses__(), *Command.__subclasses__())
+    if kind is not SetupCommand
+}
 """Every command by its name in a log."""
 _CHECKED: dict[str, TypeAdapter[Any]] = {}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,8 @@ import numpy as np
 
 from robot_ik.errors import RobotIkError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, PositionGoal, Tolerance
+from robot_ik.goals import Goal, Tolerance
+from robot_ik.motion.drag import Drag
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
@@ -27,10 +29,7 @@ TRAIL = 120
 """Places of the tool that a trail has."""
 HISTORY_SECONDS = 5.0
 _TOLERANCE = Tolerance()
-_DRAG_PROBLEMS = 8  # problems of grabbed parts that are kept
-
-# Joints that leave the place of their own anchor as it is.
-_TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
+_DRAG_SPEED = 10.0  # times the joints' limits: what is drawn is as quick as a mouse; an arm has its limiter
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +47,7 @@ class InstanceView:
         iterations: Steps of the last solve.
         manipulability: Product of the singular values of the tool's Jacobian.
         statistics: Of the last second.
+        goals: (name, metres, radians) that each goal was missed by at the last full second, by MuJoCo.
         trail: (n, 3) where the tool was, oldest first.
         errors: (n, 2) history: miss in metres, manipulability.
     """
@@ -65,6 +65,7 @@ class InstanceView:
     iterations: int
     manipulability: float
     statistics: Statistics
+    goals: tuple[tuple[str, float, float], ...]
     trail: Array
     errors: Array
 
@@ -80,7 +81,7 @@ class Instance:
 
     def __init__(self, robot: Robot, solver: Solver | None, rate: float) -> None:
         self.robot, self.solver = robot, solver
-        self.data = mujoco.MjData(robot.model)
+        self._rate, self.data = rate, mujoco.MjData(robot.model)
         frame = robot.frame(robot.tool)
         self._body, self._local = frame.body, frame.local
         self._window, self._statistics = Window(), Statistics()
@@ -94,13 +95,15 @@ class Instance:
         self.move_to(self.robot.home)
         self._problem: Problem | None = None
         self._kind: tuple[Any, ...] = ()
-        self._dragged: dict[str, Problem] = {}
+        self._drag: Drag | None = None
+        self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
         self.miss = self.angle = self.manipulability = 0.0
         self._window.clear()
         self._trail.clear()
         self._errors.clear()
         self._statistics = Statistics()
+        self._goals: tuple[tuple[str, float, float], ...] = ()
 
     def take(self, robot: Robot, solver: Solver, refused: str, note: str) -> None:
         """Goes on with another method, options or limits; a method that changed begins new statistics."""
@@ -108,7 +111,7 @@ class Instance:
             self._window.clear()
             self._statistics = Statistics()
         self.robot, self.solver, self.refused, self.note = robot, solver, refused, note
-        self._problem, self._dragged = None, {}
+        self._problem = self._drag = None
         if robot.outside(self.q):
             self.move_to(robot.clip(self.q))
 
@@ -130,6 +133,7 @@ class Instance:
 
     def solve(self, goals: Goals, ball: Pose) -> None:
         """Goes to what the ball asks for."""
+        self._drag = None
         if self.solver is None:
             return
         if self.refused:
@@ -141,46 +145,45 @@ class Instance:
             solution = self._solved(self.solver, self._problem, wanted)
             self._measure(goals, ball)
             if solution is not None:
-                self._window.add(solution.seconds, solution.iterations, self._met())
+                self._window.add(self._seconds, solution.iterations, self._met())
             return
         self._measure(goals, ball)
 
-    def drag(self, drag: DragLink, grip: Array, fallback: Solver, goals: Goals, ball: Pose) -> None:
-        """Brings a grabbed point to where the mouse is.
+    def stand(self, q: Array, doing: str, goals: Goals, ball: Pose) -> None:
+        """Stands at ``q`` (nq,), as a figure that decides by itself does; nothing is solved."""
+        self._drag, self._status, self._iterations = None, doing, 0
+        self.move_to(q)
+        self._measure(goals, ball)
+
+    def drag(self, drag: DragLink, goals: Goals, ball: Pose) -> None:
+        """Brings a grabbed point to where the mouse is; what the goals keep stays where it is.
 
         Args:
             drag: What is dragged.
-            grip: (3,) the grabbed point in the frame of that body, metres.
-            fallback: Where the instance's own method serves no position of such a part.
-            goals: What the miss is measured by meanwhile.
+            goals: What is kept, and what the miss is measured by meanwhile.
             ball: Likewise.
         """
-        body = self.robot.model.body(drag.body).id
-        frame, origin = frame_on(self.robot, body, grip)
-        # That origin so that the grabbed point comes to `to` with the body turned as it is now.
-        place = np.array(drag.to) - self.data.xmat[body].reshape(3, 3) @ (grip - origin)
-        if (ball_of_reach := self.robot.reach(frame)) is not None:
-            # Where the part cannot follow, as near as it comes: methods stop where they have a proof.
-            centre, radius = ball_of_reach
-            way = place - centre
-            place = centre + way * min(1.0, 0.999 * radius / max(float(np.linalg.norm(way)), 1e-12))
-        solver = self.solver
-        wanted = PositionGoal(frame, place)
-        if solver is None or not solver.supports(wanted) or self.refused:
-            solver = fallback
-        problem = self._dragged.get(frame)
-        if problem is None:
-            if len(self._dragged) >= _DRAG_PROBLEMS:
-                self._dragged.clear()
-            problem = self._dragged[frame] = Problem(self.robot, wanted, budget=BUDGET)
-        if self._solved(solver, problem, [wanted]) is None and solver is not fallback:
-            self._solved(fallback, problem, [wanted])
+        held = drag.body, drag.grip
+        try:
+            if self._drag is None or self._held != held:
+                self._drag = Drag(
+                    self.robot, pinned=goals.kept, start=self.q, rate=self._rate, speed=_DRAG_SPEED,
+                    balance=goals.balanced,
+                )  # fmt: skip
+                self._drag.grab(*held)
+                self._held = held
+            self.move_to(self._drag.pull(drag.to))
+            self._status, self._iterations = "dragged", 0
+        except RobotIkError as error:
+            self._drag, self._status = None, str(error).splitlines()[0]
         self._measure(goals, ball)
 
     def _solved(self, solver: Solver, problem: Problem, wanted: Sequence[Goal]) -> Solution | None:
         try:
             retarget(problem, list(wanted))
+            begin = time.thread_time()
             solution = solver.solve(problem, self.q)
+            self._seconds = time.thread_time() - begin
         except RobotIkError as error:
             self._status = str(error).splitlines()[0]
             return None
@@ -204,9 +207,12 @@ class Instance:
         values = np.linalg.svd(self.robot.jacobian(self.q), compute_uv=False)
         self.manipulability = float(np.prod(values[: min(6, self.robot.nv)]))
 
-    def measure_statistics(self) -> None:
-        """Of the window as it is now."""
+    def measure_statistics(self, goals: Goals, ball: Pose) -> None:
+        """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
         self._statistics = self._window.statistics()
+        self._goals = tuple(
+            (name, *goal.miss(self.robot, self.q, goal.target)) for name, goal in goals.named(ball)
+        )
 
     def view(self) -> InstanceView:
         """What is seen of it."""
@@ -226,34 +232,10 @@ class Instance:
             self._iterations,
             self.manipulability,
             self._statistics,
+            self._goals,
             self._trail.rows(),
             self._errors.rows(),
         )
-
-
-def frame_on(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
-    """The frame with its origin fixed to a body, nearest to a point of it; where that origin is in the body.
-
-    The origin of a link often lies on the axis that moves it, where it cannot be dragged anywhere.  Where its
-    joints turn about its origin, a child's origin is as fixed to the body, and usually at its other end.
-
-    Raises:
-        UnknownFrameError: The body has no name and no frame on it.
-    """
-    frames: dict[int, tuple[str, Pose]] = robot.memory.setdefault("frame_of_body", {})
-    if not frames:
-        for name in robot.frames:
-            frame = robot.frame(name)
-            frames.setdefault(frame.body, (name, frame.local))
-    if body not in frames:
-        robot.frame(robot.model.body(body).name or f"body {body}")
-    model, found = robot.model, [(frames[body][0], frames[body][1].position)]
-    for child in map(int, np.flatnonzero(model.body_parentid == body)):
-        joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
-        turns = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
-        if turns and child in frames and not frames[child][1].position.any():
-            found.append((frames[child][0], model.body_pos[child]))
-    return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))
 
 
 def off(goals: Goals, rotation: Array, position: Array, ball: Pose) -> tuple[float, float]:

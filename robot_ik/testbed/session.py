@@ -8,6 +8,7 @@ loop, and takes effect at the tick where it is ready.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -27,7 +28,9 @@ from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
+from robot_ik.testbed.acting import ActingFigure, FigureView
 from robot_ik.testbed.commands import (
+    Act,
     Command,
     CommandLog,
     Count,
@@ -57,6 +60,7 @@ from robot_ik.testbed.setup import (
     prepare,
     usual_extras,
     usual_kind,
+    warm_drag,
 )
 
 if TYPE_CHECKING:
@@ -100,6 +104,8 @@ class View:
         busy: What is prepared beside the loop, in words; empty: nothing.
         message: An error in one sentence, for some seconds.
         arm: The servo arm that the first instance drives; None without.
+        figure: The first instance, where it is a figure that decides by itself.
+        can_act: Whether this robot is a figure that can.
     """
 
     tick: int
@@ -119,6 +125,8 @@ class View:
     busy: str
     message: str
     arm: ArmView | None
+    figure: FigureView | None
+    can_act: bool
 
     @property
     def count(self) -> Count:
@@ -130,6 +138,7 @@ class View:
         seen = hashlib.sha256()
         words: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed, self.kind]
         words += [[dataclasses.astuple(extra) for extra in self.extras], self.limits, self.dragged]
+        words.append(None if self.figure is None else dataclasses.astuple(self.figure))
         for one in self.instances:
             words += [one.method, one.options, one.status, one.iterations, one.statistics.count]
             words += [one.statistics.iterations, one.statistics.solved]
@@ -178,6 +187,7 @@ class Session:
         self._drag: DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
+        self._figure: ActingFigure | None = None
         self.arm = arm
         self.name = self.start.robot
         self.robot: Robot
@@ -200,6 +210,11 @@ class Session:
     def busy(self) -> str:
         """What is prepared beside the loop, in words; empty: nothing."""
         return self._preparer.doing
+
+    @property
+    def ball(self) -> Pose:
+        """Where the ball is, world."""
+        return self._ball
 
     def close(self) -> None:
         """Leaves the arm, if there is one; the session is over."""
@@ -239,20 +254,23 @@ class Session:
         if self._drag is not None:
             self._follow_drag(self._drag, ready)
         else:
-            for one in self.instances:
+            for one in self.instances[0 if self._figure is None else 1 :]:
                 one.solve(ready.goals, self._ball)
+        if self._figure is not None:
+            first, q = self.instances[0], self._figure.step(self._ball.position)
+            first.stand(q, self._figure.view().action, ready.goals, self._ball)
         slow = self._tick % _SLOW_TICKS == 0
         for one in self.instances:
             if slow:
                 one.measure_manipulability()
             if self._tick % round(self.start.rate) == 0:
-                one.measure_statistics()
+                one.measure_statistics(ready.goals, self._ball)
         if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
             self._find_branches(ready)
 
     def _follow_drag(self, drag: DragLink, ready: Ready) -> None:
         for one in self.instances:
-            one.drag(drag, np.array(drag.grip), ready.drag_solver, ready.goals, self._ball)
+            one.drag(drag, ready.goals, self._ball)
 
     def _moving_ball(self) -> Pose:
         assert self._ready is not None
@@ -282,6 +300,8 @@ class Session:
             busy=self.busy,
             message=text if self._tick <= until else "",
             arm=self.arm.view() if self.arm is not None else None,
+            figure=self._figure.view() if self._figure is not None else None,
+            can_act=self.robot.file.figure is not None,
         )
 
     def log(self) -> CommandLog:
@@ -309,6 +329,9 @@ class Session:
             return
         if command.rebuilds:
             self._preparer.ask(command)
+            return
+        if isinstance(command, DragLink) and not self._preparer.can_drag:
+            self._say("parts can be dragged in a moment: what that needs is being compiled")
             return
         self._log.append((self._tick, command))
         self._apply(command)
@@ -339,6 +362,14 @@ class Session:
                 self._begin_random()
                 for one in self.instances:
                     one.reset()
+                if self._figure is not None:
+                    self._figure.reset()
+                    self._motion = "hand"
+            case Act():
+                if self._figure is None:
+                    self._say("no figure decides: switch it on in the tab Figure")
+                else:
+                    self._figure.act()
             case PickBranch(index):
                 if index < len(self._branches):
                     self.instances[0].move_to(self._branches[index].q)
@@ -370,6 +401,9 @@ class Session:
         if body <= 0:
             self._say(f"this part cannot be dragged: {command.body or 'it has no name'}")
             return
+        if self._figure is not None:
+            self._say("the figure decides by itself: drag the ball")
+            return
         self._drag = command
 
     def _adopt(self, found: _Prepared) -> None:
@@ -390,6 +424,7 @@ class Session:
             fresh = [Instance(ready.robot, None, self.start.rate) for _ in range(missing)]
             self.instances = [*self.instances, *fresh][: ready.setup.count]
         self.robot, self._branches = ready.robot, ()
+        self._set_figure(before, ready)
         for one, solver, refused in zip(self.instances, ready.solvers, ready.refused, strict=True):
             flat = ready.goals.flattened(solver)
             one.take(ready.robot, solver, refused, "all goals at one priority" if flat else "")
@@ -399,6 +434,18 @@ class Session:
         for k, why in enumerate(ready.refused):
             if why:
                 self._say(f"robot {k + 1}: {why}")
+
+    def _set_figure(self, before: Ready | None, ready: Ready) -> None:
+        """A figure that decides begins at home, and goes back there when it is switched off."""
+        wanted = ready.setup.figure
+        if before is not None and before.loaded is ready.loaded and before.setup.figure == wanted:
+            return
+        if self._figure is not None:
+            self._figure = None
+            self.instances[0].reset()
+        if wanted != "off" and ready.abilities is not None:
+            self._figure = ActingFigure(ready.abilities, wanted, self.start.rate)
+            self._motion = "hand"
 
     def _stand(self, robot: Robot, count: int) -> None:
         """New robots, at home."""
@@ -446,6 +493,7 @@ class _Preparer:
         self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._waiting = 0
+        self.can_drag = False
         self._lock = threading.Lock()
         self._text = ""
 
@@ -496,8 +544,17 @@ class _Preparer:
         else:
             self._setup, self._robot, self._ready = ready.setup, robot, ready
             self._done(_Prepared(command, ready=ready))
+            self._warm_drag(robot)
         finally:
             self._count(-1)
+
+    def _warm_drag(self, robot: Robot) -> None:
+        """After the first answer: nobody has to wait for it who drags nothing."""
+        if not self.can_drag:
+            self._say("preparing to drag parts …")
+            with contextlib.suppress(RobotIkError):  # a model of which nothing can be dragged
+                warm_drag(robot)
+            self.can_drag = True
 
     def _count(self, change: int) -> None:
         with self._lock:

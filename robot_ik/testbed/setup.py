@@ -10,17 +10,20 @@ import contextlib
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
+from robot_ik.figure.abilities import Abilities, load_abilities
+from robot_ik.figure.figure import load_figure
 from robot_ik.geometry import Pose
 from robot_ik.goals import (
     AimGoal,
     CenterOfMassGoal,
     Goal,
     LineGoal,
+    OrientationGoal,
     PlaneGoal,
     PoseGoal,
     PositionGoal,
@@ -28,6 +31,7 @@ from robot_ik.goals import (
 )
 from robot_ik.inverse_kinematics import Branch, solve_all
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.motion.drag import Drag
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -40,6 +44,7 @@ from robot_ik.testbed.commands import (
     GoalKind,
     SetCount,
     SetExtraGoal,
+    SetFigure,
     SetGoalKind,
     SetLimits,
     SetMethod,
@@ -55,8 +60,7 @@ METHODS = ("dls", "lm", "pseudoinverse", "ccd")
 """What four arms begin with: a damped, a trusted, an undamped and a geometric method."""
 WHOLE_BODY_METHODS = ("lm", "dls", "sdls", "bfgs")
 """As ``METHODS`` for figures, whose balance and gaze geometric methods do not serve."""
-DRAG_METHOD = "dls"
-"""Follows a grabbed part where the instance's own method cannot."""
+_CURVE_METHOD = "dls"  # tries the curve where no instance's own method can
 CURVE_PERIOD = 8.0
 """Seconds of ball time for once round the curve."""
 _CURVE_RADIUS = 0.15  # of the model's extent
@@ -109,6 +113,7 @@ class Setup:
         extras: Goals beside the ball's, whose own priority is that of ``ball``; None: what suits the robot.
         limits: Whether joint limits hold.
         branches: Whether all branches of a closed form are looked for.
+        figure: ``off``; else the first instance decides by itself, in that mode.
     """
 
     robot: str
@@ -118,6 +123,7 @@ class Setup:
     extras: tuple[ExtraGoal, ...] | None = None
     limits: bool = True
     branches: bool = False
+    figure: Literal["off", "active", "passive"] = "off"
 
     @classmethod
     def of(cls, start: Start) -> Setup:
@@ -149,6 +155,8 @@ class Setup:
                 return replace(self, branches=on)
             case SetExtraGoal():
                 return self._with_extra(command)
+            case SetFigure(mode):
+                return replace(self, figure=mode)
         raise TypeError(f"{command!r} rebuilds nothing")
 
     def _with_choice(self, k: int, choice: Choice) -> Setup:
@@ -174,7 +182,12 @@ class Setup:
 
 
 class Goals:
-    """The goals of one robot, made for each tick from the ball's pose."""
+    """The goals of one robot, made for each tick from the ball's pose.
+
+    Attributes:
+        kept: Frames that stay where they are, whatever is dragged.
+        balanced: Whether the centre of mass stays over its place.
+    """
 
     def __init__(self, robot: Robot, kind: GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
         self.robot, self.kind = robot, kind
@@ -182,10 +195,13 @@ class Goals:
         self._extras = [
             (extra, _extra_goal(robot, extra)) for extra in extras if extra.on and extra.name != "ball"
         ]
+        names = [extra.name for extra, _ in self._extras]
+        self.kept = tuple(name.removeprefix("keep ") for name in names if name.startswith("keep "))
+        self.balanced = "balance" in names
 
-    def main(self, ball: Pose, priority: int | None = None) -> Goal:
+    def main(self, ball: Pose) -> Goal:
         """What the ball asks of the tool."""
-        rank = self.priority if priority is None else priority
+        rank = self.priority
         tool, place = self.robot.tool, ball.position
         match self.kind:
             case "pose":
@@ -205,18 +221,17 @@ class Goals:
         A method that cannot order goals gets them at one priority, and no posture to fall back on.
         """
         ranked = "priorities" in solver.capabilities
-        goals = [self.main(ball, None if ranked else 0)]
+        goals = [goal for _, goal in self.named(ball) if ranked or not isinstance(goal, PostureGoal)]
+        return goals if ranked else [replace(goal, priority=0) for goal in goals]
+
+    def named(self, ball: Pose) -> list[tuple[str, Goal]]:
+        """All goals by their names on the page, the ball's first."""
+        found: list[tuple[str, Goal]] = [("ball", self.main(ball))]
         for extra, goal in self._extras:
-            if isinstance(goal, PostureGoal):
-                if ranked:
-                    goals.append(goal)
-            elif extra.name == _GAZE:
-                goals.append(
-                    AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority if ranked else 0)
-                )
-            elif goal is not None:
-                goals.append(goal if ranked else replace(goal, priority=0))
-        return goals
+            if goal is None:
+                goal = AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority)
+            found.append((extra.name, goal))
+        return found
 
     def flattened(self, solver: Solver) -> bool:
         """Whether the method takes goals at one priority that have several."""
@@ -238,6 +253,8 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
         return PoseGoal(frame, pose.position, pose.wxyz, priority=extra.priority)
     if verb == "hold":
         return PositionGoal(frame, robot.forward(home, frame).position, priority=extra.priority)
+    if verb == "level":
+        return OrientationGoal(frame, first_ball(robot).wxyz, free_axis="z", priority=extra.priority)
     if verb == "balance":
         return CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", priority=extra.priority)
     if verb == "posture":
@@ -271,6 +288,9 @@ def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
     others = [name for name in tools if name not in (robot.tool, _GAZE, *keep)]
     if figure:
         found += [ExtraGoal(f"hold {n}", False, 3, f"{n} stays at its place") for n in others[:_HOLD_GOALS]]
+    else:
+        tool = robot.tool
+        found.append(ExtraGoal(f"level {tool}", False, 0, "its z axis keeps its direction, as a cup would"))
     found.append(ExtraGoal("posture", figure, 4 if figure else 1, "joints as near to home as can be"))
     return tuple(found)
 
@@ -284,20 +304,20 @@ class Ready:
         robot: Within its limits; the robot of every instance.
         goals: What is asked.
         solvers: One for each instance.
-        drag_solver: For grabbed parts, where an instance's own method cannot.
         loaded: The robot within the limits of its model.
         curve: The ball's way; the tool can follow it.
         refused: For each instance why its method cannot serve these goals; empty where it can.
+        abilities: Of a figure that decides by itself; None: it does not.
     """
 
     setup: Setup
     robot: Robot
     goals: Goals
     solvers: tuple[Solver, ...]
-    drag_solver: Solver
     loaded: Robot
     curve: CurveSource
     refused: tuple[str, ...]
+    abilities: Abilities | None
 
 
 def completed(setup: Setup, robot: Robot) -> Setup:
@@ -336,10 +356,6 @@ def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[st
     for solver in solvers:
         say(f"preparing {solver.name} …")
         refused.append(_tried(used, goals, solver, home))
-    drag_solver = Choice(DRAG_METHOD).solver()
-    if not all(solver.supports(PositionGoal(None, home.position)) for solver in solvers):
-        say(f"preparing {DRAG_METHOD} …")
-        _try(used, [PositionGoal(used.tool, home.position)], drag_solver)
     if setup.branches:
         with contextlib.suppress(RobotIkError):
             branches_of(used, goals.main(home), used.home)
@@ -347,16 +363,39 @@ def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[st
         curve = before.curve
     else:
         able = [solver for solver, why in zip(solvers, refused, strict=True) if not why]
-        curve = reachable_curve(used, goals, able[0] if able else drag_solver)
-    return Ready(setup, used, goals, solvers, drag_solver, loaded, curve, tuple(refused))
+        curve = reachable_curve(used, goals, able[0] if able else Choice(_CURVE_METHOD).solver())
+    abilities = None
+    if setup.figure != "off":
+        kept = before is not None and before.loaded is loaded
+        abilities = before.abilities if before is not None and kept else None
+        abilities = abilities or _abilities(loaded, say)
+    return Ready(setup, used, goals, solvers, loaded, curve, tuple(refused), abilities)
+
+
+def _abilities(robot: Robot, say: Callable[[str], None]) -> Abilities:
+    """What a figure can do: read from a file, or for a model of somebody's own made in some minutes.
+
+    Raises:
+        ModelError: It is no figure.
+    """
+    figure = load_figure(robot)
+    say("reading what the figure can do …")
+
+    def progress(done: int, whole: int) -> None:
+        say(f"finding out what the figure can do: {100 * done // max(whole, 1)} % …")
+
+    return load_abilities(figure, progress=progress)
+
+
+def warm_drag(robot: Robot) -> None:
+    """Loads what dragging needs, or compiles it on a new machine; once is enough for all robots."""
+    Drag(robot, robot.tool).step()
 
 
 def _tried(robot: Robot, goals: Goals, solver: Solver, ball: Pose) -> str:
     """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
     try:
         _try(robot, goals.all(ball, solver), solver)
-        if solver.supports(PositionGoal(robot.tool, ball.position)):
-            _try(robot, [PositionGoal(robot.tool, ball.position)], solver)
     except RobotIkError as error:
         return str(error).splitlines()[0]
     return ""

@@ -19,7 +19,8 @@ class Statistics:
 
     Attributes:
         count: How many solves these numbers cover.
-        mean, p99: Wall-clock seconds of a solve in this session; a page's times are no benchmark.
+        mean, p99: Seconds of processor time of a solve, without those in which its thread waited for others;
+            a page's times are no benchmark.
         iterations: Mean steps of a solve.
         solved: Share of solves that met the ball's goal, from 0 to 1; goals beside it do not count.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Iterator
 
@@ -10,6 +11,7 @@ import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.jobs.testbed import arm_link
+from robot_ik.motion import Trajectory
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
 from robot_ik.testbed.session import Session, View
@@ -92,6 +94,57 @@ def test_a_ball_that_jumps_makes_the_arm_walk(session: Session, link: ArmLink) -
     assert now is not None
     most = float(np.abs(now - last).max()) / (time.monotonic() - begin)
     assert 0.0 < most <= 1.2 * fastest
+
+
+def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmLink) -> None:
+    session.send(SetArm("replay"))
+    view = until(session, lambda v: v.arm and v.arm.message, "an empty recording is repeated")
+    assert view.arm is not None and "Teach" in view.arm.message and view.arm.wish == "hold"
+    session.send(MoveGoal((0.2, 0.05, 0.1)))
+    session.send(SetArm("teach"))  # simulated servos are guided by the page's robot
+    until(session, lambda v: v.arm and v.arm.apart < 0.02 and v.arm.state == "connected", "nobody guides it")
+    begin = link.view().q
+    session.send(MoveGoal((0.15, -0.1, 0.15)))
+    until(session, lambda v: v.arm and np.abs(v.arm.q - begin).max() > 0.2 and v.arm.apart < 0.02, "no way")
+    shown = link.view().q
+    session.send(SetArm("release"))
+    view = until(session, lambda v: v.arm and v.arm.recorded > 0.1, "nothing was recorded")
+    assert begin is not None and shown is not None and link.recording is not None
+    assert np.abs(link.recording.q[-1] - shown).max() < 0.01
+    for servo in link._arm.config.servos:  # somewhere else meanwhile
+        link._arm.virtual_bus.servo(servo.id).turn_by_hand(100.0)  # type: ignore[union-attr]
+    session.send(SetArm("replay"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
+    until(session, lambda v: v.arm and v.arm.wish == "hold", "it does not end")
+    assert np.abs(link.view().q - shown).max() < 0.01
+
+
+def test_stop_ends_a_replay(session: Session, link: ArmLink) -> None:
+    shown = Trajectory([0.0, 5.0], 0.1 * np.ones((2, 6)), link._arm.joints)
+    link.recording = shown
+    session.send(SetArm("replay"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
+    session.send(SetRunning(False))
+    view = until(session, lambda v: v.arm and v.arm.state == "hold" and v.arm.wish == "hold", "it goes on")
+    assert view.arm is not None and "stopped" in view.arm.message
+
+
+def test_an_arm_of_the_page_warns_of_no_signals(caplog: pytest.LogCaptureFixture) -> None:
+    link = arm_link("tabletop_puma", None, "pty")  # a real clock, a real thread, a real serial line
+    try:
+        session = Session(Start("tabletop_puma"), beside=False, arm=link)
+        session.send(SetArm("follow"))
+        until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
+        session.send(SetArm("release"))
+        until(session, lambda v: v.arm and v.arm.state == "connected", "torque stays on")
+        session.send(SetArm("follow"))
+        until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow again")
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        link.close()
+    assert [row.message for row in caplog.records if "thread" in row.message] == []
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_closing_leaves_the_arm_by_its_policy() -> None:

@@ -20,6 +20,8 @@ from robot_ik.testbed.commands import (
     SetMethod,
     SetMotion,
     SetOption,
+    SetRobot,
+    SetRunning,
     Start,
 )
 from tests.testbed.conftest import PATIENCE, Bed, serve
@@ -96,6 +98,7 @@ def chromium(require: Callable[..., str]) -> Iterator[Any]:
 
 def look(chromium: Any, bed: Bed, width: int = 1000, height: int = 560) -> Window:
     page = chromium.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(2e3 * PATIENCE)
     window = Window(page)
     page.on("console", lambda message: window.said.append(f"{message.type}: {message.text}"))
     page.on("pageerror", lambda error: window.said.append(f"error: {error}"))
@@ -121,9 +124,19 @@ def window(chromium: Any, bed: Bed) -> Iterator[Window]:
 
 @pytest.fixture(autouse=True)
 def afresh(bed: Bed) -> None:
+    if bed.view.robot != "puma560":
+        bed.session.send(SetRobot("puma560"))
     for command in (SetCount(1), SetMethod(0, "dls"), Reset()):
         bed.session.send(command)
-    bed.until(lambda view: view.count == 1 and not view.busy and view.motion == "curve" and view.running)
+    bed.until(
+        lambda view: (
+            view.robot == "puma560"
+            and view.count == 1
+            and not view.busy
+            and view.motion == "curve"
+            and view.running
+        )
+    )
     bed.sent.clear()
 
 
@@ -196,6 +209,32 @@ def test_compare_four_shows_four_rows(window: Window, bed: Bed) -> None:
     bed.until(lambda view: view.count == 4)
     for name in ("lm", "pseudoinverse", "ccd"):
         window.page.get_by_role("cell", name=name, exact=True).wait_for()
+
+
+def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -> None:
+    bed.session.send(SetRobot("humanoid"))
+    bed.session.send(SetRunning(False))  # a figure that moves keeps a browser without a GPU busy
+    bed.until(lambda view: view.robot == "humanoid" and not view.busy and not view.running)
+    window.page.get_by_role("tab", name="Figure", exact=True).click()
+    window.page.get_by_role(
+        "combobox", name="Moved by"
+    ).focus()  # a click waits for frames, and these are slow
+    for key in ("Enter", "ArrowDown", "ArrowDown", "Enter"):
+        window.page.keyboard.press(key)
+        window.page.wait_for_timeout(300)
+    bed.until(lambda view: view.figure and view.figure.mode == "passive", "nobody decides")
+    bed.session.send(MoveGoal((0.5, -0.3, 1.3)))
+    window.page.get_by_text("drag the ball, then press Act now").wait_for(timeout=1e3 * PATIENCE)
+    window.page.evaluate("document.activeElement && document.activeElement.blur()")
+    window.page.keyboard.press("y")  # not by the mouse: its rays through a figure's meshes take a CPU minutes
+    bed.until(lambda view: bed.count(Nudge) == 1 and view.ball.position[2] > 1.31, "the ball stays")
+    bed.session.send(SetRunning(True))
+    button = window.page.get_by_role("button", name="Act now")
+    button.focus()
+    window.page.keyboard.press("Enter")
+    seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it was not told to act")
+    assert seen.figure is not None and seen.figure.decision in ("reach", "bend", "walk", "nothing")
+    window.page.get_by_text(seen.figure.reason).first.wait_for(timeout=1e3 * PATIENCE)
 
 
 def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Window, bed: Bed) -> None:

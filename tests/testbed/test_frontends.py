@@ -95,7 +95,11 @@ def test_the_same_script_gives_the_same_view_in_the_window(
     screen: Screen,  # noqa: F811
     tmp_path: Path,
 ) -> None:
-    """Both in processes of their own: a window must not open in that of the tests."""
+    """Both in processes of their own: a window must not open in that of the tests.
+
+    That may also be the one that has compiled `ccd`: its last bits differ from those of the cached code,
+    because its functions bind to the copies that were compiled on their own.
+    """
     SCRIPT.save(tmp_path / "script.jsonl")
     environment = {**os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
     environment.pop("MUJOCO_GL", None)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import os
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from robot_ik import load_robot
 from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.testbed.commands import (
     COMMANDS,
+    Act,
     Command,
     CommandLog,
     DragLink,
@@ -27,6 +30,7 @@ from robot_ik.testbed.commands import (
     SetArm,
     SetCount,
     SetExtraGoal,
+    SetFigure,
     SetGoalKind,
     SetLimits,
     SetMethod,
@@ -211,6 +215,53 @@ def test_a_method_without_position_goals_is_dragged_all_the_same(session: Sessio
     assert not np.array_equal(view.instances[0].q, before)
 
 
+def test_a_figure_that_is_dragged_keeps_its_feet(session: Session) -> None:
+    view_after(session, SetRobot("humanoid"), SetMotion("hand"), ticks=5)
+    one, robot = session.instances[0], session.robot
+    kept = {name: robot.measure(one.q, name) for name in ("left_foot", "right_foot")}
+    body = robot.model.body("left_hand").id
+    to = one.data.xpos[body] + np.array((0.1, 0.1, 0.2))
+    view_after(session, DragLink(0, "left_hand", (0.0, 0.0, 0.0), tuple(to)), ticks=60)
+    assert np.linalg.norm(one.data.xpos[body] - to) < 0.01
+    for name, pose in kept.items():
+        assert robot.measure(one.q, name).distance(pose)[0] < 1e-3
+    view = view_after(session, DragLink(0, "left_foot", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), ticks=5)
+    assert "pinned" in view.instances[0].status
+
+
+def test_each_goal_says_how_far_it_is_missed(session: Session) -> None:
+    view = view_after(session, SetGoalKind("position"), SetExtraGoal("level gripper", True, 0), ticks=130)
+    missed = {name: (metres, angle) for name, metres, angle in view.instances[0].goals}
+    assert set(missed) == {"ball", "level gripper"} and max(map(max, missed.values())) < 1e-3
+    axis = session.robot.measure(view.instances[0].q).rotation[:, 2]
+    assert (
+        np.allclose(axis, session.robot.measure(session.robot.home).rotation[:, 2], atol=1e-2)
+        or axis[2] < -0.9
+    )
+
+
+def test_a_solve_that_waited_for_others_does_not_count_as_long(session: Session) -> None:
+    """A page's other threads hold the interpreter for milliseconds: a mean above the p99 came of that."""
+    view_after(session)
+    solver = session.instances[0].solver
+    assert solver is not None
+    real, waits = solver.solve, iter([0.05] + 2000 * [0.0])
+
+    class Waiting:
+        def __getattr__(self, name: str) -> object:
+            return getattr(solver, name)
+
+        def solve(self, problem: object, start: object) -> object:
+            begin = time.perf_counter()
+            time.sleep(next(waits))
+            solution = real(problem, start)  # type: ignore[arg-type]
+            return dataclasses.replace(solution, seconds=time.perf_counter() - begin)
+
+    session.instances[0].solver = Waiting()  # type: ignore[assignment]
+    view = view_after(session, ticks=300)
+    assert view.instances[0].statistics.mean <= view.instances[0].statistics.p99
+
+
 def test_the_world_cannot_be_dragged(session: Session) -> None:
     view = view_after(session, DragLink(0, "world", (0, 0, 0), (1, 1, 1)))
     assert view.dragged == "" and "cannot be dragged" in view.message
@@ -281,6 +332,39 @@ def test_a_priority_decides_whose_goal_gives_way(session: Session) -> None:
     assert view.instances[0].miss < 1e-3 and slip(view) > 0.01
 
 
+def test_a_figure_decides_by_itself_and_says_why(session: Session) -> None:
+    assert not session.view().can_act
+    view = view_after(session, SetRobot("humanoid"), SetFigure("active"), ticks=2)
+    assert view.can_act and view.figure is not None and view.motion == "hand"
+    session.send(MoveGoal((0.5, -0.2, 1.3)))
+    view = view_after(session, ticks=150)
+    assert view.figure is not None and view.figure.decision == "reach" and len(view.figure.reason) > 10
+    palm = session.robot.measure(view.instances[0].q, "right_hand").position
+    assert np.linalg.norm(palm - view.ball.position) < 0.1
+    assert view.instances[0].statistics.count == 0
+    view = view_after(session, MoveGoal((2.0, 0.5, 1.2)), ticks=120)
+    assert view.figure is not None and view.figure.decision == "walk" and view.figure.then
+    assert view.instances[0].q[0] > 0.05
+    assert (
+        "drag the ball"
+        in view_after(session, DragLink(0, "left_hand", (0, 0, 0), (1, 1, 1)), ticks=2).message
+    )
+    view = view_after(session, SetFigure("off"), ticks=2)
+    assert view.figure is None and view.instances[0].statistics.count <= 2
+
+
+def test_a_passive_figure_waits_until_it_is_told(session: Session) -> None:
+    view = view_after(
+        session, SetRobot("humanoid"), SetFigure("passive"), MoveGoal((0.5, -0.2, 1.3)), ticks=40
+    )
+    assert view.figure is not None and view.figure.waiting
+    assert np.allclose(view.instances[0].q, session.robot.home, atol=1e-6)
+    view = view_after(session, Act(), MoveGoal((0.5, 0.4, 1.3)), ticks=90)
+    assert view.figure is not None and not view.figure.waiting and view.figure.arm == "right"
+    assert "tab Figure" in view_after(session, SetFigure("off"), Act(), ticks=1).message
+    assert "no figure" in view_after(session, SetRobot("puma560"), SetFigure("active"), ticks=1).message
+
+
 SCRIPT: list[tuple[int, Command]] = [
     (3, SetCount(2)),
     (5, SetMethod(1, "ccd")),
@@ -335,7 +419,8 @@ def test_what_is_prepared_beside_the_loop_replays_as_if_at_once(tmp_path: Path) 
 def test_every_command_survives_its_log() -> None:
     shown = [command for _, command in SCRIPT] + [
         SetRobot("srs_arm"), SetGoalKind("line"), SetExtraGoal("posture", True, 2), Nudge((0.0, 0.1, 0.0)),
-        ShowBranches(True), PickBranch(2), SetArm("hold"), SetOption(1, "order", "root_to_tip"),
+        ShowBranches(True), PickBranch(2), SetArm("hold"), SetFigure("passive"), Act(),
+        SetOption(1, "order", "root_to_tip"),
     ]  # fmt: skip
     assert {type(command) for command in shown} == set(COMMANDS.values())
     commands = tuple((k, command) for k, command in enumerate(shown))
@@ -446,7 +531,10 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
         Release, Reset, lambda: SetRunning(bool(rng.integers(2))), lambda: SetSpeed(float(rng.uniform(0, 3))),
         lambda: SetLimits(bool(rng.integers(2))), lambda: ShowBranches(bool(rng.integers(2))),
         lambda: PickBranch(int(rng.integers(9))),
-        lambda: SetRobot(str(rng.choice(["puma560", "srs_arm", "ur5e", "nobody"]))),
+        lambda: SetRobot(str(rng.choice(["puma560", "srs_arm", "ur5e", "humanoid", "nobody"]))),
+        lambda: SetFigure(str(rng.choice(["off", "active", "passive"]))),  # type: ignore[arg-type]
+        lambda: SetExtraGoal("posture", bool(rng.integers(2)), int(rng.integers(3))),
+        Act,
     ]  # fmt: skip
 
     def minutes(count: int) -> float:
@@ -460,8 +548,9 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
-    begin = minutes(5)
-    grown = minutes(45) - begin
+    whole = int(os.environ.get("ROBOT_IK_SOAK_MINUTES", "50"))
+    begin = minutes(max(1, whole // 10))
+    grown = minutes(whole - max(1, whole // 10)) - begin
     session.send(SetRobot("puma560"))
     view = view_after(session, SetMethod(0, "dls"), SetGoalKind("pose"), Reset(), ticks=60)
     assert view.instances[0].miss < 1e-3 and grown < 10.0, f"{grown:.1f} MB"

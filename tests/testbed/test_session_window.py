@@ -57,6 +57,10 @@ def person():
         until(lambda: window._view.motion == "curve", "R did not reset")
         act("key", "4")
         until(lambda: window._view.count == 4 and window._viewer.user_scn.ngeom > 20, "no four arms")
+        act("key", "Up")
+        until(lambda: window._view.motion == "hand", "four arms: an arrow did not move the ball")
+        act("key", "r")
+        until(lambda: window._view.motion == "curve", "four arms: R did not reset")
     except BaseException as error:
         failed.append(error)
     finally:

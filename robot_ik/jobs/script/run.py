@@ -17,6 +17,7 @@ from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.reach import ReachRequest
+from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import stage_for
 from robot_ik.jobs.script.file import ObjectTable
@@ -118,12 +119,14 @@ class ScriptRequest:
         robot: Instead of the script's: catalogue name or path; empty: the script's.
         arm_file: Instead of the script's, or of the one beside the model.
         seed: Instead of the script's.
+        record: File of all commands and measurements, .csv or .mcap.
     """
 
     bus: str = "sim"
     robot: str = ""
     arm_file: Path | None = None
     seed: int | None = None
+    record: Path | None = None
 
 
 def run_script(
@@ -160,7 +163,9 @@ class ScriptRun:
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:
             arm_file = Path(seen_from(script, content.arm))
-        self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
+        self._request = ReachRequest(
+            robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed, record=request.record
+        )
         self.setup = prepare_robot(self._request)
         check_script(script, self.setup)
         rows = [StepResult(step.title, step.do) for step in script.steps]
@@ -182,6 +187,8 @@ class ScriptRun:
         try:
             with contextlib.ExitStack() as stack:
                 self._prepare(now, stack, progress)
+                if self._request.record is not None:
+                    setup.record(stack.enter_context(open_recording(self._request.record, now.robot.joints)))
                 stack.enter_context(setup.connected())
                 setup.energise()
                 now.stand()

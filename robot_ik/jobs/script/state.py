@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from robot_ik.jobs.script.file import ScriptFile
     from robot_ik.jobs.script.steps import Step
     from robot_ik.jobs.vision import Vision
-    from robot_ik.ports import Array
+    from robot_ik.ports import Array, JointSink
     from robot_ik.robot import Robot
 
 
@@ -143,6 +143,11 @@ class RunState:
         return self.setup.config
 
     @property
+    def sinks(self) -> list[JointSink]:
+        """Who takes commands."""
+        return [self.arm, self.command, *self.setup.recorder]
+
+    @property
     def movable(self) -> bool:
         """Whether the arm takes commands."""
         return self.arm.state in STATES_OF_MOTION
@@ -195,9 +200,7 @@ class RunState:
             if self.setup.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
                 raise StepFailed(f"not there after {allowed:.2f} s")
 
-        execute(
-            trajectory, [self.arm, self.command], source=self.arm, clock=self.setup.clock, on_tick=in_time
-        )
+        execute(trajectory, self.sinks, source=self.arm, clock=self.setup.clock, on_tick=in_time)
         if not arrived():
             self.repeat(end - self.setup.clock.now(), arrived)
 
@@ -209,6 +212,8 @@ class RunState:
             clock.sleep_until(begin + tick * period)
             now = clock.now()
             self.arm.send(self.command.q, now)
+            for sink in self.setup.recorder:
+                sink.send(self.command.q, now)
             if until():
                 return
             tick = max(tick + 1, int((now - begin) / period))

@@ -674,7 +674,7 @@ class FollowStep(_Framed, Action):
                 goals,
                 now.robot,
                 now.solver,
-                [now.arm, now.command],
+                now.sinks,
                 rate=now.config.rate_hz,
                 clock=now.setup.clock,
                 duration=self.seconds,

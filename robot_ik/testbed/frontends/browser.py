@@ -10,7 +10,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import viser
@@ -22,6 +22,7 @@ from robot_ik.testbed.frontends.gate import open_server, quiet
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
     Control,
+    FigurePanel,
     GoalsPanel,
     MeasuredPanel,
     MethodPanel,
@@ -34,6 +35,9 @@ from robot_ik.testbed.frontends.scene import Scene, reach_cloud
 from robot_ik.testbed.keymap import KEYMAP, Key
 from robot_ik.testbed.session import Session, View
 from robot_ik.testbed.staging import FIELD_OF_VIEW, corners, fitted_camera
+
+if TYPE_CHECKING:
+    from robot_ik.motion.trajectory import Trajectory
 
 Image = NDArray[np.uint8]
 
@@ -130,13 +134,18 @@ class Page:
         with tabs.add_tab("Goals"):
             self._goals = GoalsPanel(gui, send, self._view)
         with tabs.add_tab("Arm"):
-            self._arm = ArmPanel(gui, send, self._view)
+            self._arm = ArmPanel(gui, send, self._view, self._recording)
+        with tabs.add_tab("Figure"):
+            self._figure = FigurePanel(gui, send, self._view)
         with tabs.add_tab("Record"):
             self._record(gui)
         with gui.add_folder("Show", expand_by_default=False):
             self._show(gui)
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_html(key_table())
+
+    def _recording(self) -> Trajectory | None:
+        return None if self.session.arm is None else self.session.arm.recording
 
     def _record(self, gui: viser.GuiApi) -> None:
         gui.add_html(
@@ -331,7 +340,7 @@ class Page:
         self._grab = None
         if self._view.dragged:
             self.session.send(Release())
-        if self._view.arm is not None and self._view.arm.wish == "follow":
+        if self._view.arm is not None and self._view.arm.wish in ("follow", "replay"):
             self.session.send(SetArm("hold"))
 
     # -------------------------------------------------------------------------------------- drawing
@@ -354,6 +363,7 @@ class Page:
             self._run.show(view)
             self._methods.show(view)
             self._goals.show(view)
+            self._figure.show(view)
             self._measured.draw(view, scene.robot)
         if now >= self._table_due:
             self._table_due = now + _TABLE_PERIOD

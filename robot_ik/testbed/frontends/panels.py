@@ -25,12 +25,14 @@ from robot_ik.testbed.commands import (
     COUNTS,
     GOAL_KINDS,
     MOTIONS,
+    Act,
     Command,
     PickBranch,
     Reset,
     SetArm,
     SetCount,
     SetExtraGoal,
+    SetFigure,
     SetGoalKind,
     SetLimits,
     SetMethod,
@@ -46,6 +48,8 @@ from robot_ik.testbed.session import View
 from robot_ik.testbed.staging import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 
 if TYPE_CHECKING:
+    from robot_ik.hardware.health import ServoState
+    from robot_ik.motion.trajectory import Trajectory
     from robot_ik.testbed.instance import InstanceView
 
 Send = Callable[[Command], None]
@@ -75,6 +79,8 @@ _KIND_WORDS = dict(
     )
 )
 _WISH_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
+_TEACH_WORDS = {"teach": "Teach", "replay": "Replay"}
+_FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, when told": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
 _JOINTS_SHOWN = 8
@@ -317,6 +323,7 @@ class GoalsPanel:
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
         self._names: tuple[str, ...] = ()
         self._place = gui.add_folder(None)
+        self._misses = gui.add_html("")
         self._rows: dict[str, tuple[Control | None, Control]] = {}
 
     def _picked(self, value: str) -> None:
@@ -342,6 +349,20 @@ class GoalsPanel:
                 if box is not None:
                     box.follow(extra.on)
                 rank.follow(extra.priority)
+        content = page(self._missed(view))
+        if self._misses.content != content:
+            self._misses.content = content
+
+    @staticmethod
+    def _missed(view: View) -> str:
+        rows = "".join(
+            f"<tr><td>{html.escape(name)}</td><td>{1e3 * metres:.2f}</td>"
+            f"<td>{math.degrees(angle):.2f}</td></tr>"
+            for name, metres, angle in view.instances[0].goals
+        )
+        return (
+            f"<table><tr><th>robot 1 is off by</th><th>mm</th><th>°</th></tr>{rows}</table>" if rows else ""
+        )
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._place._children.values()):
@@ -363,18 +384,92 @@ class GoalsPanel:
         self._send(SetExtraGoal(name, True if box is None else bool(box.value), int(rank.value)))
 
 
+class FigurePanel:
+    """A figure that decides by itself: who moves it, what it decided, and why."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+        self._mode = Control(
+            gui.add_dropdown(
+                "Moved by", tuple(_FIGURE_WORDS), visible=view.can_act,
+                hint="Following: it acts whenever the ball moves. When told: on the ball as it is then",
+            ),
+            lambda word: send(SetFigure(_FIGURE_WORDS[word])),  # type: ignore[arg-type]
+        )  # fmt: skip
+        self._act = gui.add_button(
+            "Act now", icon=viser.Icon.RUN, visible=False, hint="On the ball where it is; it then stays there"
+        )
+        pressed(self._act, lambda _: send(Act()))
+        self._text = gui.add_html("")
+
+    def show(self, view: View) -> None:
+        """Decision, reason, and what it does now."""
+        acting = view.figure
+        if self._mode.handle.visible != view.can_act:
+            self._mode.handle.visible = view.can_act
+        if not view.busy:
+            self._mode.follow(word_of(_FIGURE_WORDS, "off" if acting is None else acting.mode))
+        told = acting is not None and acting.mode == "passive"
+        if self._act.visible != told:
+            self._act.visible = told
+        content = page(self._words(view))
+        if self._text.content != content:
+            self._text.content = content
+
+    @staticmethod
+    def _words(view: View) -> str:
+        acting = view.figure
+        if not view.can_act:
+            return "<small>this robot is no figure: choose humanoid under Robot</small>"
+        if acting is None:
+            return (
+                "<small>the figure reaches, bends, jumps or walks to the ball by itself, if it is let</small>"
+            )
+        if acting.waiting:
+            return "<b>waits</b><br><small>drag the ball, then press Act now</small>"
+        arm = f" with the {html.escape(acting.arm)} hand" if acting.arm else ""
+        then = f", then {html.escape(acting.then)}" if acting.then else ""
+        share = round(100.0 * acting.phase)
+        colour = hexadecimal(INSTANCE_COLOURS[0])
+        bar = f'<div class="bar"><b style="left:{share}%;background:{colour}"></b></div>'
+        return (
+            f"<b>{html.escape(acting.decision)}</b>{arm}{then}<br>{html.escape(acting.reason)}<br>"
+            f"<small>now: {html.escape(acting.action)}</small>{bar}"
+        )
+
+
 class ArmPanel:
     """The servo arm that the first instance drives."""
 
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
-        self._text = gui.add_html("")
-        group = gui.add_button_group(
-            "Arm", tuple(_WISH_WORDS.values()), visible=view.arm is not None,
-            hint="Follow robot 1; hold where it stands; torque off: an arm that is not supported falls",
+    def __init__(
+        self, gui: viser.GuiApi, send: Send, view: View, recording: Callable[[], Trajectory | None]
+    ) -> None:
+        self._text, there = gui.add_html(""), view.arm is not None
+        for label, words, hint in (
+            ("Arm", _WISH_WORDS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
+            (
+                "By hand",
+                _TEACH_WORDS,
+                "Teach: torque off, and a hand's motion is recorded; Replay repeats it",
+            ),
+        ):
+            group = gui.add_button_group(label, tuple(words.values()), visible=there, hint=hint)
+            pressed(group, functools.partial(self._pressed, send, words))
+        save = gui.add_button(
+            "Save the recording", icon=viser.Icon.DOWNLOAD, visible=there,
+            hint="As CSV: robot-ik servo play repeats it, too",
         )  # fmt: skip
-        wishes = {word: wish for wish, word in _WISH_WORDS.items()}
-        pressed(group, lambda event: send(SetArm(wishes[event.target.value])))  # type: ignore[arg-type]
-        self._table = gui.add_html("", visible=view.arm is not None)
+        pressed(save, lambda event: self._save(event, recording()))
+        self._table = gui.add_html("", visible=there)
+
+    @staticmethod
+    def _pressed(send: Send, words: Mapping[str, str], event: Any) -> None:
+        wish = next(wish for wish, word in words.items() if word == event.target.value)
+        send(SetArm(wish))  # type: ignore[arg-type]
+
+    @staticmethod
+    def _save(event: Any, shown: Trajectory | None) -> None:
+        if event.client is not None and shown is not None:
+            event.client.send_file_download("recording.csv", shown.csv_text().encode())
 
     def show(self, view: View) -> None:
         """State, torque, currents, temperatures."""
@@ -387,17 +482,23 @@ class ArmPanel:
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
             f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.wish)}<br>"
-            f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind</small>{said}"
+            f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind; "
+            f"recorded: {arm.recorded:.1f} s</small>{said}"
         )
         rows = "".join(
-            f"<tr><td>{html.escape(s.joint)}</td><td>{'on' if s.torque else 'off'}</td>"
+            f"<tr><td>{html.escape(s.joint)}</td><td>{_place(s)}</td><td>{'on' if s.torque else 'off'}</td>"
             f"<td>{_cell(s.current_ma)}</td><td>{_cell(s.temperature)}</td>"
             f"<td>{html.escape(', '.join(s.errors))}</td></tr>"
             for s in arm.servos
         )
-        self._table.content = page(
-            f"<table><tr><th>joint</th><th>torque</th><th>mA</th><th>°C</th><th>errors</th></tr>{rows}</table>"
-        )
+        head = "".join(f"<th>{word}</th>" for word in ("joint", "at", "torque", "mA", "°C", "errors"))
+        self._table.content = page(f"<table><tr>{head}</tr>{rows}</table>")
+
+
+def _place(servo: ServoState) -> str:
+    if servo.position_mm is not None:
+        return f"{servo.position_mm:.1f} mm"
+    return "–" if servo.position_deg is None else f"{servo.position_deg:.1f}°"
 
 
 def _cell(value: float | None) -> str:

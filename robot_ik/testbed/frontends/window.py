@@ -320,14 +320,12 @@ class SessionWindow:
     def _open(self) -> None:
         """A window for the session's robot; another robot needs another one."""
         mujoco, robot = self._mujoco, self.session.robot
-        self._robot, self._count = robot, self._view.count
+        self._robot = robot
         self._grabbed = False
         self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
-        self._stage = staged(robot, self._count)
-        self._model, self._ball = _with_ball(mujoco, robot, self._stage.extent)
+        self._model, self._ball = _with_ball(mujoco, robot, float(robot.model.stat.extent))
         _light(self._model)
         self._data = mujoco.MjData(self._model)
-        self._others = [mujoco.MjData(robot.model) for _ in range(self._count - 1)]
         self._option = mujoco.MjvOption()
         before = set(threading.enumerate())
         self._viewer = _launch(self._model, self._data, self._limit, key_callback=self._on_key)
@@ -340,10 +338,21 @@ class SessionWindow:
                 self._viewer.opt.geomgroup.copy(),
                 self._viewer.user_scn.flags.copy(),
             )
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Places for as many instances as there are, the first where its model is; the camera sees them all.
+
+        The window stays open: while another one opens, keys are lost.
+        """
+        robot, self._count = self.session.robot, self._view.count
+        stage = staged(robot, self._count)
+        self._offsets = stage.offsets - stage.offsets[0]
+        self._others = [self._mujoco.MjData(robot.model) for _ in range(self._count - 1)]
+        points = corners(robot, stage, self.session.way()) - stage.offsets[0]
+        position, look = fitted_camera(points, stage, aspect=1.5)
+        with self._viewer.lock():
             camera = self._viewer.cam
-            position, look = fitted_camera(
-                corners(robot, self._stage, self.session.way()), self._stage, aspect=1.5
-            )
             way = look - position
             camera.lookat[:], camera.distance = look, float(np.linalg.norm(way))
             camera.azimuth = float(np.degrees(np.arctan2(way[1], way[0])))
@@ -363,15 +372,16 @@ class SessionWindow:
         if not self._viewer.is_running():
             return False
         self._view = view
-        if self.session.robot.model is not getattr(self._robot, "model", None) or view.count != self._count:
+        if self.session.robot.model is not getattr(self._robot, "model", None):
             self.close()
             self._open()
+        elif view.count != self._count:
+            self._arrange()
         robot = self.session.robot
         with self._viewer.lock():
             self._restore_flags()
             self._take_drag()
-            place = np.array(view.ball.position) + self._stage.offsets[0]
-            self._data.mocap_pos[self._ball] = self._placed = place
+            self._data.mocap_pos[self._ball] = self._placed = np.array(view.ball.position)
             self._data.qpos[: robot.model.nq] = robot.qpos(view.instances[0].q)
             self._mujoco.mj_forward(self._model, self._data)
             self._draw_others(view)
@@ -386,7 +396,7 @@ class SessionWindow:
         grabbed, self._grabbed = self._grabbed or active, active  # the last move comes with the release
         if grabbed and np.isfinite(self._placed).all() and np.abs(place - self._placed).max() > _MOVED:
             self._placed = place
-            x, y, z = (float(value) for value in place - self._stage.offsets[0])
+            x, y, z = (float(value) for value in place)
             self.session.send(MoveGoal((x, y, z)))
 
     def _restore_flags(self) -> None:
@@ -409,10 +419,10 @@ class SessionWindow:
                 int(mujoco.mjtCatBit.mjCAT_DYNAMIC) | int(mujoco.mjtCatBit.mjCAT_STATIC), scene,
             )  # fmt: skip
             for g in range(first, scene.ngeom):
-                scene.geoms[g].pos[:] += self._stage.offsets[k]
+                scene.geoms[g].pos[:] += self._offsets[k]
         for k, one in enumerate(view.instances if self._overlay else ()):
             colour = np.array((*(c / 255.0 for c in INSTANCE_COLOURS[k]), 1.0), dtype=np.float32)
-            points = one.trail + self._stage.offsets[k]
+            points = one.trail + self._offsets[k]
             for a, b in zip(points[:-4:4], points[4::4], strict=False):
                 if scene.ngeom >= scene.maxgeom:
                     return

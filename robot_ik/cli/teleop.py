@@ -1,0 +1,159 @@
+"""``robot-ik teleop``: an arm, or the keys of the terminal, lead another arm."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.cli.connection import bus_argument, driving, left, load_arm, port_name, require_model, tried
+from robot_ik.environment import import_mujoco
+from robot_ik.robot_file import SERVO_ROBOT
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.jobs.teleop import Keys, Operator
+
+KEYS = "keys"
+"""As ``--leader``: the keys of the terminal."""
+
+
+@dataclass(frozen=True)
+class TeleopOptions:
+    """Leads an arm by another one that a person guides, or by the keys of this terminal.
+
+        robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
+        robot-ik teleop --follower tabletop_puma --follower-bus pty
+
+    The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
+    is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
+    leader is back they are engaged anew. Ctrl-C ends it.
+
+    Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or environment.
+    """
+
+    leader: Annotated[str, arg(metavar="FILE|NAME|keys")] = KEYS
+    """Arm file of what leads, or `keys`: Tab changes between joints and hand."""
+    follower: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
+    """Arm file of what follows, or a robot of the catalogue that has one."""
+    leader_bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
+    follower_bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
+    by: Literal["joints", "hand"] = "joints"
+    """joints: to those of the same name, range onto range; hand: by IK, so that the arms may differ."""
+    scale: float = 1.0
+    """Hand to hand: metres of the follower for one of the leader."""
+    force_feedback: float = 0.0
+    """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
+    seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: until Ctrl-C)")] = None
+    """End by itself."""
+    on_exit: Annotated[
+        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
+    ] = ""
+    """How the follower is left; the leader is always left without torque."""
+
+
+def run(options: TeleopOptions) -> int:
+    """Leads; 1 where an arm failed."""
+    import_mujoco()
+    _check(options)
+    from robot_ik.jobs.teleop import Keys, LeaderArm, open_pair
+
+    follower_file = load_arm(options.follower)
+    require_model(follower_file)
+    leader_file = None if options.leader == KEYS else load_arm(options.leader)
+    leader, follower = open_pair(
+        leader_file,
+        follower_file,
+        "" if leader_file is None else port_name(options.leader_bus),
+        port_name(options.follower_bus),
+        options.on_exit,
+    )
+    with contextlib.ExitStack() as stack:
+        if leader is None:
+            typed = stack.enter_context(_typed())
+            keys = Keys(follower_file, typed, stop=follower.request_stop, hand=options.by == "hand")
+            _explain(keys, follower)
+            stack.enter_context(_left_and_said(follower))
+            return _lead(keys, follower, options, lambda: keys.over)
+        stack.enter_context(leader)
+        operator = LeaderArm(leader, follower_file, options.by, options.scale, options.force_feedback)
+        stack.enter_context(driving(follower))
+        return _lead(operator, follower, options, lambda: False)
+
+
+def _check(options: TeleopOptions) -> None:
+    if not 0.0 <= options.force_feedback <= 1.0:
+        raise wrong("--force-feedback", f"{options.force_feedback:g}", "0 (off) to 1")
+    if not 0.01 <= options.scale <= 100.0:
+        raise wrong("--scale", f"{options.scale:g}", "0.01 to 100")
+    if options.seconds is not None and not 0.0 < options.seconds <= 86400.0:
+        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 86400")
+    shared = options.leader_bus == options.follower_bus not in ("", "sim", "pty")
+    if shared and options.leader != KEYS:
+        raise wrong("--leader-bus", f"{options.leader_bus} is the follower's, too", "two ports")
+
+
+def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Callable[[], bool]) -> int:
+    from robot_ik.jobs.teleop import teleoperate
+
+    def action() -> int:
+        report = teleoperate(operator, follower, seconds=options.seconds, over=over)
+        lost = f", the leader lost {report.lost} times" if report.lost else ""
+        console.say(
+            f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
+            f"engaged {report.engaged} times{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
+        )
+        return console.DONE
+
+    return tried(action)
+
+
+@contextlib.contextmanager
+def _left_and_said(arm: Arm) -> Iterator[None]:
+    """As ``driving``, where the keys of the terminal have another reader."""
+    try:
+        with arm:
+            yield
+    finally:
+        console.say(left(arm), "dim")
+
+
+def _explain(keys: Keys, follower: Arm) -> None:
+    from robot_ik.jobs.teleop import JOINT_KEYS
+
+    names = follower.config.whole.names
+    pairs = ", ".join(f"{pair[0]}/{pair[1]} {name}" for name, pair in zip(names, JOINT_KEYS, strict=False))
+    console.say(f"joints: {pairs}", "dim")
+    console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
+    console.say(
+        f"Tab: {'joints' if keys.hand else 'hand'}; - finer, + coarser; space: stop and hold; Esc ends", "dim"
+    )
+
+
+@contextlib.contextmanager
+def _typed() -> Iterator[Callable[[], str]]:
+    """Gives what was typed since it was last asked; at no terminal, what comes on standard input."""
+    file = sys.stdin.fileno()
+    with contextlib.ExitStack() as stack:
+        if sys.stdin.isatty():
+            import termios
+            import tty
+
+            stack.callback(termios.tcsetattr, file, termios.TCSADRAIN, termios.tcgetattr(file))
+            tty.setcbreak(file)
+
+        def read() -> str:
+            text = b""
+            while select.select([file], [], [], 0.0)[0] and (more := os.read(file, 64)):
+                text += more
+            return text.decode(errors="ignore")
+
+        yield read

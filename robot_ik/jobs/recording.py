@@ -1,0 +1,248 @@
+"""What was commanded and measured, written while it happens: a table (CSV), or MCAP for other people's tools.
+
+MCAP files hold ROS 2 messages (profile ``ros2``, CDR): ``ros2 bag``, Foxglove, PlotJuggler and Rerun open
+them.  A file that was cut off is mended by ``mcap recover``.
+"""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from robot_ik.errors import ConfigError, MissingExtraError, OutputError
+from robot_ik.geometry import Pose
+from robot_ik.ports import Array
+
+SUFFIXES = (".csv", ".mcap")
+FRAME = "world"
+"""Of goals in an MCAP file."""
+_GOAL = ("goal_x", "goal_y", "goal_z", "goal_qw", "goal_qx", "goal_qy", "goal_qz")
+
+
+class Recording(Protocol):
+    """Takes rows as they come, and is closed at the end."""
+
+    def write(
+        self,
+        now: float,
+        *,
+        commanded: Array | None = None,
+        measured: Array | None = None,
+        goal: Pose | None = None,
+        text: str = "",
+        robot: int = 0,
+    ) -> None:
+        """One moment.
+
+        Args:
+            now: s since the recording began.
+            commanded: (n,) rad, m of slides.
+            measured: (n,) likewise.
+            goal: World.
+            text: What happened, in words.
+            robot: Of several side by side, which.
+        """
+        ...
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+class _Closing:
+    def close(self) -> None:
+        """Finishes the file."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class TableRecording(_Closing):
+    """A CSV file: a row a moment; what is not known stays empty.
+
+    Args:
+        path: Replaced where it exists.
+        joints: n names.
+    """
+
+    def __init__(self, path: Path, joints: Sequence[str]) -> None:
+        self._file = _opened(path, "w")
+        self._blank = [""] * len(joints)
+        self._rows = csv.writer(self._file, lineterminator="\n")
+        names = [f"{kind}.{joint}" for kind in ("commanded", "measured") for joint in joints]
+        self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
+
+    def write(
+        self,
+        now: float,
+        *,
+        commanded: Array | None = None,
+        measured: Array | None = None,
+        goal: Pose | None = None,
+        text: str = "",
+        robot: int = 0,
+    ) -> None:
+        """As ``Recording``."""
+        sides = [self._blank if q is None else list(map(repr, q.tolist())) for q in (commanded, measured)]
+        aim = [""] * len(_GOAL) if goal is None else [repr(float(x)) for x in (*goal.position, *goal.wxyz)]
+        self._rows.writerow([repr(float(now)), robot, *sides[0], *sides[1], *aim, text])
+
+    def close(self) -> None:
+        """Finishes the file."""
+        self._file.close()
+
+
+_TIME = "int32 sec\nuint32 nanosec"
+_HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
+_RULE = "=" * 80
+
+
+def _schema(text: str, **parts: str) -> str:
+    """A message with the messages that it contains, as MCAP keeps ROS 2's."""
+    known = {"builtin_interfaces/Time": _TIME, **{k.replace("__", "/"): v for k, v in parts.items()}}
+    return "\n".join([text, *(f"{_RULE}\nMSG: {name}\n{part}" for name, part in known.items())])
+
+
+MESSAGES: Mapping[str, str] = {
+    "sensor_msgs/msg/JointState": _schema(
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
+        std_msgs__Header=_HEADER,
+    ),
+    "geometry_msgs/msg/PoseStamped": _schema(
+        "std_msgs/Header header\ngeometry_msgs/Pose pose",
+        std_msgs__Header=_HEADER,
+        geometry_msgs__Pose="geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+        geometry_msgs__Point="float64 x\nfloat64 y\nfloat64 z",
+        geometry_msgs__Quaternion="float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    ),
+    "rcl_interfaces/msg/Log": _schema(
+        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
+        "uint32 line"
+    ),
+}
+"""Message type -> its definition, as ROS 2 has it."""
+_INFO = 20  # of rcl_interfaces/msg/Log
+
+
+class McapRecording(_Closing):
+    """An MCAP file: ``/joint_commands``, ``/joint_states``, ``/goal`` and ``/rosout``.
+
+    Of several robots side by side each has its topics below ``/robot_1`` and so on.
+
+    Args:
+        path: Replaced where it exists.
+        joints: n names.
+
+    Raises:
+        MissingExtraError: The extra ``record`` is not installed.
+    """
+
+    def __init__(self, path: Path, joints: Sequence[str]) -> None:
+        try:
+            from mcap_ros2.writer import Writer
+        except ImportError as reason:
+            raise MissingExtraError("mcap_ros2", "record", "an MCAP file") from reason
+        self._file = _opened(path, "wb")
+        self._writer: Any = Writer(self._file)
+        self._joints, self._begin = list(joints), time.time_ns()
+        self._schemas = {name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()}
+
+    def write(
+        self,
+        now: float,
+        *,
+        commanded: Array | None = None,
+        measured: Array | None = None,
+        goal: Pose | None = None,
+        text: str = "",
+        robot: int = 0,
+    ) -> None:
+        """As ``Recording``."""
+        stamp = self._begin + round(1e9 * now)
+        when = {"sec": stamp // 1_000_000_000, "nanosec": stamp % 1_000_000_000}
+        head = {"stamp": when, "frame_id": FRAME}
+        place = f"/robot_{robot}" if robot else ""
+        for topic, q in (("joint_commands", commanded), ("joint_states", measured)):
+            if q is not None:
+                state = {
+                    "header": head,
+                    "name": self._joints,
+                    "position": q.tolist(),
+                    "velocity": [],
+                    "effort": [],
+                }
+                self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", state, stamp)
+        if goal is not None:
+            x, y, z = (float(value) for value in goal.position)
+            w, i, j, k = (float(value) for value in goal.wxyz)
+            pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": i, "y": j, "z": k, "w": w}}
+            self._put(f"{place}/goal", "geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}, stamp)
+        if text:
+            row = {"stamp": when, "level": _INFO, "name": "robot_ik", "msg": text, "file": "", "function": ""}
+            self._put("/rosout", "rcl_interfaces/msg/Log", row | {"line": 0}, stamp)
+
+    def _put(self, topic: str, kind: str, message: dict[str, Any], stamp: int) -> None:
+        self._writer.write_message(topic, self._schemas[kind], message, log_time=stamp, publish_time=stamp)
+
+    def close(self) -> None:
+        """Finishes the file."""
+        if not self._file.closed:
+            self._writer.finish()
+            self._file.close()
+
+
+def _opened(path: Path, mode: str) -> Any:
+    try:
+        return open(path, mode, newline="" if mode == "w" else None)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def open_recording(path: Path, joints: Sequence[str]) -> Recording:
+    """A recording by the ending of its name.
+
+    Raises:
+        ConfigError: Another ending.
+        MissingExtraError: ``.mcap`` without the extra ``record``.
+        OutputError: It cannot be written.
+    """
+    if path.suffix not in SUFFIXES:
+        raise ConfigError(
+            f"{path} tells no form", file="command line", key="--record", allowed=" or ".join(SUFFIXES)
+        )
+    return (TableRecording if path.suffix == ".csv" else McapRecording)(path, joints)
+
+
+class RecordingSink:
+    """A ``JointSink`` that writes what was commanded, and what an arm measured last.
+
+    Put it behind the arm among the sinks: then the measurement is that of the same cycle.
+
+    Args:
+        recording: Where to.
+        joints: Names of the n columns of q.
+        measured: Gives joint -> rad as last measured; None: nothing is measured.
+    """
+
+    def __init__(self, recording: Recording, joints: Sequence[str], measured: Any = None) -> None:
+        self._recording, self._joints, self._measured = recording, tuple(joints), measured
+        self._begin: float | None = None
+
+    def send(self, q: Array, now: float) -> None:
+        """One row."""
+        self._begin = now if self._begin is None else self._begin
+        here = None
+        if self._measured is not None:
+            angles = self._measured()
+            here = np.array([angles[name] for name in self._joints])
+        self._recording.write(now - self._begin, commanded=np.asarray(q), measured=here)

@@ -1,0 +1,520 @@
+"""Teleoperation: an arm, or the keys of a terminal, lead; another arm follows within its limits.
+
+Joint to joint a leader's angle goes to the follower's joint of the same name, each range onto the other's.
+Hand to hand the follower's hand repeats what the leader's has done since they were engaged, by inverse
+kinematics, so the arms may differ.  Engaging never jumps.  A leader that is lost commands nothing: then the
+follower's own ``on_stale`` decides, and when the leader is back they are engaged anew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from robot_ik.errors import ArmStateError, ConfigError, HardwareError, UnsafeCommandError
+from robot_ik.execution import Schedule
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.hardware import bus_row, open_arm
+from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.watchdogs import stale_time
+from robot_ik.motion.recording import APPROACH
+from robot_ik.ports import Array, Clock, RealClock, VirtualClock
+from robot_ik.problem import Budget, Problem
+from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers import make_solver
+
+LOST = 0.2
+"""s without a good sample of the leader after which it counts as lost; a wire loses a packet now and then."""
+_BUDGET = Budget(iterations=30, restarts=0)
+_WHOLE = 6  # joints that can carry any pose of a hand
+
+Angles = Mapping[str, float]
+
+
+class Operator(Protocol):
+    """What leads: says where each joint of the follower should be."""
+
+    def engage(self, follower: Angles) -> None:
+        """From here on; the follower is at ``follower`` (joint -> rad, m of a slide)."""
+        ...
+
+    def command(self, now: float) -> Angles:
+        """Joint -> rad (m of a slide) at ``now``, s.
+
+        Raises:
+            HardwareError: It is lost.
+        """
+        ...
+
+    def feel(self, follower: Angles) -> None:
+        """Where the follower is, for those who give it back to the hand."""
+        ...
+
+    def recover(self, timeout: float) -> None:
+        """Back after it was lost.
+
+        Raises:
+            HardwareError: It did not come back within ``timeout`` s.
+        """
+        ...
+
+
+class JointCoupling:
+    """Angles of a leader as those of a follower: by name, each range onto the other's.
+
+    Args:
+        leader: Its arm file.
+        follower: Likewise.
+
+    Attributes:
+        names: Joints that both have, those of grippers too.
+
+    Raises:
+        ConfigError: They share no joint.
+    """
+
+    def __init__(self, leader: ArmConfig, follower: ArmConfig) -> None:
+        both = [
+            (joint, follower.whole) for joint in leader.whole.joints if joint.name in follower.whole.names
+        ]
+        if not both:
+            raise ConfigError(
+                f"no joint of {leader.name} is one of {follower.name}",
+                file=leader.file or leader.name, key="joints",
+                allowed=f"names of {', '.join(follower.whole.names)}; or hand to hand: --by hand",
+            )  # fmt: skip
+        self.names = tuple(joint.name for joint, _ in both)
+        self._ranges = {joint.name: (joint.limits, other.joint(joint.name).limits) for joint, other in both}
+
+    def follower(self, leader: Angles) -> dict[str, float]:
+        """Where the follower's joints should be."""
+        return {n: _onto(leader[n], *self._ranges[n]) for n in self.names}
+
+    def leader(self, follower: Angles) -> dict[str, float]:
+        """Where the leader's joints are when the follower is here."""
+        return {n: _onto(follower[n], *self._ranges[n][::-1]) for n in self.names}
+
+
+def _onto(value: float, one: tuple[float, float], other: tuple[float, float]) -> float:
+    """From one range to the other; beyond an end it stays there."""
+    share = min(1.0, max(0.0, (value - one[0]) / (one[1] - one[0])))
+    return other[0] * (1.0 - share) + other[1] * share
+
+
+class Hand:
+    """The hand of a follower, led by inverse kinematics from the last command on.
+
+    Args:
+        config: Of the follower.
+        robot: Its model.
+
+    Attributes:
+        pose: Where the hand was last commanded to be.
+    """
+
+    def __init__(self, config: ArmConfig, robot: Robot) -> None:
+        self.names = config.names
+        self._order = [robot.joints.index(name) for name in config.names]
+        lower, upper = np.full((2, robot.nv), np.inf) * [[-1.0], [1.0]]
+        lower[self._order], upper[self._order] = config.lower, config.upper
+        self._robot = robot.with_limits(lower, upper)
+        self._solver = make_solver("lm")
+        self._problem: Problem | None = None
+        self._q = self._robot.home.copy()
+        self.pose = self._robot.forward(self._q)
+
+    def engage(self, angles: Angles) -> None:
+        """Stands at these angles, joint -> rad."""
+        self._q = self._robot.home.copy()
+        self._q[self._order] = [angles[name] for name in self.names]
+        self._q = self._robot.clip(self._q)
+        self.pose = self._robot.forward(self._q)
+
+    def go(self, pose: Pose) -> dict[str, float]:
+        """Joint -> rad that bring the hand there, or as near as it comes."""
+        goals: list[Goal] = [PoseGoal.at(None, pose)]
+        if self._robot.nv < _WHOLE:  # it cannot carry every pose: the place is needed, the turn is wanted
+            goals = [PositionGoal(None, pose.position), OrientationGoal(None, pose.wxyz, soft=True)]
+        if self._problem is None:
+            self._problem = Problem(self._robot, goals, budget=_BUDGET)
+        else:
+            self._problem.exchange(goals)
+        found = self._solver.solve(self._problem, self._q).q
+        if np.isfinite(found).all():
+            self._q = found
+        self.pose = self._robot.forward(self._q)
+        return dict(zip(self.names, self._q[self._order].tolist(), strict=True))
+
+
+class LeaderArm:
+    """An arm that a person guides; torque is off, unless it shall push back.
+
+    Args:
+        arm: Connected.
+        follower: Arm file of what follows.
+        by: ``joints`` or ``hand``.
+        scale: Hand to hand: metres of the follower for one of the leader.
+        force: Share of its currents with which the leader is pushed to where the follower is; 0: not at all.
+
+    Raises:
+        ConfigError: They share no joint, or these servos cannot be pushed gently.
+    """
+
+    def __init__(
+        self, arm: Arm, follower: ArmConfig, by: Literal["joints", "hand"], scale: float, force: float
+    ) -> None:
+        self._arm, self._scale, self._force = arm, scale, force
+        self._joints: JointCoupling | None = None
+        self._begin: tuple[Pose, Pose] | None = None
+        self._last: tuple[dict[str, float], float] = {}, -np.inf
+        if by == "joints":
+            self._joints = JointCoupling(arm.config, follower)
+        else:
+            self._robot = load_robot(arm.config.robot, joints=arm.config.names)
+            self._hand = Hand(follower, load_robot(follower.robot))
+        if force:
+            self._require_gentle()
+
+    def _require_gentle(self) -> None:
+        stiff = [j.name for j in self._arm.config.joints if j.mode != OperatingMode.CURRENT_BASED_POSITION]
+        if stiff or self._joints is None:
+            raise ConfigError(
+                "force feedback needs a leader whose servos push with a limited current, joint to joint"
+                + (f"; {', '.join(stiff)} cannot" if stiff else ""),
+                file=self._arm.config.file or self._arm.config.name, key="mode",
+                allowed="current_based_position for every joint, or no --force-feedback",
+            )  # fmt: skip
+
+    def engage(self, follower: Angles) -> None:
+        if self._joints is None:
+            self._hand.engage(follower)
+            self._begin = self._pose(self._read()), self._hand.pose
+        elif self._force and self._arm.state is ArmState.CONNECTED:
+            self._arm.enable()
+            currents = {j.name: j.current for j in self._arm.config.joints if j.current is not None}
+            self._arm.limit_current({name: self._force * mA for name, mA in currents.items()})
+
+    def command(self, now: float) -> Angles:
+        here = self._read()
+        if self._joints is not None:
+            return self._joints.follower(here)
+        assert self._begin is not None
+        leader, hand = self._begin
+        seen = self._pose(here)
+        way = self._scale * (np.array(seen.position) - leader.position)
+        rotation = seen.rotation @ leader.rotation.T @ hand.rotation
+        return self._hand.go(Pose.from_rotation(rotation, hand.position + way))
+
+    def feel(self, follower: Angles) -> None:
+        if self._force and self._joints is not None and self._arm.state is not ArmState.CONNECTED:
+            wanted = self._joints.leader(follower)
+            self._arm.send({n: wanted[n] for n in self._arm.joints if n in wanted}, self._arm.clock.now())
+
+    def recover(self, timeout: float) -> None:
+        self._arm.reconnect(timeout)
+        self._last = {}, -np.inf
+
+    def _read(self) -> dict[str, float]:
+        """Joint -> rad, measured now, or for ``LOST`` s what was measured last."""
+        now = self._arm.clock.now()
+        try:
+            self._arm.read()
+            if float(self._arm.ages.max()) > LOST:
+                raise HardwareError("the leader does not answer", hint="look at its cable and supply")
+        except HardwareError:
+            if now - self._last[1] > LOST:
+                raise
+            return self._last[0]
+        self._last = self._arm.positions(), now
+        return self._last[0]
+
+    def _pose(self, angles: Angles) -> Pose:
+        q = self._robot.home.copy()
+        for k, name in enumerate(self._robot.joints):
+            q[k] = angles.get(name, q[k])
+        return self._robot.forward(q)
+
+
+JOINT_KEYS = ("qa", "ws", "ed", "rf", "tg", "yh", "uj", "ik", "ol")
+"""Two keys for each joint, forwards and back: columns of the keyboard from the left."""
+HAND_KEYS: Mapping[str, tuple[int, int]] = {
+    "w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "r": (2, 1), "f": (2, -1),
+    "i": (3, 1), "k": (3, -1), "j": (4, 1), "l": (4, -1), "u": (5, 1), "o": (5, -1),
+}  # fmt: skip
+"""Key -> axis of the world (0 to 2: along, 3 to 5: about) and its sign."""
+MODE_KEY, FINER, COARSER, STOP, QUIT = "\t", "-", "+", " ", "\x1b"
+_STEP, _TURN = 0.01, np.radians(3.0)  # m or rad (joints and turns) of one key press
+_FINEST, _COARSEST = 0.1, 4.0
+
+
+class Keys:
+    """The keys of a terminal jog joints, or the hand in the axes of the world.
+
+    A terminal says when a key goes down and not how long it stays: each press is one step.
+
+    Args:
+        config: Of the follower.
+        pressed: Gives the keys since it was last asked.
+        stop: Called at the space bar: everything stops and holds.
+        hand: Whether keys move the hand to begin with; else joints.
+
+    Attributes:
+        hand: Whether keys move the hand; else joints.
+        over: The person wants to end.
+    """
+
+    def __init__(
+        self,
+        config: ArmConfig,
+        pressed: Callable[[], str],
+        *,
+        stop: Callable[[], object] = lambda: None,
+        hand: bool = False,
+    ) -> None:
+        self._config, self._pressed, self._stop = config.whole, pressed, stop
+        self._hand = Hand(config, load_robot(config.robot))
+        self._angles: dict[str, float] = {}
+        self._size = 1.0
+        self.hand, self.over = hand, False
+
+    def engage(self, follower: Angles) -> None:
+        self._angles = {name: follower[name] for name in self._config.names}
+        self._hand.engage(self._angles)
+
+    def command(self, now: float) -> Angles:
+        for key in self._pressed():
+            self._press(key.lower())
+        return dict(self._angles)
+
+    def feel(self, follower: Angles) -> None:
+        pass
+
+    def recover(self, timeout: float) -> None:
+        pass
+
+    def _press(self, key: str) -> None:
+        if key == STOP:
+            self._stop()
+        elif key == QUIT:
+            self.over = True
+        elif key == MODE_KEY:
+            self.hand = not self.hand
+            self._hand.engage(self._angles)
+        elif key in (FINER, COARSER):
+            self._size = float(np.clip(self._size * (2.0 if key == COARSER else 0.5), _FINEST, _COARSEST))
+        elif self.hand:
+            self._jog_hand(key)
+        else:
+            self._jog_joint(key)
+
+    def _jog_joint(self, key: str) -> None:
+        for name, pair in zip(self._config.names, JOINT_KEYS, strict=False):
+            if key in pair:
+                joint = self._config.joint(name)
+                step = self._size * (_TURN if joint.unit == "deg" else _STEP)
+                low, high = joint.limits
+                wanted = self._angles[name] + (step if key == pair[0] else -step)
+                self._angles[name] = min(max(wanted, low), high)
+
+    def _jog_hand(self, key: str) -> None:
+        if key not in HAND_KEYS:
+            return
+        axis, sign = HAND_KEYS[key]
+        pose, step = self._hand.pose, np.zeros(3)
+        if axis < 3:
+            step[axis] = sign * self._size * _STEP
+            pose = Pose(pose.position + step, pose.wxyz)
+        else:
+            step[axis - 3] = sign * self._size * _TURN
+            turn = Pose.exp(np.concatenate([np.zeros(3), step]))
+            pose = Pose.from_rotation(turn.rotation @ pose.rotation, pose.position)
+        self._angles |= self._hand.go(pose)
+
+
+class Blend:
+    """From where the follower stands into what it is led to: what lies between dies away, from rest to rest.
+
+    Args:
+        here: Joint -> where it is; ``there``: where it is led to.
+        config: Its caps decide how long that takes.
+        now: s.
+    """
+
+    def __init__(self, here: Angles, there: Angles, config: ArmConfig, now: float) -> None:
+        self._apart = {name: here[name] - there[name] for name in there}
+        whole = config.whole
+        # A quintic's peaks are 1.875 d/T and 5.774 d/T^2.
+        times = [
+            max(1.875 * abs(d) / (APPROACH * v), (5.774 * abs(d) / (APPROACH * a)) ** 0.5)
+            for d, v, a in (
+                (self._apart.get(joint.name, 0.0), joint.velocity, joint.acceleration)
+                for joint in whole.joints
+            )
+        ]
+        self._begin, self.seconds = now, max([0.0, *times])
+
+    def __call__(self, there: Angles, now: float) -> dict[str, float]:
+        """What to command."""
+        s = 1.0 if self.seconds <= 0.0 else min(1.0, (now - self._begin) / self.seconds)
+        left = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        return {name: value + left * self._apart.get(name, 0.0) for name, value in there.items()}
+
+    def over(self, now: float) -> bool:
+        """Whether nothing lies between any more."""
+        return now - self._begin >= self.seconds
+
+
+@dataclass
+class TeleopReport:
+    """What happened.
+
+    Attributes:
+        ticks: Commands sent.
+        engaged: How often leader and follower were engaged.
+        lost: How often the leader was lost.
+        seconds: How long it ran.
+        lag: Largest distance of a follower's joint from what it was led to, once engaged, rad or m.
+        delay: Median seconds from reading the leader to the follower's packet.
+        end: Why it ended, in words.
+    """
+
+    ticks: int = 0
+    engaged: int = 0
+    lost: int = 0
+    seconds: float = 0.0
+    lag: float = 0.0
+    delay: float = 0.0
+    end: str = ""
+    delays: list[float] = field(default_factory=list, repr=False)
+
+
+@dataclass(frozen=True)
+class TeleopTick:
+    """One tick, for a display: time, what was commanded, where the follower is, whether it is led."""
+
+    time: float
+    commanded: Angles
+    measured: Angles
+    led: bool
+
+
+_DELAYS = 4096  # samples of which the median is taken
+
+
+def teleoperate(
+    operator: Operator,
+    follower: Arm,
+    *,
+    seconds: float | None = None,
+    patience: float = 10.0,
+    over: Callable[[], bool] = lambda: False,
+    on_tick: Callable[[TeleopTick], None] = lambda tick: None,
+) -> TeleopReport:
+    """Leads the follower until it is over; the caller leaves the arms.
+
+    Args:
+        operator: Who leads.
+        follower: Connected; it is enabled here.
+        seconds: How long; None: until ``over``.
+        patience: s to wait for a leader that was lost.
+        over: Asked once a tick.
+        on_tick: Called after each tick; must be quick.
+
+    Raises:
+        HardwareError: The follower failed, or the leader did not come back.
+    """
+    clock, rate = follower.clock, follower.config.rate_hz
+    if follower.state is ArmState.CONNECTED:
+        follower.enable()
+    report, schedule = TeleopReport(), Schedule(clock)
+    begin, blend = schedule.origin, None
+    while not over() and (seconds is None or clock.now() - begin < seconds):
+        now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
+        report.ticks += 1
+        here = _where(follower) if blend is None else {}
+        try:
+            if blend is None:
+                operator.engage(here)
+                blend = Blend(here, operator.command(now), follower.config, now)
+                report.engaged += 1
+            read = time.perf_counter()
+            wanted = operator.command(now)
+        except (UnsafeCommandError, ArmStateError):
+            raise
+        except HardwareError:
+            report.lost, blend = report.lost + 1, None
+            _wait_for(operator, follower, patience)
+            schedule.origin = clock.now() - report.ticks / rate
+            continue
+        commanded = blend(wanted, now)
+        follower.send(commanded, now)
+        if len(report.delays) < _DELAYS:
+            report.delays.append(time.perf_counter() - read)
+        measured = follower.positions()
+        operator.feel(measured)
+        if blend.over(now):
+            report.lag = max([report.lag, *(abs(measured[n] - commanded[n]) for n in commanded)])
+        on_tick(TeleopTick(now - begin, commanded, measured, blend.over(now)))
+    report.seconds = clock.now() - begin
+    report.delay = float(np.median(report.delays)) if report.delays else 0.0
+    report.end = "it was ended" if over() else "the time was over"
+    return report
+
+
+def _where(arm: Arm) -> dict[str, float]:
+    arm.read()
+    return arm.positions()
+
+
+def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:
+    """Commands nothing until the leader is back: the follower's heartbeat holds it, then ``on_stale``.
+
+    On virtual time no heartbeat runs; there the arm is held when the heartbeat would have.
+
+    Raises:
+        HardwareError: It did not come back, or the follower gave up meanwhile.
+    """
+    if isinstance(follower.clock, VirtualClock):
+        config = follower.config
+        follower.clock.sleep_until(follower.clock.now() + stale_time(config.stale_ms, 1.0 / config.rate_hz))
+        follower.hold()
+    operator.recover(patience)
+    if follower.state is ArmState.FAULT and follower.fault is not None:
+        raise follower.fault.with_traceback(None)
+
+
+def open_pair(
+    leader: ArmConfig | None,
+    follower: ArmConfig,
+    leader_bus: str,
+    follower_bus: str,
+    on_exit: str = "",
+    starts: Sequence[Array | None] = (None, None),
+) -> tuple[Arm | None, Arm]:
+    """Both arms, disconnected; simulated ones in one process share a clock.
+
+    Args:
+        leader: None: the keyboard leads.
+        follower: Arm file.
+        leader_bus: As ``--bus`` takes it.
+        follower_bus: Likewise.
+        on_exit: How the follower is left; empty: as its file says.
+        starts: (n,) rad where simulated servos stand at first, of leader and follower.
+    """
+    in_process = follower_bus == "sim" and (leader is None or leader_bus == "sim")
+    clock: Clock = VirtualClock() if in_process else RealClock()
+
+    def made(config: ArmConfig, bus: str, start: Array | None, way_out: str | None) -> Arm:
+        servos = VirtualBus.from_config(config, clock, start) if bus_row(bus).virtual else None
+        return open_arm(config, bus, virtual_bus=servos, on_exit=way_out)
+
+    first = None if leader is None else made(leader, leader_bus, starts[0], "torque_off")
+    return first, made(follower, follower_bus, starts[1], on_exit or None)

@@ -1,0 +1,244 @@
+"""Leading an arm by another one, both simulated on one virtual clock; and by keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik.cli.main import main
+from robot_ik.errors import ConfigError, HardwareError
+from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.teleop import (
+    Blend,
+    JointCoupling,
+    Keys,
+    LeaderArm,
+    TeleopTick,
+    open_pair,
+    teleoperate,
+)
+from robot_ik.ports import Array
+from robot_ik.robot import load_robot
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+
+
+def arm_file(name: str) -> ArmConfig:
+    return ArmConfig.load(MODELS / name / "arm.toml")
+
+
+@contextmanager
+def pair(leader: str, follower: str, starts: tuple[Array | None, Array | None]) -> Iterator[tuple[Arm, Arm]]:
+    first, second = open_pair(arm_file(leader), arm_file(follower), "sim", "sim", "hold", starts)
+    assert first is not None
+    with ExitStack() as stack:
+        yield stack.enter_context(first), stack.enter_context(second)
+
+
+def guide(arm: Arm, q: Array) -> None:
+    """A person turns the limp shafts of an arm to q (n,)."""
+    assert arm.virtual_bus is not None
+    here = dict(zip(arm.joints, arm.virtual_bus.true_angles(arm.config), strict=False))
+    for servo in arm.config.servos:
+        if servo.name in arm.joints:
+            way = servo.position(float(q[arm.joints.index(servo.name)])) - servo.position(here[servo.name])
+            arm.virtual_bus.servo(servo.id).turn_by_hand(way)
+
+
+def home(name: str) -> Array:
+    robot = load_robot(name)
+    return robot.home[[robot.joints.index(joint) for joint in arm_file(name).names]]
+
+
+def waved(begin: Array, arm: Arm) -> Callable[[TeleopTick], None]:
+    """A person who moves the leader to and fro, and ends at 0.15 rad from where it began."""
+
+    def wave(tick: TeleopTick) -> None:
+        share = 0.5 - 0.5 * np.cos(np.pi * min(1.0, tick.time / 2.0))
+        guide(arm, begin + 0.15 * share)
+
+    return wave
+
+
+def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows() -> None:
+    begin = home("tabletop_puma")
+    apart = begin + np.array([0.4, -0.2, 0.3, 0.0, 0.2, 0.0])
+    with pair("tabletop_puma", "tabletop_puma", (begin, apart)) as (leader, follower):
+        sent: list[TeleopTick] = []
+        wave = waved(begin, leader)
+
+        def tick(one: TeleopTick) -> None:
+            wave(one)
+            sent.append(one)
+
+        operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
+        report = teleoperate(operator, follower, seconds=4.0, on_tick=tick)
+        assert report.engaged == 1 and report.lost == 0 and report.lag < 0.03
+        q = np.array([[one.commanded[n] for n in follower.joints] for one in sent])
+        assert np.abs(q[0] - apart).max() < 1e-3  # engaged where it stands
+        steps = np.abs(np.diff(q, axis=0)) * follower.config.rate_hz
+        assert (steps <= follower.config.velocity).all()
+        assert np.abs(q[-1] - begin - 0.15).max() < 0.01
+        assert np.abs(follower.read().q - begin - 0.15).max() < 0.02
+        assert not sent[0].led and sent[-1].led
+        assert leader.state is ArmState.CONNECTED  # nobody gave it torque: no force feedback unless asked
+
+
+def test_hand_to_hand_between_different_arms() -> None:
+    begin, other = home("tabletop_puma"), home("wx250s")
+    with pair("tabletop_puma", "wx250s", (begin, other)) as (leader, follower):
+        one, two = load_robot("tabletop_puma"), load_robot("wx250s", joints=follower.joints)
+        operator = LeaderArm(leader, follower.config, "hand", 0.5, 0.0)
+        report = teleoperate(operator, follower, seconds=2.5, on_tick=waved(begin, leader))
+        assert report.engaged == 1
+        led = one.forward(leader.read().q).position - one.forward(begin).position
+        follower_q = np.array([follower.positions()[n] for n in two.joints])
+        start_q = np.array([dict(zip(follower.joints, other, strict=True))[n] for n in two.joints])
+        moved = two.forward(follower_q).position - two.forward(start_q).position
+        assert np.linalg.norm(led) > 0.03
+        assert np.linalg.norm(moved - 0.5 * led) < 0.005
+
+
+def test_ranges_are_laid_onto_each_other_and_names_must_agree() -> None:
+    koch, puma = arm_file("koch_v11"), arm_file("tabletop_puma")
+    same = JointCoupling(koch, koch)
+    angles = {joint.name: 0.3 * sum(joint.limits) for joint in koch.whole.joints}
+    assert same.follower(angles) == pytest.approx(angles) and "gripper" in same.names
+    ends = {joint.name: 9.0 for joint in koch.whole.joints}
+    assert same.follower(ends) == pytest.approx({j.name: j.limits[1] for j in koch.whole.joints})
+    assert same.leader(same.follower(angles)) == pytest.approx(angles)
+    with pytest.raises(ConfigError, match="--by hand"):
+        JointCoupling(koch, puma)
+
+
+def silence(arm: Arm, on: bool) -> None:
+    assert arm.virtual_bus is not None
+    for servo in arm.virtual_bus.servos:
+        servo.silent = on
+
+
+def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
+    begin = home("tabletop_puma")
+    with pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower):
+        operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
+        states: list[ArmState] = []
+
+        def tick(one: TeleopTick) -> None:
+            states.append(follower.state)
+            if one.time > 1.0 and not states.count(ArmState.HOLD) and operator_lost[0] == 0:
+                operator_lost[0] = 1
+                silence(leader, True)
+
+        operator_lost = [0]
+        recover = operator.recover
+
+        def back(timeout: float) -> None:
+            states.append(follower.state)
+            silence(leader, False)
+            guide(leader, begin + 0.2)  # it stands elsewhere when it comes back
+            recover(timeout)
+
+        operator.recover = back  # type: ignore[method-assign]
+        report = teleoperate(operator, follower, seconds=3.0, on_tick=tick)
+        assert report.lost == 1 and report.engaged == 2
+        assert ArmState.HOLD in states
+        assert np.abs(follower.read().q - begin - 0.2).max() < 0.02
+
+
+def test_a_leader_that_stays_away_ends_it_and_the_follower_holds() -> None:
+    begin = home("tabletop_puma")
+    with pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower):
+        operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
+
+        def tick(one: TeleopTick) -> None:
+            if one.time > 0.5:
+                silence(leader, True)
+
+        with pytest.raises(HardwareError):
+            teleoperate(operator, follower, seconds=5.0, patience=0.5, on_tick=tick)
+        assert follower.state is ArmState.HOLD
+
+
+def test_a_follower_that_fails_is_no_lost_leader() -> None:
+    begin = home("tabletop_puma")
+    with pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower):
+        operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
+        asked: list[float] = []
+        operator.recover = asked.append  # type: ignore[method-assign]
+        with pytest.raises(HardwareError):
+            teleoperate(
+                operator, follower, seconds=5.0, on_tick=lambda tick: silence(follower, tick.time > 0.2)
+            )
+        assert asked == [] and follower.state is ArmState.FAULT
+
+
+def test_force_feedback_needs_servos_that_push_gently() -> None:
+    begin = home("tabletop_puma")
+    with (
+        pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower),
+        pytest.raises(ConfigError, match="current_based_position"),
+    ):
+        LeaderArm(leader, follower.config, "joints", 1.0, 0.3)
+
+
+def keyed(text: str, hand: bool, seconds: float = 1.5) -> tuple[Array, Array, Arm]:
+    begin = home("tabletop_puma")
+    _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
+    waiting = list(text)
+    keys = Keys(follower.config, lambda: waiting.pop(0) if waiting else "", hand=hand)
+    with follower:
+        teleoperate(keys, follower, seconds=seconds, over=lambda: keys.over)
+        return begin, follower.read().q, follower
+
+
+def test_keys_jog_joints_within_their_limits() -> None:
+    begin, q, _ = keyed("qqqs+d", hand=False)
+    step = np.radians(3.0)
+    assert (q - begin) == pytest.approx([3 * step, -step, -2 * step, 0, 0, 0], abs=0.005)
+    begin, q, follower = keyed("q" * 60, hand=False, seconds=4.0)
+    assert q[0] == pytest.approx(follower.upper[0], abs=0.005)
+
+
+def test_keys_jog_the_hand_in_the_axes_of_the_world() -> None:
+    robot = load_robot("tabletop_puma")
+    begin, q, _ = keyed("rrw", hand=True)
+    way = robot.forward(q).position - robot.forward(begin).position
+    assert way == pytest.approx([0.01, 0.0, 0.02], abs=2e-3)
+    assert robot.forward(q).distance(robot.forward(begin))[1] < 0.02
+    begin, q, _ = keyed("\trr", hand=False)
+    assert (robot.forward(q).position - robot.forward(begin).position)[2] == pytest.approx(0.02, abs=2e-3)
+
+
+def test_escape_ends_it() -> None:
+    begin, q, _ = keyed("\x1b" + 20 * "q", hand=False)
+    assert np.abs(q - begin).max() < 0.01
+
+
+def test_a_blend_begins_where_the_follower_is_and_ends_where_it_is_led() -> None:
+    config = arm_file("tabletop_puma")
+    here, there = dict.fromkeys(config.names, 1.0), dict.fromkeys(config.names, 0.0)
+    blend = Blend(here, there, config, 10.0)
+    assert blend(there, 10.0) == here and blend(there, 10.0 + blend.seconds) == pytest.approx(there)
+    times = np.linspace(10.0, 10.0 + blend.seconds, 500)
+    q = np.array([list(blend(there, t).values()) for t in times])
+    speed = np.abs(np.diff(q, axis=0)).max(axis=0) / (times[1] - times[0])
+    assert (speed <= 0.26 * config.velocity).all()
+
+
+def test_wrong_options_of_teleop_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["teleop", "--follower", "tabletop_puma", "--follower-bus", "sim", "--scale", "0"]) == 2
+    assert main(["teleop", "--leader", "nobody", "--follower-bus", "sim"]) == 2
+    same = ["--leader", "koch_v11", "--leader-bus", "/dev/tty1", "--follower-bus", "/dev/tty1"]
+    assert main(["teleop", *same]) == 2
+    assert "two ports" in capsys.readouterr().err
+
+
+def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
+    assert main([*words.split(), "--seconds", "1", "--on-exit", "torque_off"]) == 0
+    assert "engaged 1 times" in capsys.readouterr().err
