@@ -1,7 +1,7 @@
 """Where a marker or a rigid body with markers is, from corners in one picture.
 
 ``estimate_marker`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``; the
-fit of the whole print to the pixels is in ``photometric_pose``.
+fit of the whole print to the pixels is in ``photometric_corners``.
 """
 
 from __future__ import annotations
