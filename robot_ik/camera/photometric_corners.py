@@ -303,7 +303,7 @@ _LEAST_NOISE = 0.3
 # Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
 _LEAST_CONTRAST, _EXPLAINED = 5.0, 0.75
 # More unknowns are taken where they lessen the sum of squares by this part, and by so many variances.
-_ASKED_PART, _ASKED_GAIN = 0.06, 60.0
+_ASKED_PART, _ASKED_GAIN = 0.03, 60.0
 # Halo of the strongest sharpening.
 _MOST_HALO = 3.0
 _CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -472,8 +472,12 @@ class _Print:
             return self._start
         explained = self._explained()
         self._thin_out(_FITTED)
-        fitted = self._fit() and (not self._ask_for_more() or self._fit())
-        found = self._result() if fitted else None
+        found = None
+        if self._fit():
+            self._blur, self._shift = float(self._x[0]), EdgeShift(float(self._x[1]), self._shift_sigma())
+            found = self._result()
+            if self._ask_for_more() and self._fit():
+                found = self._result() or found
         return found or replace(self._start, explained=max(explained, self._explained()))
 
     def _equations(self, terms: int, halo: bool) -> int:
@@ -573,6 +577,14 @@ class _Print:
         misses = self._misses[: self._count]
         return np.asarray(np.minimum(misses**2, (_CAUCHY * self._noise) ** 2), dtype=float)
 
+    def _covariance(self) -> Array:
+        """Of the unknowns."""
+        variance = float(self._squares().sum()) / (self._count - len(self._inverse))
+        return np.asarray(self._inverse * max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2)
+
+    def _shift_sigma(self) -> float:
+        return math.sqrt(self._covariance()[SHIFT, SHIFT])
+
     def _explained(self) -> float:
         """Part of the variance of the grey values that the model explains."""
         values, weights = self._taken[6, : self._count], self._taken[7, : self._count]
@@ -603,16 +615,15 @@ class _Print:
             or explained < _EXPLAINED
         ):
             return None
-        variance = float(self._squares().sum()) / (self._count - len(self._inverse))
-        unknowns = self._inverse * max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2
-        covariance = by_unknown @ unknowns[:HOMOGRAPHY, :HOMOGRAPHY] @ by_unknown.T
+        unknowns = self._covariance()[:HOMOGRAPHY, :HOMOGRAPHY]
+        covariance = by_unknown @ unknowns @ by_unknown.T
         way = corners - corners.mean(axis=0)
         outward = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(8)
         covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
         return RefinedCorners(
             corners, normalized, covariance, math.sqrt(covariance.trace() / 8), True,
-            blur=float(self._x[0]), edge_shift=float(self._x[1]),
-            edge_shift_sigma=math.sqrt(unknowns[SHIFT, SHIFT]), explained=explained, by_print=True,
+            blur=self._blur, edge_shift=self._shift.value, edge_shift_sigma=self._shift.sigma,
+            explained=explained, by_print=True,
         )  # fmt: skip
 
 

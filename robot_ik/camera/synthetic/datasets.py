@@ -43,7 +43,7 @@ _PAPER_MARGIN = 0.25
 _RAYS = 233
 _LATTICE = np.stack([np.arange(_RAYS), np.arange(_RAYS) * 144 % _RAYS], axis=1) / _RAYS + 0.5 / _RAYS - 0.5
 # Softness of a shadow's edge, px.
-_SHADOW_SOFT = 10.0
+_SHADOW_SOFT = 20.0
 # So many rays are traced at once.
 _TOGETHER = 16
 
