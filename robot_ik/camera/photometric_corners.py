@@ -198,7 +198,8 @@ def print_equations(pixels, count, black, to_print, x, terms, halo, noise, work,
     """Sums the normal equations of one marker.
 
     Args:
-        pixels: (8, k) of ``take_print``.  Those that tell nothing are left out when ``noise`` is 0.
+        pixels: (8, k) of ``take_print``.  Those that tell nothing are left out when ``noise`` is 0, and only
+            the rows of the light are summed.
         count: How many of them.
         black: (n, n) 1 where the print is black.
         to_print: As in ``take_print``.
@@ -225,7 +226,7 @@ def print_equations(pixels, count, black, to_print, x, terms, halo, noise, work,
         for j in range(n):
             normal[i, j] = 0.0
         normal[i, last] = 0.0
-    used = 0
+    used, first = 0, LIGHT if noise == 0.0 else 0
     for p in range(count):
         ix, iy = pixels[0, p], pixels[1, p]
         w = to_print[2, 0] * ix + to_print[2, 1] * iy + to_print[2, 2]
@@ -239,8 +240,8 @@ def print_equations(pixels, count, black, to_print, x, terms, halo, noise, work,
         wide, high = math.hypot(gux, guy), math.hypot(gvx, gvy)
         r = (gux * gvx + guy * gvy) / (wide * high)
         blurred_print(u, v, wide * x[0], high * x[0], r, black, along, down, share)
-        flat = abs(share[1] * gux + share[2] * gvx) + abs(share[1] * guy + share[2] * gvy) < _SLOPE
         if noise == 0.0:
+            flat = abs(share[1] * gux + share[2] * gvx) + abs(share[1] * guy + share[2] * gvy) < _SLOPE
             if flat and p % _FLAT:
                 continue
             for i in range(6 + 1):
@@ -275,9 +276,9 @@ def print_equations(pixels, count, black, to_print, x, terms, halo, noise, work,
         for i in range(terms):
             row[LIGHT + i], row[LIGHT + terms + i] = basis[i], white * basis[i]
         weight = 1.0 / (1.0 + cauchy * miss * miss)
-        for i in range(LIGHT if flat else 0, n):
+        for i in range(first, n):
             portion = weight * row[i]
-            for j in range(LIGHT if flat else 0, i + 1):
+            for j in range(first, i + 1):
                 normal[i, j] += portion * row[j]
             normal[i, last] += portion * miss
         misses[used] = miss
@@ -531,8 +532,11 @@ class _Print:
         ):
             matrix[k, k] += variance / spread**2
             right[k] += variance / spread**2 * off
-        if not halo:
-            matrix[HALO, HALO], right[HALO] = 1.0, 0.0
+        held = [] if halo else [HALO]
+        if self._x[0] <= _LEAST_BLUR and right[BLUR] < 0.0:
+            held.append(BLUR)
+        matrix[held, :], matrix[:, held], right[held] = 0.0, 0.0, 0.0
+        matrix[held, held] = 1.0
         return matrix, right
 
     def _fit(self) -> bool:
@@ -611,7 +615,10 @@ class _Print:
         """Part of the variance of the grey values that the model explains."""
         values, weights = self._taken[6, : self._count], self._taken[7, : self._count]
         off = values - np.average(values, weights=weights)
-        return 1.0 - float(weights @ self._misses[: self._count] ** 2 / max(weights @ off**2, 1e-9))
+        spread = float(weights @ off**2)
+        if spread < _LEAST_CONTRAST * float(weights.sum()):
+            return 0.0  # nothing is there
+        return 1.0 - float(weights @ self._misses[: self._count] ** 2) / spread
 
     def _corner_jacobian(self) -> Array | None:
         """(8, 8) of the corners in px by the homography's unknowns."""
