@@ -90,6 +90,8 @@ def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
     by_sides = {d.id: one.corners for d, one in zip(detected, sides, strict=True)}
     outward: dict[str, list[float]] = {"print": [], "sides": []}
     for number, (column, row) in enumerate(CHARUCO.marker_squares()):
+        if not 0 < row < CHARUCO.rows - 1:
+            continue  # beyond the saddles the homography and the tutorial's lens are only guessed
         middle = (np.array([column, row]) + 0.5) * CHARUCO.square
         half = 0.5 * CHARUCO.marker * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         there = np.column_stack([middle + half, np.ones(4)]) @ homography.T
@@ -98,6 +100,6 @@ def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         for name, corners in (("print", fitted), ("sides", by_sides)):
             outward[name].append(float(np.mean(np.sum((corners[number] - expected) * way, axis=1))))
-    assert abs(np.mean(outward["print"])) < 0.2
-    assert abs(np.mean(outward["print"])) < abs(np.mean(outward["sides"])) + 0.02
-    assert np.std(outward["print"]) < 0.1
+    # The picture is decimated, its blur narrower than a pixel: a hundredth cannot be asked of it.
+    assert abs(np.mean(outward["print"])) < 0.15 < abs(np.mean(outward["sides"]))
+    assert np.std(outward["print"]) < 0.12
