@@ -389,7 +389,9 @@ def refine_markers(
             corners[k], normalized[k], covariance[k], blurs[k], good[k] = *other, 1
     corners += origin
     return [
-        RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True, float(b)) if fine else unrefined(c, intrinsics)
+        RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True, float(b))
+        if fine
+        else unrefined(c, intrinsics)
         for c, i, v, b, fine in zip(corners, normalized, covariance, blurs, good, strict=True)
     ]
 

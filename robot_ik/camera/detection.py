@@ -39,18 +39,18 @@ Image = NDArray[np.uint8]
 
 # Cells narrower than this (px) cannot be read, only guessed: noise now and then looks like a code.
 _LEAST_CELL = 1.2
-# A thorough search: thresholds look at so many pixels around, and an outline may leave its polygon by so much of
-# its length.  A wide view in a bent lens is less square than OpenCV's 3 % allows; of a strongly tilted marker
-# 5 % is more than its short side.  Wider windows find no more, and take twice the time.
+# A thorough search: thresholds look at so many pixels around, and an outline may leave its polygon by so much
+# of its length.  A wide view in a bent lens is less square than OpenCV's 3 % allows; of a strongly tilted
+# marker 5 % is more than its short side.  Wider windows find no more, and take twice the time.
 _SEARCHES = ((5, 0.05), (13, 0.02))
 # Where a marker is expected it is looked for down to this part of its size.
 _SHRINK = 0.6
 # Thresholds of the quick search look at so many pixels around, px: fine enough for a cell of 2 px.
 _QUICK_WINDOW = 13
-# So many of the bits that a dictionary can correct may be wrong.  In small cells black looks narrower than it is
-# (tone curve), and bits are misread: with all of them, a quarter more small markers are found, and now and then
-# one that is none.  Whoever has the picture asks afterwards whether it shows the print (``photometric_corners``);
-# without that, fewer are corrected.
+# So many of the bits that a dictionary can correct may be wrong.  In small cells black looks narrower than it
+# is (tone curve), and bits are misread: with all of them, a quarter more small markers are found, and now and
+# then one that is none.  The tracker asks afterwards whether the picture shows the print
+# (``photometric_corners``); without that, fewer are corrected.
 _CORRECTED, _CORRECTED_STRICTLY = 1.0, 0.6
 # OpenCV reads a cell from so many samples squared, taken without interpolation.  With its usual 4, cells of
 # 2 px are often misread.

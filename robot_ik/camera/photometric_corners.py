@@ -64,8 +64,8 @@ _LEAST_SHARE = 1e-5
 _HALO_BLUR = 1.2
 
 
-# The normal distribution and its bell at so many places a sigma: Taylor's series from the nearest one is exact
-# to 1e-8, and takes a third of the time of an error function and an exponential.
+# The normal distribution and its bell at so many places a sigma: Taylor's series from the nearest one is
+# exact to 1e-7, and takes a third of the time of an error function and an exponential.
 _PLACES, _REACH = 64, 8.0
 _AT = np.arange(-_REACH * _PLACES, _REACH * _PLACES + 1) / _PLACES
 _BELLS = np.exp(-0.5 * _AT**2) / math.sqrt(2.0 * math.pi)
@@ -111,10 +111,14 @@ def blurred_print(u, v, wide, high, r, black, along, down, share):
     """Fills ``share``: white at (u, v), its derivatives by u, by v, by ln blur.
 
     Args:
-        u, v: Place on the print.
-        wide, high: Sigma of the blur along u and v; ``r`` their correlation.
+        u: Place on the print, with ``v``.
+        v: See ``u``.
+        wide: Sigma of the blur along u; ``high`` along v; ``r`` their correlation.
+        high: See ``wide``.
+        r: See ``wide``.
         black: (n, n) 1 where the print is black.
-        along, down: (3, n) work space.
+        along: (3, n) work space, as ``down``.
+        down: See ``along``.
         share: (4,) out.
     """
     n = black.shape[0]
@@ -487,7 +491,7 @@ class _Print:
     # ---------------------------------------------------------------------------------- fit
 
     def corners(self) -> RefinedCorners:
-        """The corners; those of the sides, with how much of the picture the print explains, where it fails."""
+        """The corners; where it fails those of the sides, with how much the print explains."""
         if self._count < 2 * (LIGHT + 2 * LINEAR) or not self._find_light():
             return self._start
         self._thin_out(_FITTED)
@@ -572,7 +576,9 @@ class _Print:
         change = np.array([[1 + e[1], e[2], e[0]], [e[4], 1 + e[5], e[3]], [-e[6], -e[7], 1.0]])
         self._to_print = change @ self._to_print
         x[0] = max(x[0] * math.exp(float(np.clip(step[BLUR], -_BLUR_STEP, _BLUR_STEP))), _LEAST_BLUR)
-        x[1] = float(np.clip(x[1] + np.clip(step[SHIFT], -_SHIFT_STEP, _SHIFT_STEP), -_MOST_SHIFT, _MOST_SHIFT))
+        x[1] = float(
+            np.clip(x[1] + np.clip(step[SHIFT], -_SHIFT_STEP, _SHIFT_STEP), -_MOST_SHIFT, _MOST_SHIFT)
+        )
         x[2] = min(max(x[2] + step[HALO], -0.5), _MOST_HALO) if self._halo else 0.0
         x[3 : 3 + terms] += step[LIGHT : LIGHT + terms]
         x[9 : 9 + terms] += step[LIGHT + terms :]

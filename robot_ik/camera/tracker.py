@@ -226,9 +226,7 @@ class MarkerTracker:
             # Nobody knows which of two copies the last picture was about.
             choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
             observations.append(
-                marker_observation(
-                    marker_id, corners, branches, frame.time, choice.index, choice.ambiguity
-                )
+                marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
             )
         return observations
 

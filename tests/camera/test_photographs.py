@@ -59,7 +59,9 @@ def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[View]) -
         gray = gray_of(view.name)
         _, corners = cv2.findChessboardCorners(gray, (9, 6))
         done = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
-        pixels.append(cv2.cornerSubPix(gray, corners.reshape(-1, 1, 2), (11, 11), (-1, -1), done).reshape(-1, 2))
+        pixels.append(
+            cv2.cornerSubPix(gray, corners.reshape(-1, 1, 2), (11, 11), (-1, -1), done).reshape(-1, 2)
+        )
         points.append(view.found.points_board.astype(np.float32))
     theirs = cv2.calibrateCamera(points, pixels, (640, 480), None, None)[0]
     mine = calibrate(chessboards, (640, 480))

@@ -10,7 +10,7 @@ from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers, unrefined
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.observations import estimate_body, marker_points
+from robot_ik.camera.observations import estimate_body
 from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
 from robot_ik.camera.tracker import MarkerTracker

@@ -53,7 +53,9 @@ WEBCAM = Camera()
 def light_of(layout: dict[int, tuple[float, Pose]], pose: Pose, blur: float) -> Array:
     """(480, 640) light, paper 0.85, ink 0.08, before a grey wall."""
     placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
-    paper = np.concatenate([CAMERA.project(at.apply(1.24 * marker_points(side))) for side, at in placed.values()])
+    paper = np.concatenate(
+        [CAMERA.project(at.apply(1.24 * marker_points(side))) for side, at in placed.values()]
+    )
     x0, y0 = np.floor(paper.min(axis=0)).astype(int) - 8
     x1, y1 = np.ceil(paper.max(axis=0)).astype(int) + 9
     x = ((np.arange(x0 * FINE, x1 * FINE) + 0.5) / FINE - 0.5 - 319.5) / 800.0
@@ -91,7 +93,12 @@ def picture_of(light: Array, camera: Camera, rng: np.random.Generator) -> NDArra
             colours.append(cv2.filter2D(raw * mask, -1, kernel) / cv2.filter2D(mask, -1, kernel))
         raw = 0.299 * colours[0] + 0.587 * colours[1] + 0.114 * colours[2]
     srgb = np.where(raw <= 0.0031308, 12.92 * raw, 1.055 * np.maximum(raw, 1e-9) ** (1 / 2.4) - 0.055)
-    tones = {"linear": raw, "gamma 1.5": raw ** (1 / 1.5), "srgb": srgb, "s-curve": 0.5 * srgb + 0.5 * srgb**2 * (3 - 2 * srgb)}
+    tones = {
+        "linear": raw,
+        "gamma 1.5": raw ** (1 / 1.5),
+        "srgb": srgb,
+        "s-curve": 0.5 * srgb + 0.5 * srgb**2 * (3 - 2 * srgb),
+    }
     grey = 255.0 * tones[camera.tone]
     grey = grey + camera.sharpen * (grey - cv2.GaussianBlur(grey, (0, 0), 1.1))
     picture = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
@@ -102,7 +109,8 @@ def picture_of(light: Array, camera: Camera, rng: np.random.Generator) -> NDArra
 def some_pose(rng: np.random.Generator, distance: float) -> Pose:
     tilt, way = np.deg2rad(rng.uniform(5.0, 55.0)), rng.uniform(0.0, 2.0 * np.pi)
     lean = quat_multiply(
-        rotation_exp([tilt * np.cos(way), tilt * np.sin(way), 0.0]), rotation_exp([0.0, 0.0, rng.uniform(0, 6.3)])
+        rotation_exp([tilt * np.cos(way), tilt * np.sin(way), 0.0]),
+        rotation_exp([0.0, 0.0, rng.uniform(0, 6.3)]),
     )
     place = np.array([*rng.uniform(-0.12, 0.12, 2), 1.0]) * distance
     return Pose(place, FACING.compose(Pose(wxyz=lean)).wxyz)
@@ -164,7 +172,9 @@ def test_a_board_is_where_it_is_under_a_webcam() -> None:
     assert np.mean(nees) < 3.0
 
 
-def sides_and_print(image: NDArray[np.uint8], expected: EdgeShift | None = None) -> tuple[RefinedCorners, ...]:
+def sides_and_print(
+    image: NDArray[np.uint8], expected: EdgeShift | None = None
+) -> tuple[RefinedCorners, ...]:
     (found,) = MarkerDetector(DICTIONARY).detect(image)
     (sides,) = refine_markers(image, [found.corners], CAMERA, cells=6)
     (fitted,) = refine_prints(image, [sides], [found.id], DICTIONARY, CAMERA, expected=expected)
@@ -172,7 +182,7 @@ def sides_and_print(image: NDArray[np.uint8], expected: EdgeShift | None = None)
 
 
 def test_the_print_says_how_far_edges_lie_in_the_black(scenes: list[tuple[Pose, Array]]) -> None:
-    """None for a linear camera, a third of the blur's sigma and more for sRGB, as four sides alone cannot know."""
+    """None for a linear camera, a third of the blur and more for sRGB; four sides cannot know."""
     for tone, least, most in (("linear", -0.05, 0.05), ("srgb", 0.3, 0.7)):
         camera = replace(LINEAR, tone=tone)
         image = picture_of(scenes[0][1], camera, np.random.default_rng(1))

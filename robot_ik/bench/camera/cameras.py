@@ -109,9 +109,13 @@ def measured(
     for distance in distances:
         rng = np.random.default_rng([seed, round(1e3 * distance), board])
         for number in range(count):
-            pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE)
+            pose, _ = random_pose(
+                STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE
+            )
             placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
-            light = marker_light(STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=_GAP / STANDARD_SIZE)
+            light = marker_light(
+                STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=_GAP / STANDARD_SIZE
+            )
             centre = markers_centre(STANDARD_CAMERA, placed)
             for condition in conditions:
                 grain = np.random.default_rng([seed, number, round(1e3 * distance)])
@@ -163,4 +167,6 @@ def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Figu
     yield Figure(f"{what}, the same, at least", nees, "", _NEES[0], at_least=True)
     yield Figure(f"{what}, not found", errors.missed, "", 0)
     if errors.outward:
-        yield Figure(f"{what}, corner bias outwards", abs(float(np.mean(errors.outward))), "px", condition.bias)
+        yield Figure(
+            f"{what}, corner bias outwards", abs(float(np.mean(errors.outward))), "px", condition.bias
+        )

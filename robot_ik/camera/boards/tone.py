@@ -25,8 +25,8 @@ _REACH = (2.5, 5.0)
 # Parts of the contrast at one sigma to both sides of an edge.
 _LOWER, _UPPER = 0.1587, 0.8413
 _LEAST_CONTRAST, _FEWEST = 20.0, 6
-# White at this grey level is clipped.  Overshoot beside an edge, in contrasts, beyond which a picture has been
-# sharpened.  Steps at the borders of JPEG's blocks over those elsewhere, beyond which it has been compressed.
+# White at this grey level is clipped.  Beyond this overshoot beside an edge, in contrasts, a picture has been
+# sharpened; beyond these steps at the borders of JPEG's blocks, over those elsewhere, it has been compressed.
 _CLIPPED, _SHARPENED, _BLOCKY = 252.0, 0.06, 1.25
 _BLOCK = 8
 
@@ -64,7 +64,9 @@ class Tone:
         return tuple(found)
 
 
-def measure_tone(gray: Image, pixels: Array, ids: NDArray[np.int64], columns: int, reach: float) -> Tone | None:
+def measure_tone(
+    gray: Image, pixels: Array, ids: NDArray[np.int64], columns: int, reach: float
+) -> Tone | None:
     """Measures the edges between neighbouring saddles.
 
     Args:
@@ -78,12 +80,16 @@ def measure_tone(gray: Image, pixels: Array, ids: NDArray[np.int64], columns: in
         None where too few edges can be measured: small squares, blur, no contrast.
     """
     place = {int(i): k for k, i in enumerate(ids)}
-    pairs = [(k, place[i + step]) for i, k in place.items() for step in _steps(i, columns) if i + step in place]
+    pairs = [
+        (k, place[i + step]) for i, k in place.items() for step in _steps(i, columns) if i + step in place
+    ]
     if not pairs:
         return None
     ends = pixels[np.array(pairs)]
     profiles, inside = _profiles(gray, ends, reach)
-    rows = [one for line, fine in zip(profiles, inside, strict=True) if fine and (one := _edge(line)) is not None]
+    rows = [
+        one for line, fine in zip(profiles, inside, strict=True) if fine and (one := _edge(line)) is not None
+    ]
     if len(rows) < _FEWEST:
         return None
     shift, blur, white, overshoot = np.array(rows).T
@@ -136,7 +142,9 @@ def _edge(profile: Array) -> tuple[float, float, float, float] | None:
         high += 1
     if low == 0 or middle == 0:
         return None
-    half, lower, upper = (_crossing(d, part, k, value) for k, value in ((middle, 0.5), (low, _LOWER), (high, _UPPER)))
+    half, lower, upper = (
+        _crossing(d, part, k, value) for k, value in ((middle, 0.5), (low, _LOWER), (high, _UPPER))
+    )
     sigma = 0.5 * (upper - lower)
     # The plateaus must be seen, or nobody knows where half of them is.
     if not 0.0 < 2.2 * sigma < d[-1]:
@@ -151,7 +159,7 @@ def _crossing(d: Array, part: Array, k: int, value: float) -> float:
 
 
 def _blockiness(gray: Image) -> float:
-    """Steps between neighbouring columns at the borders of 8 x 8 blocks over those elsewhere, in flat parts."""
+    """Steps between columns at the borders of 8 x 8 blocks over those elsewhere, in flat parts."""
     step = np.abs(np.diff(gray.astype(np.int16), axis=1))
     quiet = np.minimum(step, 8).astype(float).mean(axis=0)
     border = np.arange(len(quiet)) % _BLOCK == _BLOCK - 1

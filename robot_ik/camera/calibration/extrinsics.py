@@ -229,7 +229,8 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
         raise CalibrationError(
             f"the board's corners move by {np.median(restless):.1f} px between the pictures: a place can be "
             "found only of a camera and a board that both rest",
-            hint="take a picture, or a film in which nothing moves; a carried camera: robot-ik camera handeye",
+            hint="take one picture, or a film in which nothing moves; for a carried camera there is "
+            "robot-ik camera handeye",
         )
     sigma = float(np.median([view.sigma for view in views]))
     return BoardView(np.array(points), np.array(means), start, sigma)

@@ -471,7 +471,9 @@ def solve_handeye(
     return found
 
 
-def require_explained(pixels: Sequence[float], outliers: Sequence[bool], intrinsics: CameraIntrinsics) -> None:
+def require_explained(
+    pixels: Sequence[float], outliers: Sequence[bool], intrinsics: CameraIntrinsics
+) -> None:
     """Checks that a result explains the views that it is of.
 
     Args:
@@ -487,10 +489,10 @@ def require_explained(pixels: Sequence[float], outliers: Sequence[bool], intrins
     if middle <= most and 2 * sum(outliers) <= len(outliers):
         return
     raise CalibrationError(
-        f"no answer explains what was seen: half of the {len(outliers)} views are {middle:.1f} px off and more "
-        f"(at most {most:.0f} px can be an arm's), {sum(outliers)} contradict the others",
-        hint="check which of camera and board the arm carries, that the pictures belong to these joint angles, "
-        "the board's sizes, and the camera's calibration",
+        f"no answer explains what was seen: half of the {len(outliers)} views are {middle:.1f} px off and "
+        f"more (at most {most:.0f} px can be an arm's), {sum(outliers)} contradict the others",
+        hint="check which of camera and board the arm carries, that the pictures belong to these joint "
+        "angles, the board's sizes, and the camera's calibration",
     )
 
 

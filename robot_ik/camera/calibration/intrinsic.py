@@ -155,8 +155,8 @@ class CalibrationResult:
         coverage: Where in the picture corners were, and how the board was tilted.
         verdict: In words.
         doubts: What the verdict complains about; empty for a good calibration.
-        notes: What the camera does to its pictures, and what to change at it.  Chessboard corners do not mind;
-            markers know their depth less well.
+        notes: What the camera does to its pictures, and what to change at it.  Corners of chessboards do not
+            mind; markers know their depth less well.
     """
 
     intrinsics: CameraIntrinsics

@@ -135,7 +135,9 @@ def marker_light(
         for marker_id, (size, pose) in markers.items():
             box = _paper_box(camera, pose, size)
             if box[2] > box[0] and box[3] > box[1]:
-                _paint_paper(canvas, box, camera, pose, _Paper(size, bits[marker_id], white, look.bleed), look)
+                _paint_paper(
+                    canvas, box, camera, pose, _Paper(size, bits[marker_id], white, look.bleed), look
+                )
     if cover is not None:
         cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (look.black + look.white))
     return canvas
@@ -147,7 +149,7 @@ def markers_centre(camera: CameraIntrinsics, markers: Mapping[int, tuple[float, 
 
 
 def photograph(canvas: Array, centre: Array, rng: np.random.Generator, look: SensorModel) -> Image:
-    """The light of a scene, unevenly lit, behind the lens and developed; a shadow's edge goes by ``centre``."""
+    """The light of a scene, unevenly lit and developed; a shadow's edge goes by ``centre``."""
     height, width = canvas.shape
     way = rng.uniform(0, 2 * np.pi)
     across = np.array([np.cos(way), np.sin(way)])
@@ -155,7 +157,9 @@ def photograph(canvas: Array, centre: Array, rng: np.random.Generator, look: Sen
     along = (x * across[0] + y * across[1]) / np.abs(across).sum() + 0.5
     light = look.scattered(canvas) * (1.0 - look.gradient * along)
     if look.shadow > 0.0:
-        away = (np.arange(width) - centre[0]) * across[0] + ((np.arange(height) - centre[1]) * across[1])[:, None]
+        away = (np.arange(width) - centre[0]) * across[0] + ((np.arange(height) - centre[1]) * across[1])[
+            :, None
+        ]
         light = light * (1.0 - look.shadow / (1.0 + np.exp(-away / _SHADOW_SOFT)))
     return look.developed(light, rng.normal(0.0, 1.0, light.shape))
 
