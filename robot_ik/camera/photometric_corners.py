@@ -300,7 +300,9 @@ Array = NDArray[np.float64]
 _ROUND = 0.45
 # Pixels of a print that are looked at, and those of them with an edge that are fitted: more make no marker
 # better than the model is.
-_PIXELS, _FITTED = 9000, 2200
+PIXELS, _FITTED = 9000, 2200
+# In films, which want to be fast: the next picture comes soon.
+FILM_PIXELS = 3000
 # So many of them say whether the model needs more unknowns.
 _ASKED = 800
 # Steps at most; one so small, in standard deviations, is the last; a fit that does not come below that one
@@ -363,7 +365,7 @@ def refine_prints(
     *,
     origin: tuple[int, int] = (0, 0),
     expected: EdgeShift | None = None,
-    pixels: int = _PIXELS,
+    pixels: int = PIXELS,
 ) -> list[RefinedCorners]:
     """Corners of several markers by all of their prints.
 

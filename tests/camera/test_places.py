@@ -193,7 +193,7 @@ def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
         there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
         pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
         moving.append(BoardView(POINTS, pixels, there, 0.1))
-    with pytest.raises(CalibrationError, match="move by .* px between the pictures") as refused:
+    with pytest.raises(CalibrationError, match=r"move by .* px between the pictures") as refused:
         locate_camera(moving, BOARD, STANDARD_CAMERA)
     assert "handeye" in str(refused.value.hint)
 

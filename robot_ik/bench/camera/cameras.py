@@ -72,7 +72,9 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("overexposed 1.5", replace(WEBCAM, exposure=1.5), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
     Condition("bloom 15 %", replace(WEBCAM, bloom=0.15), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
     Condition("motion 2 px", replace(WEBCAM, motion=2.0), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
-    Condition("sharpening 1.5", replace(WEBCAM, sharpening=1.5), (0.08, 0.4, 2.0), (0.05, 0.15, 0.5), _BIAS_HARSH),
+    Condition(
+        "sharpening 1.5", replace(WEBCAM, sharpening=1.5), (0.08, 0.4, 2.0), (0.05, 0.15, 0.5), _BIAS_HARSH
+    ),
     Condition("soft shadow", replace(WEBCAM, shadow=0.5), (0.15, 0.8, 2.5), (), _BIAS_HARSH),
 )  # fmt: skip
 

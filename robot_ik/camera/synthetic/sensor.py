@@ -1,8 +1,8 @@
 """What a camera makes of the light that falls on its sensor: from a proportional one to a webcam.
 
 Light goes through bloom and blur of the lens, colour filter and noise of the sensor, demosaicing, a tone
-curve, sharpening and JPEG, in that order.  No edge is modelled here: the light is a picture, and each step is what
-cameras do to pictures.
+curve, sharpening and JPEG, in that order.  No edge is modelled here: the light is a picture, and each step is
+what cameras do to pictures.
 """
 
 from __future__ import annotations
