@@ -310,6 +310,7 @@ class RefinedCorners:
         edge_shift: How far edges seem to lie in the black, in sigmas of the blur (``photometric_corners``).
         edge_shift_sigma: Its standard deviation.
         explained: Part of the variance of the grey values that the marker's print explains; NaN: not asked.
+        misread: Cells that the picture shows otherwise than the print, beyond those that its dictionary allows.
         by_print: Whether the corners are those of the whole print, not of the four sides alone.
     """
 
@@ -322,6 +323,7 @@ class RefinedCorners:
     edge_shift: float = 0.0
     edge_shift_sigma: float = float("inf")
     explained: float = float("nan")
+    misread: int = 0
     by_print: bool = False
 
 

@@ -64,6 +64,12 @@ _LARGE_CELL, _REDUCE = 8.0, 0.5
 _CORNER_WINDOW, _CORNER_STEPS = 3, 5
 
 
+def correctable(dictionary: str, *, strict: bool = False) -> int:
+    """How many bits of a marker may be misread."""
+    rate = _CORRECTED_STRICTLY if strict else _CORRECTED
+    return int(marker_dictionary(dictionary).maxCorrectionBits * rate)
+
+
 @dataclass(frozen=True, eq=False)
 class Detection:
     """A marker in a picture.

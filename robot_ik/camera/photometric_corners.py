@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
-from robot_ik.camera.detection import Image, to_gray
+from robot_ik.camera.detection import Image, correctable, to_gray
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel, lens_vector
@@ -386,8 +386,11 @@ def refine_prints(
         return []
     announce(print_equations, "the fit of the markers' prints")
     gray, expected = to_gray(image), expected or EdgeShift.of(intrinsics)
+    allowed = correctable(dictionary, strict=True)
     fits = [
-        _Print(gray, marker_black(dictionary, i), one, intrinsics, origin, expected, pixels).corners()
+        _Print(
+            gray, marker_black(dictionary, i), one, intrinsics, origin, expected, pixels, allowed
+        ).corners()
         for i, one in zip(ids, sides, strict=True)
     ]
     shift = _common_shift([one for one in fits if one.by_print], expected)
@@ -398,7 +401,7 @@ def refine_prints(
 
 def is_print(corners: RefinedCorners) -> bool:
     """Whether the picture shows the marker's print there, and not something with a like code."""
-    return not corners.explained < _EXPLAINED
+    return corners.misread == 0 and not corners.explained < _EXPLAINED
 
 
 def _common_shift(fitted: Sequence[RefinedCorners], expected: EdgeShift) -> EdgeShift:
@@ -444,7 +447,9 @@ class _Print:
         origin: tuple[int, int],
         expected: EdgeShift,
         pixels: int,
+        allowed: int,
     ) -> None:
+        self._allowed = allowed
         self._start, self._black, self._intrinsics, self._expected = start, black, intrinsics, expected
         self._to_print = _homography(start.normalized)
         blur = start.blur if start.refined else _BLUR
@@ -503,7 +508,8 @@ class _Print:
             found = self._result()
             if self._ask_for_more() and self._fit():
                 found = self._result() or found
-        return found or replace(self._start, explained=max(self._at_start, self._explained()))
+        best = found or replace(self._start, explained=max(self._at_start, self._explained()))
+        return replace(best, misread=max(0, self._misread() - self._allowed))
 
     def _equations(self, terms: int, halo: bool) -> int:
         return print_equations(
@@ -627,6 +633,16 @@ class _Print:
         if spread < _LEAST_CONTRAST * float(weights.sum()):
             return 0.0  # nothing is there
         return 1.0 - float(weights @ self._misses[: self._count] ** 2) / spread
+
+    def _misread(self) -> int:
+        """Cells whose pixels miss the model by more than half of the contrast, on average."""
+        n, taken = len(self._black), self._taken[:, : self._count]
+        w = self._to_print @ np.stack([taken[0], taken[1], np.ones(self._count)])
+        column, row = (np.floor((w[:2] / w[2] + 0.5) * n)).astype(int)
+        inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < n)
+        cell = (row * n + column)[inside]
+        misses = np.bincount(cell, self._misses[: self._count][inside], n * n)
+        return int(np.sum(np.abs(misses) > 0.5 * abs(self._x[9]) * np.bincount(cell, minlength=n * n)))
 
     def _corner_jacobian(self) -> Array | None:
         """(8, 8) of the corners in px by the homography's unknowns."""
