@@ -310,7 +310,7 @@ class RefinedCorners:
         edge_shift: How far edges seem to lie in the black, in sigmas of the blur (``photometric_corners``).
         edge_shift_sigma: Its standard deviation.
         explained: Part of the variance of the grey values that the marker's print explains; NaN: not asked.
-        misread: Cells that the picture shows otherwise than the print, beyond those that its dictionary allows.
+        misread: Cells that the picture shows otherwise than the print, beyond what its dictionary allows.
         by_print: Whether the corners are those of the whole print, not of the four sides alone.
     """
 
