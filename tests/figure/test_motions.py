@@ -39,7 +39,7 @@ def test_a_walk_neither_slips_nor_falls(figure: Figure, straight: Walk) -> None:
 
 
 def test_a_walk_is_a_mans(figure: Figure, straight: Walk) -> None:
-    """Schwartz et al. 2008 for the curves; the knee is more bent than theirs, as docs/figure.md says."""
+    """Schwartz et al. 2008 for the curves; the knee is more bent, as docs/theory/figure.md says."""
     gait = measure_gait(figure, straight)
     assert (
         gait.correlation["hip"] >= 0.97
