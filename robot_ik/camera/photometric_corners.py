@@ -456,6 +456,7 @@ class _Print:
         self._log_blur = math.log(blur)
         self._x = np.array([blur, expected.value, *[0.0] * 13])
         self._terms, self._halo, self._noise, self._step = LINEAR, False, 0.0, math.inf
+        self._inverse, self._at_start = np.empty((0, 0)), 0.0
         room = LIGHT + 2 * QUADRATIC
         self._work = np.empty((10, max(room, len(black))))
         self._normal = np.empty((room, room + 1))
@@ -512,10 +513,11 @@ class _Print:
         return replace(best, misread=max(0, self._misread() - self._allowed))
 
     def _equations(self, terms: int, halo: bool) -> int:
-        return print_equations(
+        used: int = print_equations(
             self._taken, self._count, self._black, self._to_print, self._x, terms, halo, self._noise,
             self._work, self._normal, self._misses,
         )  # fmt: skip
+        return used
 
     def _find_light(self) -> bool:
         """Dark and contrast alone, which are linear; keeps the pixels that tell something."""
@@ -571,9 +573,9 @@ class _Print:
             self._step = math.sqrt(max(float(step @ right), 0.0)) / self._noise
             if not self._step < math.inf or not self._take(step):
                 return False
+            self._inverse = inverse
             if self._step < _DONE:
                 break
-        self._inverse = inverse
         return self._step < _RESTLESS
 
     def _take(self, step: Array) -> bool:
@@ -702,7 +704,7 @@ def _homography(normalized: Array) -> Array:
     matrix = np.append(found, 1.0).reshape(3, 3)
     centre = normalized.mean(axis=0)
     # Positive before the camera.
-    return matrix * np.sign(matrix[2, 0] * centre[0] + matrix[2, 1] * centre[1] + 1.0)
+    return np.asarray(matrix * np.sign(matrix[2, 0] * centre[0] + matrix[2, 1] * centre[1] + 1.0))
 
 
 def _seen_at(to_print: Array, places: Array) -> Array | None:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -92,7 +93,7 @@ class SensorModel:
         if self.tone not in TONES:
             raise CameraError(unknown_name_text("tone curve", self.tone, list(TONES)))
 
-    def scattered(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
+    def scattered(self, light: NDArray[Any]) -> NDArray[Any]:
         """Light (h, w) or (h, w, 3) behind the lens: bloom, blur, motion."""
         if self.bloom > 0.0:
             light = cv2.addWeighted(
@@ -104,7 +105,7 @@ class SensorModel:
             light = cv2.filter2D(light, -1, _smear(self.motion), borderType=cv2.BORDER_REFLECT)
         return light
 
-    def developed(self, light: NDArray[np.floating], grain: NDArray[np.floating] | None) -> Image:
+    def developed(self, light: NDArray[Any], grain: NDArray[Any] | None) -> Image:
         """The picture (as ``light``) uint8 of light behind the lens.
 
         Args:
@@ -113,7 +114,9 @@ class SensorModel:
         """
         noise = 0.0 if grain is None else self.noise
         if self.bayer:
-            levels = _toned(_demosaiced(light * self.exposure, grain, noise, self.tone), self.tone)
+            levels: NDArray[Any] = _toned(
+                _demosaiced(light * self.exposure, grain, noise, self.tone), self.tone
+            )
         else:
             plain = self.tone == "linear" and self.exposure == 1.0
             levels = light if plain else _toned(_raw(light * self.exposure), self.tone)
@@ -159,7 +162,7 @@ def _toned(raw: NDArray[np.uint16], tone: str) -> NDArray[np.float32]:
 
 
 def _demosaiced(
-    light: NDArray[np.floating], grain: NDArray[np.floating] | None, noise: float, tone: str
+    light: NDArray[Any], grain: NDArray[Any] | None, noise: float, tone: str
 ) -> NDArray[np.uint16]:
     """Each pixel sees one colour, with its noise, and takes the others from its neighbours."""
     mosaic = np.array(light if light.ndim == 2 else light[..., 1], dtype=np.float32)
@@ -185,4 +188,4 @@ def _smear(length: float) -> Array:
         i, j = int(x), int(y)
         a, b = x - i, y - j
         kernel[j : j + 2, i : i + 2] += np.outer((1 - b, b), (1 - a, a))
-    return kernel / kernel.sum()
+    return np.asarray(kernel / kernel.sum())
