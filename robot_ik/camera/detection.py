@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -64,6 +65,7 @@ _LARGE_CELL, _REDUCE = 8.0, 0.5
 _CORNER_WINDOW, _CORNER_STEPS = 3, 5
 
 
+@lru_cache(maxsize=64)
 def correctable(dictionary: str, *, strict: bool = False) -> int:
     """How many bits of a marker may be misread."""
     rate = _CORRECTED_STRICTLY if strict else _CORRECTED
