@@ -1,6 +1,8 @@
-"""Marker corners to hundredths of a pixel.
+"""Marker corners by their sides: what the fit of the whole print starts from, and falls back to.
 
-``refine_markers`` is what others call; all of it is compiled.  ``edge_fit`` fits one straight edge.
+``refine_markers`` is what others call; all of it is compiled.  ``edge_fit`` fits one straight edge.  An edge
+is where grey is half way between black and white: to hundredths of a pixel for a camera whose grey values are
+proportional to light, and up to half a pixel in the black for others; see ``photometric_corners``.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -82,7 +84,7 @@ _FIT_NUMBERS = EDGE_NUMBERS + 4
 
 
 @kernel
-def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good):
+def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good, blurs):
     """Refines the corners of m markers in place.
 
     Args:
@@ -93,6 +95,7 @@ def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good):
         normalized: (m, 4, 2) out: undistorted normalised coordinates.
         covariance: (m, 8, 8) out, px^2.
         good: (m,) int64 out: 1 where the edges were measured.
+        blurs: (m,) out: sigma of the blur of the edges, px.
     """
     pixels, columns = np.empty((PIXEL_ROWS, _ROOM)), np.empty(COLUMNS + 1, np.int64)
     table, curve = np.empty((COLUMN_ROWS, COLUMNS)), np.empty((STATIONS, 3))
@@ -129,7 +132,7 @@ def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good):
         for k in range(8):
             # Where it has not come to rest, the range it still covers is part of the uncertainty.
             covariance[m, k, k] += (0.0 if moved < _STILL else min(moved, 1.0) ** 2) + _LEAST_SIGMA**2
-        good[m] = 1 if fine else 0
+        good[m], blurs[m] = 1 if fine else 0, blur
         if not fine:
             for k in range(4):
                 one[k, 0], one[k, 1] = rough[k, 0], rough[k, 1]
@@ -303,6 +306,12 @@ class RefinedCorners:
             they share an edge.
         sigma: Root mean square of the standard deviations of the eight numbers, px.
         refined: False: the fit failed and these are the detector's corners with their large sigma.
+        blur: Sigma of the blur of the edges, px; NaN where they were not measured.
+        edge_shift: How far edges seem to lie in the black, in sigmas of the blur (``photometric_corners``).
+        edge_shift_sigma: Its standard deviation.
+        explained: Part of the variance of the grey values that the marker's print explains; NaN: not asked.
+        misread: Cells that the picture shows otherwise than the print, beyond what its dictionary allows.
+        by_print: Whether the corners are those of the whole print, not of the four sides alone.
     """
 
     corners: Array
@@ -310,6 +319,12 @@ class RefinedCorners:
     covariance: Array
     sigma: float
     refined: bool
+    blur: float = float("nan")
+    edge_shift: float = 0.0
+    edge_shift_sigma: float = float("inf")
+    explained: float = float("nan")
+    misread: int = 0
+    by_print: bool = False
 
 
 def unrefined(
@@ -362,29 +377,31 @@ def refine_markers(
     gray = np.ascontiguousarray(to_gray(image))
     corners = np.array(markers, dtype=float).reshape(-1, 4, 2)
     normalized, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
-    good = np.zeros(len(corners), np.int64)
+    good, blurs = np.zeros(len(corners), np.int64), np.empty(len(corners))
     lens = lens_vector(intrinsics)
     if origin != (0, 0):
         lens = lens.copy()
         lens[CX] -= origin[0]
         lens[CY] -= origin[1]
         corners -= origin
-    refine_corners_of(gray, lens, cells, corners, normalized, covariance, good)
+    refine_corners_of(gray, lens, cells, corners, normalized, covariance, good, blurs)
     for k in np.flatnonzero(good == 0):
         other = _refine_in_another_size(gray, lens, cells, corners[k])
         if other is not None:
-            corners[k], normalized[k], covariance[k], good[k] = *other, 1
+            corners[k], normalized[k], covariance[k], blurs[k], good[k] = *other, 1
     corners += origin
     return [
-        RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True) if fine else unrefined(c, intrinsics)
-        for c, i, v, fine in zip(corners, normalized, covariance, good, strict=True)
+        RefinedCorners(c, i, v, math.sqrt(v.trace() / 8), True, float(b))
+        if fine
+        else unrefined(c, intrinsics)
+        for c, i, v, b, fine in zip(corners, normalized, covariance, blurs, good, strict=True)
     ]
 
 
 def _refine_in_another_size(
     gray: Image, lens: Array, cells: int, corners: Array
-) -> tuple[Array, Array, Array] | None:
-    """Corners, their ideal ones and their covariance from a larger picture, or one reduced until it is sharp.
+) -> tuple[Array, Array, Array, float] | None:
+    """Corners, ideal ones, covariance and blur from a larger picture, or one reduced until it is sharp.
 
     Args:
         gray: (h, w).
@@ -407,12 +424,13 @@ def _refine_in_another_size(
         small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, reduction)
         found = to_reduced(corners - low, reduction)[None]
         normalized, covariance = np.empty_like(found), np.empty((1, 8, 8))
-        good = np.zeros(1, np.int64)
-        refine_corners_of(_resized(part, reduction), small, cells, found, normalized, covariance, good)
+        good, blurs = np.zeros(1, np.int64), np.empty(1)
+        refine_corners_of(_resized(part, reduction), small, cells, found, normalized, covariance, good, blurs)
         if good[0]:
             # Pixels between pixels know nothing new: the covariance stays that of as many as there are.
             known = max(reduction, 1.0)
-            return from_reduced(found[0], reduction) + low, normalized[0], covariance[0] * known**2
+            there = from_reduced(found[0], reduction) + low
+            return there, normalized[0], covariance[0] * known**2, reduction * float(blurs[0])
     return None
 
 

@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -38,11 +39,20 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Cells narrower than this (px) cannot be read, only guessed: noise now and then looks like a code.
-_LEAST_CELL = 1.5
+_LEAST_CELL = 1.2
+# A thorough search: thresholds look at so many pixels around, and an outline may leave its polygon by so much
+# of its length.  A wide view in a bent lens is less square than OpenCV's 3 % allows; of a strongly tilted
+# marker 5 % is more than its short side.  Wider windows find no more, and take twice the time.
+_SEARCHES = ((5, 0.05), (13, 0.02))
 # Where a marker is expected it is looked for down to this part of its size.
 _SHRINK = 0.6
 # Thresholds of the quick search look at so many pixels around, px: fine enough for a cell of 2 px.
 _QUICK_WINDOW = 13
+# So many of the bits that a dictionary can correct may be wrong.  In small cells black looks narrower than it
+# is (tone curve), and bits are misread: with all of them, a quarter more small markers are found, and now and
+# then one that is none.  The tracker asks afterwards whether the picture shows the print
+# (``photometric_corners``); without that, fewer are corrected.
+_CORRECTED, _CORRECTED_STRICTLY = 1.0, 0.6
 # OpenCV reads a cell from so many samples squared, taken without interpolation.  With its usual 4, cells of
 # 2 px are often misread.
 _CELL_SAMPLES = 8
@@ -53,6 +63,13 @@ _SMALL_CELL, _ENLARGE = 4.0, 2.0
 # outlines of noise.  OpenCV's refinement, in a window of this half width, gives the lost half pixel back.
 _LARGE_CELL, _REDUCE = 8.0, 0.5
 _CORNER_WINDOW, _CORNER_STEPS = 3, 5
+
+
+@lru_cache(maxsize=64)
+def correctable(dictionary: str, *, strict: bool = False) -> int:
+    """How many bits of a marker may be misread."""
+    rate = _CORRECTED_STRICTLY if strict else _CORRECTED
+    return int(marker_dictionary(dictionary).maxCorrectionBits * rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +100,15 @@ class MarkerDetector:
         dictionary: Name as in OpenCV, for example ``DICT_5X5_50`` (the default of this package: no false
             finds in our trials, where 4X4_250 and 16h5 had some).
         ids: Only these are reported; None for all.
+        strict: For finds that nobody verifies by their print.
 
     Raises:
         CameraError: Unknown dictionary (close names are listed) or an id beyond it.
     """
 
-    def __init__(self, dictionary: str = "DICT_5X5_50", ids: Iterable[int] | None = None) -> None:
+    def __init__(
+        self, dictionary: str = "DICT_5X5_50", ids: Iterable[int] | None = None, *, strict: bool = False
+    ) -> None:
         table = marker_dictionary(dictionary)
         self.dictionary = dictionary
         self.ids = None if ids is None else frozenset(int(i) for i in ids)
@@ -99,10 +119,9 @@ class MarkerDetector:
             raise CameraError(
                 f"marker ids {beyond} are not in {dictionary}", hint=f"its ids are 0 to {count - 1}"
             )
-        self._detector = cv2.aruco.ArucoDetector(table, _parameters())
-        self._quick_parameters = _parameters()
-        self._quick_parameters.adaptiveThreshWinSizeMin = _QUICK_WINDOW
-        self._quick_parameters.adaptiveThreshWinSizeMax = _QUICK_WINDOW
+        rate = _CORRECTED_STRICTLY if strict else _CORRECTED
+        self._thorough = [cv2.aruco.ArucoDetector(table, _parameters(*one, rate)) for one in _SEARCHES]
+        self._quick_parameters = _parameters(_QUICK_WINDOW, _SEARCHES[0][1], rate)
         self._quick = cv2.aruco.ArucoDetector(table, self._quick_parameters)
 
     def detect(self, image: Image) -> list[Detection]:
@@ -112,7 +131,7 @@ class MarkerDetector:
         smaller size too: its edges may be too soft for the thresholds.
         """
         gray = to_gray(image)
-        found = self._wanted(detect_markers(self._detector, gray))
+        found = self._wanted(self._search(gray))
         if reduction_for(gray) == 1:
             return found
         return _sorted(found + [one for one in self.detect_quickly(gray) if not _among(one, found)])
@@ -135,14 +154,13 @@ class MarkerDetector:
         if cell < _SMALL_CELL or (cell > _LARGE_CELL and not thorough):
             zoom = _ENLARGE if cell < _SMALL_CELL else _REDUCE
             gray = _zoomed(gray, zoom)
-        detector = self._detector
-        if not thorough:
+        if thorough:
+            found = self._search(gray)
+        else:
             self._expect(4.0 * zoom * side, gray.shape, reduced=zoom < 1.0)
-            detector = self._quick
+            found = detect_markers(self._quick, gray)
         shift = np.array(origin, dtype=float)
-        return self._wanted(
-            [(i, (corners + 0.5) / zoom - 0.5 + shift) for i, corners in detect_markers(detector, gray)]
-        )
+        return self._wanted([(i, (corners + 0.5) / zoom - 0.5 + shift) for i, corners in found])
 
     def detect_quickly(self, image: Image) -> list[Detection]:
         """As ``detect``, two times faster, with one threshold: enough for markers that are easily seen.
@@ -157,6 +175,18 @@ class MarkerDetector:
         self._expect(0.0, gray.shape, reduced=times > 1)
         found = detect_markers(self._quick, gray)
         return self._wanted([(i, from_reduced(corners, times)) for i, corners in found], times)
+
+    def _search(self, gray: Image) -> list[tuple[int, Array]]:
+        """By all thresholds; what several of them find is there once."""
+        found: list[tuple[int, Array]] = []
+        for detector in self._thorough:
+            known = [Detection(i, corners) for i, corners in found]
+            found += [
+                (i, corners)
+                for i, corners in detect_markers(detector, gray)
+                if not _among(Detection(i, corners), known)
+            ]
+        return found
 
     def _expect(self, perimeter: float, shape: tuple[int, ...], *, reduced: bool = False) -> None:
         """Tells the quick detector how small a marker may be in a picture of this shape."""
@@ -205,19 +235,23 @@ def shortest_side(corners: Array) -> float:
     return min(math.hypot(c[k][0] - c[k - 1][0], c[k][1] - c[k - 1][1]) for k in range(4))
 
 
-def _parameters() -> cv2.aruco.DetectorParameters:
-    """All that matters is set, because the defaults differ between OpenCV releases."""
+def _parameters(window: int, accuracy: float, corrected: float) -> cv2.aruco.DetectorParameters:
+    """All that matters is set, because the defaults differ between OpenCV releases.
+
+    Args:
+        window: Of the threshold, px.
+        accuracy: By how much an outline may leave its polygon, in parts of its length.
+        corrected: Share of the bits that a dictionary can correct that may be wrong.
+    """
     p = cv2.aruco.DetectorParameters()
     p.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     p.cornerRefinementWinSize, p.cornerRefinementMaxIterations = _CORNER_WINDOW, _CORNER_STEPS
-    # Three windows: fine for small and blurred markers, coarse for uneven light.
-    p.adaptiveThreshWinSizeMin, p.adaptiveThreshWinSizeMax, p.adaptiveThreshWinSizeStep = 3, 23, 10
+    p.adaptiveThreshWinSizeMin = p.adaptiveThreshWinSizeMax = window
     # 3 % of the picture's longer side round the marker: cells of one pixel at 640 px.
     p.minMarkerPerimeterRate = 0.03
-    # A steep view in a bent lens is less square than OpenCV's 3 % allows.
-    p.polygonalApproxAccuracyRate = 0.05
+    p.polygonalApproxAccuracyRate = accuracy
     p.minMarkerDistanceRate = 0.05
-    p.errorCorrectionRate = 0.6
+    p.errorCorrectionRate = corrected
     p.perspectiveRemovePixelPerCell = _CELL_SAMPLES
     p.detectInvertedMarker = False
     p.useAruco3Detection = False
@@ -246,7 +280,7 @@ def guess_dictionary(images: Sequence[Image], least: int = 1) -> str | None:
     pictures = [_shrunk(to_gray(image)) for image in images]
     best, name = (0, 0.0), None
     for family in _families():
-        detector = MarkerDetector(family[-1])
+        detector = MarkerDetector(family[-1], strict=True)
         ids = [one.id for picture in pictures for one in detector.detect(picture)]
         if len(ids) < max(least, 1):
             continue

@@ -1,7 +1,7 @@
 """Where a marker or a rigid body with markers is, from corners in one picture.
 
 ``estimate_marker`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``; the
-fit of the whole print to the pixels is in ``photometric_pose``.
+fit of the whole print to the pixels is in ``photometric_corners``.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ _DOUBTED, _REWEIGHTINGS = 1.5, 4
 _CORNER_NUMBERS = 8
 # The corners of several markers are each this much less certain, px: what the model of an edge leaves out
 # differs from marker to marker, and a sharp picture must not make it count.
-_MODEL_SIGMA = 0.015
+_MODEL_SIGMA = 0.007
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -28,7 +28,7 @@ from robot_ik.camera.observations import (
     marker_observation,
     marker_points,
 )
-from robot_ik.camera.photometric_pose import doubtful, fit_photometric_pose, seen_by_print
+from robot_ik.camera.photometric_corners import FILM_PIXELS, PIXELS, EdgeShift, is_print, refine_prints
 from robot_ik.camera.pose_fit import Branches
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
@@ -189,6 +189,7 @@ class MarkerTracker:
         for size in by_id.values() if by_id is not None else [self._size or 0.0]:
             marker_points(size)
         self.detector = MarkerDetector(dictionary, chosen)
+        self._expected = EdgeShift.of(intrinsics)
         self._use_window = window
         self._window = SearchWindow()
         self._use_memory = window if memory is None else memory
@@ -224,15 +225,9 @@ class MarkerTracker:
                 continue
             # Nobody knows which of two copies the last picture was about.
             choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
-            seen = marker_observation(
-                marker_id, corners, branches, frame.time, choice.index, choice.ambiguity
+            observations.append(
+                marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
             )
-            if not self._use_memory and doubtful(seen):
-                seen = seen_by_print(
-                    to_gray(frame.image), seen, self.size_of(marker_id), self.detector.dictionary,
-                    self.intrinsics,
-                )  # fmt: skip
-            observations.append(seen)
         return observations
 
     def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
@@ -255,16 +250,7 @@ class MarkerTracker:
         if fitting is None:
             return None
         choice = self._choose(frozenset(layout), fitting.branches, frame.time)
-        seen = fitting.observation(choice.index, choice.ambiguity, frame.time)
-        better = fit_photometric_pose(
-            to_gray(frame.image), layout, seen.ids, self.detector.dictionary, self.intrinsics,
-            seen.pose_camera_body, seen.covariance,
-        )  # fmt: skip
-        return (
-            seen
-            if better is None
-            else replace(seen, pose_camera_body=better.pose, covariance=better.covariance)
-        )
+        return fitting.observation(choice.index, choice.ambiguity, frame.time)
 
     def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
         """Corners of the wanted markers in the frame, by id; those that come twice are left out.
@@ -290,19 +276,23 @@ class MarkerTracker:
             return self._seen[1]
         self.intrinsics.require_size(*frame.size)
         part, origin, detections, thorough = self._detect(frame.image)
-        refined = self._refine(part, detections, origin)
+        refined = self._sides(part, detections, origin)
         whole = part.shape == frame.image.shape[:2]
         if whole and not thorough and not all(one.refined for one in refined):
             # The quick search's corners may be too rough to start from.
             again = self.detector.detect(part)
-            better = self._refine(part, again, origin)
+            better = self._sides(part, again, origin)
             if sum(one.refined for one in better) > sum(one.refined for one in refined):
                 detections, refined = again, better
-        found = [(d.id, corners) for d, corners in zip(detections, refined, strict=True)]
+        fitted = refine_prints(
+            part, refined, [d.id for d in detections], self.detector.dictionary, self.intrinsics,
+            origin=origin, expected=self._expected, pixels=FILM_PIXELS if self._use_window else PIXELS,
+        )  # fmt: skip
+        found = [(d.id, c) for d, c in zip(detections, fitted, strict=True) if is_print(c)]
         self._seen = (frame, found)
         return found
 
-    def _refine(
+    def _sides(
         self, part: Image, detections: list[Detection], origin: tuple[int, int]
     ) -> list[RefinedCorners]:
         rough = [d.corners for d in detections]
@@ -440,8 +430,10 @@ class MarkerFinder:
         straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
         gray = to_gray(frame.image)
         found = self._detector.detect(gray)
-        refined = refine_markers(gray, [d.corners for d in found], straight, cells=self._detector.cells)
-        return [Corners(d.id, seen) for d, seen in zip(found, refined, strict=True)]
+        sides = refine_markers(gray, [d.corners for d in found], straight, cells=self._detector.cells)
+        ids = [d.id for d in found]
+        refined = refine_prints(gray, sides, ids, self._detector.dictionary, straight)
+        return [Corners(i, seen) for i, seen in zip(ids, refined, strict=True) if is_print(seen)]
 
 
 # ---------------------------------------------------------------------------------- as values

@@ -249,6 +249,8 @@ def _print(result: CalibrationResult) -> None:
     screen.print(Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"))
     for doubt in result.doubts:
         screen.print(Text(f"- {doubt}", style="yellow"))
+    for note in result.notes:
+        screen.print(Text(f"  {note}"))
 
 
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -272,4 +274,7 @@ def _as_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any
                   for v in result.per_view],
         "verdict": result.verdict,
         "doubts": result.doubts,
+        "notes": result.notes,
+        "edge_shift": camera.edge_shift,
+        "edge_shift_sigma": camera.edge_shift_sigma,
     }  # fmt: skip

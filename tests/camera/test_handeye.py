@@ -180,6 +180,18 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
 # --------------------------------------------------------------------------------- rotations
 
 
+@pytest.mark.parametrize("mounting", ["eye_in_hand", "eye_to_hand"])
+def test_pictures_that_belong_to_other_joint_angles_give_no_mount(mounting: Mounting) -> None:
+    _, samples = handeye_set(12, mounting=mounting, seed=3)
+    views = [one.view for one in samples]
+    shuffled = [
+        HandEyeSample(one.pose_world_hand, view)
+        for one, view in zip(samples, views[5:] + views[:5], strict=True)
+    ]
+    with pytest.raises(CalibrationError, match="no answer explains what was seen"):
+        solve_handeye(shuffled, STANDARD_CAMERA, mounting=mounting)
+
+
 def quaternions(rotations: Sequence[Rotation]) -> Array:
     """(n, 4), wxyz."""
     return np.array([r.as_quat()[[3, 0, 1, 2]] for r in rotations])

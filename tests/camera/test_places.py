@@ -184,3 +184,24 @@ def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
     with pytest.raises(CameraError, match="several bodies") as refused:
         parse_board(str(path))
     assert f"{path}:table" in refused.value.hint
+
+
+def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
+    """It gave one, 3 µm well known, beside residuals of 58 px."""
+    rng, moving = np.random.default_rng(8), []
+    for k in range(6):
+        there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
+        pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
+        moving.append(BoardView(POINTS, pixels, there, 0.1))
+    with pytest.raises(CalibrationError, match=r"move by .* px between the pictures") as refused:
+        locate_camera(moving, BOARD, STANDARD_CAMERA)
+    assert "handeye" in str(refused.value.hint)
+
+
+def test_a_board_of_other_sizes_gives_no_place() -> None:
+    """Gaps twice as wide as the layout says: no pose meets the corners."""
+    printed = grid_body(3, 2, 0.05, 0.03).markers
+    points = np.concatenate([pose.apply(marker_points(side)) for side, pose in printed.values()])
+    view = BoardView(POINTS, STANDARD_CAMERA.project(SEEN.apply(points)), SEEN, 0.1)
+    with pytest.raises(CalibrationError, match="px off"):
+        locate_camera([view], BOARD, STANDARD_CAMERA)

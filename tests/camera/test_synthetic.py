@@ -1,5 +1,7 @@
 """The synthetic camera against its own optics: exact corners, hidden parts, truth, repeatability."""
 
+from dataclasses import replace
+
 import cv2
 import mujoco
 import numpy as np
@@ -15,11 +17,13 @@ from robot_ik.camera.sources import FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.prints import INK, PAPER, dictionary_by_name, make_sheet, paint_marker
 from robot_ik.camera.synthetic.scene import Table
+from robot_ik.camera.synthetic.sensor import LINEAR
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 
+LINEAR_SENSOR = replace(LINEAR, noise=2.0)
 LENS = CameraIntrinsics(640, 480, 800.0, 796.0, 322.4, 236.1, (-0.18, 0.06, 0.0006, -0.0004, 0.0))
 SMALL = CameraIntrinsics(320, 240, 400.0, 400.0, 159.5, 119.5, (-0.18, 0.06, 0.0006, -0.0004, 0.0))
 OVERHEAD = look_at((0.05, -0.4, 0.6), (0.0, 0.0, 0.0))
@@ -45,7 +49,12 @@ def desk(
 
 
 def photograph(scene: SyntheticScene, **options: object) -> SyntheticSource:
-    return SyntheticSource(scene, lambda: np.zeros(0), **options)  # type: ignore[arg-type]
+    """With a sensor in proportion to light, whose edges lie where they are."""
+    sensor = LINEAR_SENSOR
+    for name in ("noise", "blur"):
+        if name in options:
+            sensor = replace(sensor, **{name: options.pop(name)})  # type: ignore[arg-type]
+    return SyntheticSource(scene, lambda: np.zeros(0), sensor=sensor, **options)  # type: ignore[arg-type]
 
 
 def corner_misses(scene: SyntheticScene, seeds: int, **options: object) -> np.ndarray:
@@ -205,7 +214,7 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
         (SyntheticMarker(7, 0.1, Pose((-0.42, -0.1, 0.6))), *markers),
         Table(0.6, (-0.77, -0.23), (-0.5, 0.4)),
     )
-    source = SyntheticSource(scene, lambda: where[0])
+    source = SyntheticSource(scene, lambda: where[0], sensor=LINEAR_SENSOR)
     detector = MarkerDetector("DICT_5X5_50")
     for turn in (0.0, 0.15):
         where[0] = robot.home + np.array([turn, 0, 0, 0, 0, turn])

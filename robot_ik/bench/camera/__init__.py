@@ -99,6 +99,7 @@ ROWS: tuple[Row, ...] = (
     Row("corners", "corners of one marker", _HERE + "accuracy:corners"),
     Row("marker", "pose of one 50 mm marker", _HERE + "accuracy:marker"),
     Row("board", "pose of a board of 2×2 markers", _HERE + "accuracy:board"),
+    Row("cameras", "markers and boards by the cameras that people have", _HERE + "cameras:cameras"),
     Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "accuracy:occlusion"),
     Row("overlay", "where a robot on the board is drawn", _HERE + "accuracy:overlay"),
     Row("clutter", "goals from pictures that hold no marker", _HERE + "accuracy:clutter"),

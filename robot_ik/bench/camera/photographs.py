@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, Figure, NotMeasuredError
+from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.boards.patterns import ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate
-from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.tracker import MarkerFinder
 
 Image = NDArray[np.uint8]
 
@@ -40,8 +41,8 @@ def photographs(effort: Effort) -> Iterator[Figure]:
     pictures = [one for f in files if (one := cv2.imread(str(f), cv2.IMREAD_GRAYSCALE)) is not None]
     if not pictures:
         raise NotMeasuredError(f"no pictures in {effort.photographs}")
-    detector = MarkerDetector("DICT_5X5_50")
-    finds = sum(len(detector.detect(np.asarray(one, dtype=np.uint8))) for one in pictures)
+    finder = MarkerFinder("DICT_5X5_50")
+    finds = sum(len(finder.look(frame_of(np.asarray(one, dtype=np.uint8))).ids) for one in pictures)
     yield Figure(f"finds in {len(pictures)} photographs without markers (DICT_5X5_50)", finds, "", 0)
     yield from _real_corners([np.asarray(one, dtype=np.uint8) for one in pictures])
 

@@ -110,6 +110,8 @@ Image = NDArray[np.uint8]
 _GAP_REACH = 1.2
 # The same on a chessboard, in squares.
 _SQUARE_REACH = 0.45
+# What is plain beside an edge of a square, in squares: nearly half of it.
+_PLAIN = 0.4
 # A view needs corners on both sides of the board: two lines of them at least.
 _FEWEST_LINES = 2
 
@@ -145,6 +147,11 @@ class Pattern(Hashable, Protocol):
     @property
     def origin(self) -> tuple[float, float]:
         """Where the print's upper left corner is in the board frame, metres."""
+        ...
+
+    @property
+    def plain(self) -> float:
+        """How far from an edge between two squares there is one tone only, in squares."""
         ...
 
     def find(self, image: Image) -> FoundPattern | None:
@@ -187,6 +194,10 @@ class ChessboardPattern:
     @property
     def origin(self) -> tuple[float, float]:
         return -self.square, -self.square
+
+    @property
+    def plain(self) -> float:
+        return _PLAIN
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)
@@ -257,6 +268,10 @@ class CharucoPattern:
     @property
     def origin(self) -> tuple[float, float]:
         return 0.0, 0.0
+
+    @property
+    def plain(self) -> float:
+        return min(_PLAIN, (self.square - self.marker) / 2 / self.square)
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)

@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 _ROUNDS, _DONE = 30, 1e-10
 # The stated standard deviation of a pixel weighs as much as so many measured ones.
 _PRIOR = 6.0
+# Corners of a board at rest before a camera at rest stay within this from picture to picture, and are met
+# within that by a pose of it, px: a hundred times what they are measured to.
+_RESTLESS_PX, _ABSURD_PX = 2.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +155,7 @@ def locate_camera(
 
     Raises:
         CameraError: No view, or a fit that leads nowhere.
+        CalibrationError: Board or camera moved between the pictures, or no pose meets the corners.
     """
     if not views:
         raise CameraError("the board was seen in no picture, so the camera's place is not known")
@@ -173,6 +177,13 @@ def locate_camera(
         raise CameraError(
             "no pose of the camera explains what was seen of the board",
             hint="check the sizes of the board and that the whole of it is flat and in the picture",
+        )
+    far = float(np.median(np.linalg.norm(miss.reshape(-1, 2), axis=1)))
+    if far > _ABSURD_PX:
+        raise CalibrationError(
+            f"the best pose of the camera leaves the board's corners {far:.1f} px off (median); a good one "
+            f"leaves some tenths, and beyond {_ABSURD_PX:g} px it is none",
+            hint="check the sizes of the board as printed, its layout, and the camera's calibration",
         )
     millimetres = 1e3 * pixels * depth / (0.5 * (intrinsics.fx + intrinsics.fy))
     return CameraExtrinsics(
@@ -207,12 +218,21 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
     # A point that is seen in few frames only is where something passed by.
     enough = [point for point, pixels in seen.items() if 2 * len(pixels) >= len(views)]
     points = enough if len(enough) >= 4 else list(seen)
-    means = []
+    means, restless = [], []
     for point in points:
         pixels = np.array(seen[point])
         far = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
+        restless.append(float(np.median(far)))
         weights = cauchy_weight(far / max(float(np.median(far)), 0.01))
         means.append(np.average(pixels, axis=0, weights=weights))
+    # Of two pictures nobody knows which one is wrong: their residuals say so.
+    if len(views) > 2 and np.median(restless) > _RESTLESS_PX:
+        raise CalibrationError(
+            f"the board's corners move by {np.median(restless):.1f} px between the pictures: a place can be "
+            "found only of a camera and a board that both rest",
+            hint="take one picture, or a film in which nothing moves; for a carried camera there is "
+            "robot-ik camera handeye",
+        )
     sigma = float(np.median([view.sigma for view in views]))
     return BoardView(np.array(points), np.array(means), start, sigma)
 

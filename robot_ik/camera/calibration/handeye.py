@@ -365,6 +365,9 @@ _DONE, _LARGEST_STEP = 1e-7, 0.5
 # A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
 # and by more than this many pixels: below, print and lens are as good a reason.
 _OUTLIER, _OUTLIER_PIXELS = 6.4, 0.3
+# Beyond this part of the picture's longer side a view's miss is no arm's error: 16 px of 640, 10 mm and more
+# at half a metre.
+_ABSURD = 0.025
 
 
 @dataclass(frozen=True)
@@ -442,7 +445,8 @@ def solve_handeye(
             the board is carried.
 
     Raises:
-        CalibrationError: Unknown mounting, too few views, or too little turning.
+        CalibrationError: Unknown mounting, too few views, too little turning, or views that no mounting
+            explains.
     """
     if mounting not in MOUNTINGS:
         raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
@@ -460,7 +464,36 @@ def solve_handeye(
         mount = mount.moved(step)
         if np.abs(step).max() < _DONE:
             break
-    return _result(mount, samples, intrinsics, data, noise, fit, spread)
+    found = _result(mount, samples, intrinsics, data, noise, fit, spread)
+    require_explained(
+        [one.pixels for one in found.residuals], [one.outlier for one in found.residuals], intrinsics
+    )
+    return found
+
+
+def require_explained(
+    pixels: Sequence[float], outliers: Sequence[bool], intrinsics: CameraIntrinsics
+) -> None:
+    """Checks that a result explains the views that it is of.
+
+    Args:
+        pixels: RMS distance of each view's corners from where the result puts them, px.
+        outliers: Which views contradict the others.
+        intrinsics: Of the pictures.
+
+    Raises:
+        CalibrationError: It does not; there is nothing to be written then.
+    """
+    most = _ABSURD * max(intrinsics.size)
+    middle = float(np.median(np.nan_to_num(pixels, nan=np.inf)))
+    if middle <= most and 2 * sum(outliers) <= len(outliers):
+        return
+    raise CalibrationError(
+        f"no answer explains what was seen: half of the {len(outliers)} views are {middle:.1f} px off and "
+        f"more (at most {most:.0f} px can be an arm's), {sum(outliers)} contradict the others",
+        hint="check which of camera and board the arm carries, that the pictures belong to these joint "
+        "angles, the board's sizes, and the camera's calibration",
+    )
 
 
 def pixel_scale(data: Compressed) -> float:

@@ -9,7 +9,7 @@ the calibration has not seen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import FoundPattern
+from robot_ik.camera.boards.tone import Tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
@@ -108,16 +109,19 @@ _OUTLIER_RATIO, _OUTLIER_PX = 3.0, 0.25
 # A picture this many times as blurred as the middle one was moved.
 _BLUR_RATIO, _BLUR_PX = 1.8, 2.0
 _WORST_RMS_PX = 1.0
+# Views that tell how edges look, at least; names that are shown of those in which something is wrong.
+_FEWEST_TONES, _NAMED = 3, 4
 # Three coefficients that take away less than this of the error describe noise.
 _WORTHLESS = 1.03
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One picture's corners, and what the picture is called."""
+    """One picture's corners, what the picture is called, and how its edges look."""
 
     name: str
     found: FoundPattern
+    tone: Tone | None = None
 
 
 @dataclass(frozen=True)
@@ -151,6 +155,8 @@ class CalibrationResult:
         coverage: Where in the picture corners were, and how the board was tilted.
         verdict: In words.
         doubts: What the verdict complains about; empty for a good calibration.
+        notes: What the camera does to its pictures, and what to change at it.  Corners of chessboards do not
+            mind; markers know their depth less well.
     """
 
     intrinsics: CameraIntrinsics
@@ -161,6 +167,7 @@ class CalibrationResult:
     coverage: Coverage
     verdict: str
     doubts: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def calibrate(
@@ -205,9 +212,11 @@ def calibrate(
     jackknife, hold_out = _without_each_group(found, size, coefficients, fit)
     std = tuple(float(v) for v in np.maximum(jackknife, fit.std))
     fx, fy, cx, cy = map(float, fit.numbers[:4])
+    tones = {named[k].name: tone for k in used if (tone := named[k].tone) is not None}
+    shift, shift_sigma = _edge_shift(list(tones.values()))
     intrinsics = CameraIntrinsics(
         *size, fx, fy, cx, cy, tuple(fit.numbers[4:]), _MODELS[coefficients],
-        rms=fit.rms, std=std, views=len(used), name=name,
+        rms=fit.rms, std=std, views=len(used), name=name, edge_shift=shift, edge_shift_sigma=shift_sigma,
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
@@ -217,8 +226,33 @@ def calibrate(
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, fit.rms, _reports(named, used, fit, left_out), std, hold_out, coverage,
-        verdict_of(worth, bool(doubts)), tuple(doubts),
+        verdict_of(worth, bool(doubts)), tuple(doubts), _tone_notes(tones),
     )  # fmt: skip
+
+
+def _edge_shift(tones: Sequence[Tone]) -> tuple[float | None, float | None]:
+    """Of the camera and from picture to picture, in sigmas of the blur; None from too few views."""
+    if len(tones) < _FEWEST_TONES:
+        return None, None
+    values = np.array([tone.edge_shift for tone in tones])
+    return float(np.median(values)), float(np.std(values, ddof=1))
+
+
+def _tone_notes(tones: Mapping[str, Tone]) -> tuple[str, ...]:
+    """How far edges seem to be off, and which views are overexposed, sharpened, compressed."""
+    if not tones:
+        return ()
+    pixels = float(np.median([tone.pixels for tone in tones.values()]))
+    notes = [f"edges seem to lie {pixels:+.2f} px in the black: markers are fitted with that as an unknown"]
+    views: dict[str, list[str]] = {}
+    for name, tone in tones.items():
+        for trouble in tone.troubles:
+            views.setdefault(trouble, []).append(name)
+    for trouble, names in views.items():
+        what, _, remedy = trouble.partition(": ")
+        shown = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+        notes.append(f"{len(names)} of {len(tones)} views are {what} ({shown}): {remedy}")
+    return tuple(notes)
 
 
 _MODELS = {5: "plumb_bob", 8: "rational_polynomial"}

@@ -18,6 +18,7 @@ from robot_ik.camera.calibration.handeye import (
     cauchy_weight,
     compress,
     pixel_scale,
+    require_explained,
 )
 from robot_ik.camera.calibration.least_squares import (
     JointNoise,
@@ -404,7 +405,8 @@ def fit_zero_offsets(
         unclear: A combination of offsets with a larger standard deviation, rad, is not determined.
 
     Raises:
-        CalibrationError: Too few views, an unknown mounting, or joints that are no vector.
+        CalibrationError: Too few views, an unknown mounting, joints that are no vector, or views that no
+            offsets explain.
         UnknownJointError: ``hold`` names a joint that is not there.
     """
     _check(views, robot, mounting, hold)
@@ -418,7 +420,8 @@ def fit_zero_offsets(
         fitted = _fit(model, state, np.array([*free, *range(robot.nv, robot.nv + 12)]))
         mixture = find_mixture(fitted.normal, robot.joints, unclear, parent, other)
         if mixture is None:
-            return _result(model, fitted, mixtures)
+            # With all joints held it is the arm's errors that are asked for, however large.
+            return _result(model, fitted, mixtures, judge=not set(hold) >= set(robot.joints))
         mixtures.append(mixture)
         held.add(mixture.joint)
         # From the start again: an offset that nothing determines may have gone anywhere.
@@ -491,16 +494,19 @@ def _downhill(
     return np.zeros_like(step), damping
 
 
-def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture]) -> ZeroOffsets:
+def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture], *, judge: bool) -> ZeroOffsets:
     n = model.robot.nv
     covariance = fitted.normal.spread_out(inverse(fitted.normal.matrix))
     errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
     mount = fitted.state.mount
-    squares = [
+    every = [
         np.sum(np.nan_to_num(mount.miss(one, model.intrinsics), nan=np.inf) ** 2, axis=1)
-        for one, error in zip(model.samples(fitted.state), errors, strict=True)
-        if not error.outlier
+        for one in model.samples(fitted.state)
     ]
+    outliers = [one.outlier for one in errors]
+    if judge:
+        require_explained([float(np.sqrt(np.mean(one))) for one in every], outliers, model.intrinsics)
+    squares = [one for one, out in zip(every, outliers, strict=True) if not out]
     return ZeroOffsets(
         joints=model.robot.joints,
         offsets=fitted.state.offsets,

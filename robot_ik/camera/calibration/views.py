@@ -18,9 +18,10 @@ from robot_ik.camera.boards.patterns import (
     fitting_pattern,
     larger_chessboard,
 )
+from robot_ik.camera.boards.tone import measure_tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.calibration.intrinsic import View
-from robot_ik.camera.detection import guess_dictionary
+from robot_ik.camera.detection import guess_dictionary, to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
 
@@ -98,7 +99,10 @@ class ViewGatherer:
         if choosy and not (still and self._is_new(kind)):
             return False
         self._kinds.append(kind)
-        self.views.append(View(name, found))
+        tone = measure_tone(
+            to_gray(frame.image), found.pixels, found.ids, self.pattern.corners[0], self.pattern.plain
+        )
+        self.views.append(View(name, found, tone))
         if len(self._first) < _ASKED:
             self._first.append(frame.image)
         return True

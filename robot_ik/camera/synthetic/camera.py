@@ -22,6 +22,7 @@ from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.photograph import QUALITIES, Photographer, PlacedSheet
 from robot_ik.camera.synthetic.prints import Condition, PaintedMarker, make_sheet
 from robot_ik.camera.synthetic.scene import Lights, Table
+from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock
@@ -205,8 +206,7 @@ class SyntheticSource(ClosingSource):
             and robot stay the same.
         true_q: Where the robot really is, (nq,), asked at each picture.
         seed: Of the sensor noise; picture k of two sources with one seed is the same.
-        blur: Sigma of the lens blur, pixels.
-        noise: Sigma of the sensor noise, grey levels of 255.
+        sensor: What the camera makes of the light; a webcam when not given.
         clock: Gives ``Frame.time``; the machine's monotonic clock when not given.
         quality: ``full`` for a photograph, ``fast`` for following: the robot is coarse, markers stay exact.
     """
@@ -218,8 +218,7 @@ class SyntheticSource(ClosingSource):
         scene: SyntheticScene,
         true_q: Callable[[], ArrayLike],
         seed: int = 0,
-        blur: float = 0.7,
-        noise: float = 2.0,
+        sensor: SensorModel = WEBCAM,
         clock: Clock | None = None,
         quality: Literal["full", "fast"] = "full",
     ) -> None:
@@ -227,7 +226,7 @@ class SyntheticSource(ClosingSource):
             raise CameraError(f"unknown quality {quality!r}", hint=f"known: {', '.join(QUALITIES)}")
         self.scene = scene
         self.size = scene.intrinsics.size
-        self._true_q, self._blur, self._noise = true_q, blur, noise
+        self._true_q, self._sensor = true_q, sensor
         self._clock, self._quality = clock, QUALITIES[quality]
         self._sequence = 0
         self._photographer: Photographer | None = None
@@ -242,7 +241,7 @@ class SyntheticSource(ClosingSource):
         * ``corners``: by id (4, 2) pixels in OpenCV's order, ``visible``: by id the part seen, 0..1.
         """
         # Before the clock is asked: a sensor has its noise in no time.
-        grain = self._grain.of(self._sequence) if self._noise > 0 else None
+        grain = self._grain.of(self._sequence) if self._sensor.noise > 0 else None
         now = time.monotonic() if self._clock is None else self._clock.now()
         scene, q = self.scene, np.array(self._true_q(), dtype=float)
         poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
@@ -265,18 +264,13 @@ class SyntheticSource(ClosingSource):
         return self._photographer
 
     def _develop(self, light: NDArray[np.float32], grain: NDArray[np.float32] | None) -> NDArray[np.uint8]:
-        """Lens and sensor: vignette, blur, noise, 8 bit."""
+        """Lens and sensor: vignette, then what the model of the sensor says."""
         if self._vignette is None:
             w, h = self.size
             x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)
             plain = 255.0 * (1 - _VIGNETTE * 0.5 * (x[None, :] ** 2 + y[:, None] ** 2))
             self._vignette = np.dstack([plain, plain, plain])
-        picture = cv2.multiply(light, self._vignette)
-        if self._blur > 0:
-            picture = cv2.GaussianBlur(picture, (0, 0), self._blur)
-        # to 8 bit by rounding, not by cutting: half a grey level of bias would shift every edge
-        other, sigma = (picture, 0.0) if grain is None else (grain, self._noise)
-        return np.asarray(cv2.addWeighted(picture, 1.0, other, sigma, 0.0, dtype=cv2.CV_8U), dtype=np.uint8)
+        return self._sensor.developed(self._sensor.scattered(cv2.multiply(light, self._vignette)), grain)
 
     def _truth(self, q: Array, poses: list[Pose], painted: list[PaintedMarker | None]) -> dict[str, object]:
         scene = self.scene
@@ -336,7 +330,8 @@ class CarriedSource(ClosingSource):
         pose_frame_camera: Where on it.
         true_q: Where the robot really is, (nq,).
         seed: Of the sensor noise.
-        clock: As for ``SyntheticSource``.
+        sensor: As for ``SyntheticSource``.
+        clock: Likewise.
         quality: Likewise.
     """
 
@@ -350,12 +345,14 @@ class CarriedSource(ClosingSource):
         true_q: Callable[[], Array],
         *,
         seed: int = 0,
+        sensor: SensorModel = WEBCAM,
         clock: Clock | None = None,
         quality: Literal["full", "fast"] = "fast",
     ) -> None:
         self.scene, self.frame, self.pose_frame_camera = scene, frame, pose_frame_camera
         self.size = scene.intrinsics.size
         self._true_q, self._seed, self._clock, self._quality = true_q, seed, clock, quality
+        self._sensor = sensor
         self._sequence = 0
 
     def read(self) -> Frame:
@@ -364,7 +361,8 @@ class CarriedSource(ClosingSource):
         pose = self.scene.robot.forward(q, self.frame).compose(self.pose_frame_camera)
         source = SyntheticSource(
             replace(self.scene, pose_world_camera=pose), lambda: q,
-            seed=1000 * self._seed + self._sequence, clock=self._clock, quality=self._quality,
+            seed=1000 * self._seed + self._sequence, sensor=self._sensor, clock=self._clock,
+            quality=self._quality,
         )  # fmt: skip
         frame = replace(source.read(), sequence=self._sequence)
         self._sequence += 1

@@ -23,6 +23,7 @@ from robot_ik.camera.drawing.rasteriser import paint_boxes
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
+from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
@@ -41,26 +42,10 @@ _PAPER_MARGIN = 0.25
 # can be off by the same 1/100 px: a tenth of a degree in the tilt of a board that faces the camera.
 _RAYS = 233
 _LATTICE = np.stack([np.arange(_RAYS), np.arange(_RAYS) * 144 % _RAYS], axis=1) / _RAYS + 0.5 / _RAYS - 0.5
+# Softness of a shadow's edge, px.
+_SHADOW_SOFT = 20.0
 # So many rays are traced at once.
 _TOGETHER = 16
-
-
-@dataclass(frozen=True)
-class SensorModel:
-    """How a picture is spoiled.
-
-    Attributes:
-        blur: Standard deviation of the optical blur, px.
-        noise: Standard deviation of the sensor noise, grey levels.
-        gradient: Light lost from one end of the picture to the other, 0 to 1.
-        black, white: Grey levels of ink and paper in full light.
-    """
-
-    blur: float = 0.7
-    noise: float = 4.0
-    gradient: float = 0.5
-    black: float = 25.0
-    white: float = 225.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +109,22 @@ def render_markers(
         margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
         cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
     """
-    look = look or SensorModel()
+    look = look or LINEAR
+    light = marker_light(camera, markers, rng, dictionary=dictionary, look=look, margin=margin, cover=cover)
+    return photograph(light, markers_centre(camera, markers), rng, look)
+
+
+def marker_light(
+    camera: CameraIntrinsics,
+    markers: Mapping[int, tuple[float, Pose]],
+    rng: np.random.Generator,
+    *,
+    dictionary: str = "DICT_4X4_50",
+    look: SensorModel = LINEAR,
+    margin: float = _PAPER_MARGIN,
+    cover: Array | None = None,
+) -> Array:
+    """Light (h, w) before the lens, 0 to 255; arguments as in ``render_markers``."""
     canvas = _wall(camera, rng, look)
     prints = {i: marker_bits(dictionary, i) for i in markers}
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
@@ -135,17 +135,33 @@ def render_markers(
         for marker_id, (size, pose) in markers.items():
             box = _paper_box(camera, pose, size)
             if box[2] > box[0] and box[3] > box[1]:
-                _paint_paper(canvas, box, camera, pose, _Paper(size, bits[marker_id], white), look)
+                _paint_paper(
+                    canvas, box, camera, pose, _Paper(size, bits[marker_id], white, look.bleed), look
+                )
     if cover is not None:
         cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (look.black + look.white))
-    if look.blur > 0:
-        canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), look.blur), dtype=float)
+    return canvas
+
+
+def markers_centre(camera: CameraIntrinsics, markers: Mapping[int, tuple[float, Pose]]) -> Array:
+    """Pixel (2,) in the middle of markers."""
+    return np.asarray(np.mean([camera.project(pose.position) for _, pose in markers.values()], axis=0))
+
+
+def photograph(canvas: Array, centre: Array, rng: np.random.Generator, look: SensorModel) -> Image:
+    """The light of a scene, unevenly lit and developed; a shadow's edge goes by ``centre``."""
+    height, width = canvas.shape
     way = rng.uniform(0, 2 * np.pi)
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, camera.width), np.linspace(-0.5, 0.5, camera.height))
-    along = (x * np.cos(way) + y * np.sin(way)) / (abs(np.cos(way)) + abs(np.sin(way))) + 0.5
-    canvas = canvas * (1.0 - look.gradient * along)
-    canvas = canvas + rng.normal(0.0, look.noise, canvas.shape)
-    return np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
+    across = np.array([np.cos(way), np.sin(way)])
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, width), np.linspace(-0.5, 0.5, height))
+    along = (x * across[0] + y * across[1]) / np.abs(across).sum() + 0.5
+    light = look.scattered(canvas) * (1.0 - look.gradient * along)
+    if look.shadow > 0.0:
+        away = (np.arange(width) - centre[0]) * across[0] + ((np.arange(height) - centre[1]) * across[1])[
+            :, None
+        ]
+        light = light * (1.0 - look.shadow / (1.0 + np.exp(-away / _SHADOW_SOFT)))
+    return look.developed(light, rng.normal(0.0, 1.0, light.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +169,7 @@ class _Paper:
     size: float
     bits: Image
     margin: float
+    bleed: float
 
 
 def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: SensorModel) -> Array:
@@ -184,7 +201,8 @@ def _paint_paper(
     to_paper = np.linalg.inv(plane)
     levels = np.where(paper.bits > 0, look.white, look.black)
     wall = canvas[y0:y1, x0:x1].copy()
-    one_ray = _paper_value(centres, np.full(wall.shape, -1.0), to_paper, levels, look.white, paper.margin)
+    bleed = paper.bleed / paper.size
+    one_ray = _bled(centres, np.full(wall.shape, -1.0), to_paper, levels, look.white, paper.margin, bleed)
     # Many rays only where two of them can differ; everywhere else the first one has said it all.
     kernel = np.ones((5, 5), np.uint8)
     mixed = cv2.dilate(one_ray, kernel) - cv2.erode(one_ray, kernel) > 0
@@ -194,17 +212,28 @@ def _paint_paper(
     for k in range(0, _RAYS, _TOGETHER):
         # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
         normalized = some_centres + np.einsum("mij,kj->kmi", some_slopes, _LATTICE[k : k + _TOGETHER])
-        total += _paper_value(normalized, some_wall, to_paper, levels, look.white, paper.margin).sum(axis=0)
+        total += _bled(normalized, some_wall, to_paper, levels, look.white, paper.margin, bleed).sum(axis=0)
     one_ray[mixed] = total / _RAYS
     canvas[y0:y1, x0:x1] = one_ray
 
 
-def _paper_value(
-    normalized: Array, wall: Array, to_paper: Array, levels: Array, white: float, margin: float
+def _bled(
+    normalized: Array, wall: Array, to_paper: Array, levels: Array, white: float, margin: float, bleed: float
 ) -> Array:
-    """Light along rays (..., 2): ``to_paper`` (3, 3) maps them to the marker's plane in marker sizes."""
+    """Light along rays (..., 2): ``to_paper`` (3, 3) maps them to the marker's plane in marker sizes.
+
+    Ink bleeds: what lies within ``bleed`` of a black cell, along either side, is as dark.
+    """
     paper = normalized @ to_paper[:, :2].T + to_paper[:, 2]
     u, v = paper[..., 0] / paper[..., 2], paper[..., 1] / paper[..., 2]
+    value = _paper_value(u, v, wall, levels, white, margin)
+    if bleed > 0.0:
+        for du, dv in ((-bleed, -bleed), (bleed, -bleed), (bleed, bleed), (-bleed, bleed)):
+            value = np.minimum(value, _paper_value(u + du, v + dv, wall, levels, white, margin))
+    return value
+
+
+def _paper_value(u: Array, v: Array, wall: Array, levels: Array, white: float, margin: float) -> Array:
     cells = len(levels)
     column = np.floor((u + 0.5) * cells).astype(int)
     row = np.floor((0.5 - v) * cells).astype(int)
@@ -346,7 +375,7 @@ def render_pattern(
     look: SensorModel | None = None,
 ) -> Image:
     """One picture (height, width) uint8 of the pattern at ``pose`` (``pose_camera_board``)."""
-    look = look or SensorModel()
+    look = look or LINEAR
     paper, to_pixels = _paper(pattern)
     plane = np.column_stack([pose.rotation[:, 0], pose.rotation[:, 1], pose.position])
     to_paper = to_pixels @ np.linalg.inv(plane)
@@ -358,13 +387,7 @@ def render_pattern(
             paper, at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128
         )
     canvas = look.black + (look.white - look.black) * (total.astype(float) / (255.0 * _PATTERN_RAYS))
-    if look.blur > 0:
-        canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), look.blur), dtype=float)
-    way = rng.uniform(0, 2 * np.pi)
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, camera.width), np.linspace(-0.5, 0.5, camera.height))
-    along = (x * np.cos(way) + y * np.sin(way)) / (abs(np.cos(way)) + abs(np.sin(way))) + 0.5
-    canvas = canvas * (1.0 - look.gradient * along) + rng.normal(0.0, look.noise, canvas.shape)
-    return np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
+    return photograph(canvas, camera.project(pose.position), rng, look)
 
 
 def pattern_pose(

@@ -19,11 +19,11 @@ from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
     STANDARD_SIZE,
-    SensorModel,
     pattern_pose,
     render_marker,
     render_pattern,
 )
+from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, unknown_name_text
 from robot_ik.geometry import Pose, rotation_exp
 

@@ -14,6 +14,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.scene import Table
+from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
@@ -124,7 +125,7 @@ def synthetic_stage(
     things: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
-    noise: float = 2.0,
+    sensor: SensorModel = WEBCAM,
     quality: str = "fast",
     eye: tuple[float, float, float] = _EYE,
     look: tuple[float, float, float] = _LOOK,
@@ -138,8 +139,8 @@ def synthetic_stage(
         motion: Of the board; at rest when its amplitudes are 0.
         things: What stands on the table, in the world's frame.
         follow: Also show the marker that can be followed.
-        seed: Of the noise; ``noise`` its standard deviation, grey levels.
-        noise: See ``seed``.
+        seed: Of the noise.
+        sensor: What the camera makes of the light.
         quality: ``fast`` or ``full``.
         eye: Where the camera is; ``look`` where it looks.
         look: See ``eye``.
@@ -170,7 +171,7 @@ def synthetic_stage(
         scene,
         lambda: np.zeros(0),
         seed=seed,
-        noise=noise,
+        sensor=sensor,
         clock=clock,
         quality="full" if quality == "full" else "fast",
     )

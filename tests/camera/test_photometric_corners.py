@@ -1,4 +1,4 @@
-"""Poses from the whole print of marker or board: nearer than from corners, not believed where spoilt."""
+"""Corners from the whole print: nearer than from the sides, not believed where it is not there."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers, unrefined
+from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.observations import estimate_body
-from robot_ik.camera.photometric_pose import fit_photometric_pose
+from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
@@ -25,8 +27,15 @@ def picture(pose: Pose, seed: int, margin: float = 0.24) -> NDArray[np.uint8]:
     return render_markers(STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=margin)
 
 
+def sides_of(gray: NDArray[np.uint8]) -> dict[int, RefinedCorners]:
+    """Corners by the four sides alone."""
+    found = MarkerDetector(DICTIONARY).detect(gray)
+    sides = refine_markers(gray, [d.corners for d in found], STANDARD_CAMERA, cells=6)
+    return {d.id: one for d, one in zip(found, sides, strict=True)}
+
+
 @pytest.mark.parametrize(
-    ("distance", "tilt", "margin", "share"), [(0.7, (0.5, 6.0), 0.24, 0.8), (1.0, (45.0, 60.0), 0.12, 0.3)]
+    ("distance", "tilt", "margin", "share"), [(0.7, (0.5, 6.0), 0.24, 0.9), (1.0, (45.0, 60.0), 0.12, 0.3)]
 )
 def test_the_whole_print_is_nearer_than_the_corners(
     distance: float, tilt: tuple[float, float], margin: float, share: float
@@ -37,7 +46,7 @@ def test_the_whole_print_is_nearer_than_the_corners(
     for seed in range(8):
         pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=0.112, tilt_deg=tilt)
         frame = frame_of(picture(pose, seed, margin))
-        corners = estimate_body(tracker.corners(frame), BOARD, STANDARD_CAMERA)
+        corners = estimate_body(sides_of(frame.image[..., 0]), BOARD, STANDARD_CAMERA)
         print_too = tracker.observe_body(frame, BOARD)
         assert corners is not None and print_too is not None
         off.append([one.pose_camera_body.distance(pose)[1] for one in (corners, print_too)])
@@ -64,23 +73,35 @@ def test_the_print_tells_a_marker_from_its_mirror_image() -> None:
 def test_a_print_that_is_not_there_is_not_believed() -> None:
     pose, _ = random_pose(STANDARD_CAMERA, np.random.default_rng(1), 0.7, size=0.112)
     image = picture(pose, 1)
-    near = 1e-6 * np.eye(6)
+    sides = sides_of(image)
 
-    def fit(gray: NDArray[np.uint8], ids: list[int], start: Pose = pose) -> object:
-        return fit_photometric_pose(gray, BOARD, ids, DICTIONARY, STANDARD_CAMERA, start, near)
+    def fit(gray: NDArray[np.uint8], marker_id: int, start: RefinedCorners) -> RefinedCorners:
+        (found,) = refine_prints(gray, [start], [marker_id], DICTIONARY, STANDARD_CAMERA)
+        return found
 
-    assert fit(image, [0, 1, 2, 3]) is not None
+    assert all(fit(image, i, start).by_print for i, start in sides.items())
+    # from corners as the detector gives them, too
+    rough = unrefined(sides[0].corners + 1.0, STANDARD_CAMERA)
+    again = fit(image, 0, rough)
+    assert again.by_print and again.corners == pytest.approx(fit(image, 0, sides[0]).corners, abs=0.02)
     noise = np.random.default_rng(2).integers(0, 255, image.shape).astype(np.uint8)
-    assert fit(noise, [0, 1, 2, 3]) is None
-    assert fit(np.full_like(image, 128), [0, 1]) is None
-    behind = Pose((0.0, 0.0, -0.5), pose.wxyz)
-    assert fit(image, [0], behind) is None and fit(image, []) is None
-    # what was said to be known to a micrometre is not left for something farther off
-    beside = Pose(pose.position + np.array([2e-4, 0.0, 0.0]), pose.wxyz)
-    assert (
-        fit_photometric_pose(image, BOARD, [0], DICTIONARY, STANDARD_CAMERA, beside, 1e-12 * np.eye(6))
-        is None
-    )
+    for spoilt in (noise, np.full_like(image, 128), image[::-1].copy()):
+        other = fit(spoilt, 0, rough)
+        assert other is not None and not other.by_print and not is_print(other)
+        assert (other.corners == rough.corners).all()
+    outside = unrefined(sides[0].corners + 2000.0, STANDARD_CAMERA)
+    assert not fit(image, 0, outside).by_print
+    assert refine_prints(image, [], [], DICTIONARY, STANDARD_CAMERA) == []
+
+
+def test_nothing_given_is_changed() -> None:
+    pose, _ = random_pose(STANDARD_CAMERA, np.random.default_rng(1), 0.7, size=0.112)
+    image = picture(pose, 1)
+    sides = sides_of(image)
+    before = image.copy(), sides[0].corners.copy(), sides[0].covariance.copy()
+    refine_prints(image, [sides[0]], [0], DICTIONARY, STANDARD_CAMERA)
+    assert (image == before[0]).all()
+    assert (sides[0].corners == before[1]).all() and (sides[0].covariance == before[2]).all()
 
 
 @pytest.mark.parametrize(("seed", "distance"), [(75, 1.8), (106, 1.4), (162, 1.4)])

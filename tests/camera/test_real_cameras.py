@@ -1,0 +1,238 @@
+"""Markers in pictures of cameras with a tone curve, judged by a renderer that shares nothing with the fit.
+
+It is not that of ``synthetic.datasets`` either: rays at 64 places of each pixel, blur at that resolution, the
+pixel's own area, a colour filter and its interpolation, a tone curve, an unsharp mask and JPEG, by hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.image import marker_bits
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.observations import MarkerObservation, marker_points
+from robot_ik.camera.photometric_corners import EdgeShift, is_print, moved_outwards, refine_prints
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+
+Array = NDArray[np.float64]
+
+CAMERA = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
+DICTIONARY, SIZE, ID = "DICT_4X4_50", 0.05, 7
+BOARD = grid_body(2, 2, SIZE, 0.012).markers
+FACING = Pose(wxyz=(0.0, 1.0, 0.0, 0.0))
+FINE = 8
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What is done to the light."""
+
+    tone: str = "srgb"
+    blur: float = 0.7
+    exposure: float = 1.0
+    sharpen: float = 0.6
+    jpeg: int = 90
+    bayer: bool = True
+    noise: float = 2.0
+
+
+LINEAR = Camera("linear", sharpen=0.0, jpeg=100, bayer=False)
+WEBCAM = Camera()
+
+
+def light_of(layout: dict[int, tuple[float, Pose]], pose: Pose, blur: float) -> Array:
+    """(480, 640) light, paper 0.85, ink 0.08, before a grey wall."""
+    placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
+    paper = np.concatenate(
+        [CAMERA.project(at.apply(1.24 * marker_points(side))) for side, at in placed.values()]
+    )
+    x0, y0 = np.floor(paper.min(axis=0)).astype(int) - 8
+    x1, y1 = np.ceil(paper.max(axis=0)).astype(int) + 9
+    x = ((np.arange(x0 * FINE, x1 * FINE) + 0.5) / FINE - 0.5 - 319.5) / 800.0
+    y = ((np.arange(y0 * FINE, y1 * FINE) + 0.5) / FINE - 0.5 - 239.5) / 800.0
+    rays = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1)
+    fine = np.full(rays.shape[:2], 0.4, dtype=np.float32)
+    for i, (side, at) in placed.items():
+        normal = at.rotation[:, 2]
+        points = rays * ((normal @ at.position) / (rays @ normal))[..., None] - at.position
+        u, v = points @ at.rotation[:, 0] / side, -(points @ at.rotation[:, 1]) / side
+        bits = marker_bits(DICTIONARY, i)
+        n = len(bits)
+        column, row = np.floor((u + 0.5) * n).astype(int), np.floor((v + 0.5) * n).astype(int)
+        fine[np.maximum(np.abs(u), np.abs(v)) < 0.62] = 0.85
+        ink = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < n)
+        fine[ink] = np.where(bits[row[ink], column[ink]] > 0, 0.85, 0.08)
+    # Blurred at this resolution, then the mean of each pixel's area.
+    soft = cv2.GaussianBlur(fine, (0, 0), blur * FINE)
+    whole = np.full((480, 640), 0.4)
+    whole[y0:y1, x0:x1] = soft.reshape(y1 - y0, FINE, x1 - x0, FINE).mean(axis=(1, 3))
+    return whole
+
+
+def picture_of(light: Array, camera: Camera, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """(480, 640) uint8."""
+    raw = np.clip(light * camera.exposure, 0.0, 1.0)
+    raw = np.clip(raw + camera.noise / 255.0 * np.sqrt(raw + 0.01) * rng.normal(size=raw.shape), 0.0, 1.0)
+    if camera.bayer:
+        kernel = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4.0
+        colours = []
+        for places in (((0, 0),), ((0, 1), (1, 0)), ((1, 1),)):
+            mask = np.zeros_like(raw)
+            for j, i in places:
+                mask[j::2, i::2] = 1.0
+            colours.append(cv2.filter2D(raw * mask, -1, kernel) / cv2.filter2D(mask, -1, kernel))
+        raw = 0.299 * colours[0] + 0.587 * colours[1] + 0.114 * colours[2]
+    srgb = np.where(raw <= 0.0031308, 12.92 * raw, 1.055 * np.maximum(raw, 1e-9) ** (1 / 2.4) - 0.055)
+    tones = {
+        "linear": raw,
+        "gamma 1.5": raw ** (1 / 1.5),
+        "srgb": srgb,
+        "s-curve": 0.5 * srgb + 0.5 * srgb**2 * (3 - 2 * srgb),
+    }
+    grey = 255.0 * tones[camera.tone]
+    grey = grey + camera.sharpen * (grey - cv2.GaussianBlur(grey, (0, 0), 1.1))
+    picture = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, camera.jpeg])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+
+
+def some_pose(rng: np.random.Generator, distance: float) -> Pose:
+    tilt, way = np.deg2rad(rng.uniform(5.0, 55.0)), rng.uniform(0.0, 2.0 * np.pi)
+    lean = quat_multiply(
+        rotation_exp([tilt * np.cos(way), tilt * np.sin(way), 0.0]),
+        rotation_exp([0.0, 0.0, rng.uniform(0, 6.3)]),
+    )
+    place = np.array([*rng.uniform(-0.12, 0.12, 2), 1.0]) * distance
+    return Pose(place, FACING.compose(Pose(wxyz=lean)).wxyz)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[tuple[Pose, Array]]:
+    """Single markers at 0.6 m."""
+    rng = np.random.default_rng(12)
+    poses = [some_pose(rng, 0.6) for _ in range(8)]
+    return [(pose, light_of({ID: (SIZE, Pose())}, pose, 0.7)) for pose in poses]
+
+
+def observed(light: Array, camera: Camera, seed: int) -> MarkerObservation:
+    image = picture_of(light, camera, np.random.default_rng(seed))
+    (seen,) = MarkerTracker(CAMERA, DICTIONARY, SIZE).observe(frame_of(image))
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("camera", "most"),
+    [
+        (LINEAR, 0.2e-3), (replace(WEBCAM, tone="gamma 1.5"), 0.25e-3), (WEBCAM, 0.25e-3),
+        (replace(WEBCAM, tone="s-curve"), 0.35e-3), (replace(WEBCAM, exposure=1.5), 0.5e-3),
+        (replace(WEBCAM, sharpen=1.5), 0.4e-3),
+    ],
+    ids=["linear", "gamma 1.5", "webcam", "s-curve", "overexposed", "sharpened"],
+)  # fmt: skip
+def test_a_marker_is_where_it_is_for_every_tone_curve(
+    scenes: list[tuple[Pose, Array]], camera: Camera, most: float
+) -> None:
+    off, nees, outward = [], [], []
+    for k, (pose, light) in enumerate(scenes):
+        seen = observed(light, camera, k)
+        miss = seen.pose.position - pose.position
+        off.append(float(np.linalg.norm(miss)))
+        nees.append(float(miss @ np.linalg.solve(seen.covariance[:3, :3], miss)) / 3.0)
+        true = CAMERA.project(pose.apply(marker_points(SIZE)))
+        way = true - true.mean(axis=0)
+        outward.append(np.mean(np.sum((seen.corners - true) * way, axis=1) / np.linalg.norm(way, axis=1)))
+    assert np.sqrt(np.mean(np.square(off))) < most
+    assert abs(np.mean(outward)) < 0.04
+    assert np.mean(nees) < 3.0  # it knows how near, too
+
+
+def test_a_board_is_where_it_is_under_a_webcam() -> None:
+    """2 x 2 markers; the shift of the edges is found of each."""
+    rng, off, nees = np.random.default_rng(13), [], []
+    tracker = MarkerTracker(CAMERA, DICTIONARY, {i: side for i, (side, _) in BOARD.items()})
+    for _ in range(5):
+        pose = some_pose(rng, 0.6)
+        image = picture_of(light_of(dict(BOARD), pose, 0.7), WEBCAM, rng)
+        seen = tracker.observe_body(frame_of(image), BOARD)
+        assert seen is not None
+        miss = seen.pose_camera_body.position - pose.position
+        off.append(float(np.linalg.norm(miss)))
+        nees.append(float(miss @ np.linalg.solve(seen.covariance[:3, :3], miss)) / 3.0)
+    assert np.sqrt(np.mean(np.square(off))) < 0.08e-3
+    assert np.mean(nees) < 3.0
+
+
+def sides_and_print(
+    image: NDArray[np.uint8], expected: EdgeShift | None = None
+) -> tuple[RefinedCorners, ...]:
+    (found,) = MarkerDetector(DICTIONARY).detect(image)
+    (sides,) = refine_markers(image, [found.corners], CAMERA, cells=6)
+    (fitted,) = refine_prints(image, [sides], [found.id], DICTIONARY, CAMERA, expected=expected)
+    return sides, fitted
+
+
+def test_the_print_says_how_far_edges_lie_in_the_black(scenes: list[tuple[Pose, Array]]) -> None:
+    """None for a linear camera, a third of the blur and more for sRGB; four sides cannot know."""
+    for tone, least, most in (("linear", -0.05, 0.05), ("srgb", 0.3, 0.7)):
+        camera = replace(LINEAR, tone=tone)
+        image = picture_of(scenes[0][1], camera, np.random.default_rng(1))
+        sides, fitted = sides_and_print(image)
+        assert fitted.by_print and not sides.by_print
+        assert least < fitted.edge_shift < most
+        assert fitted.edge_shift_sigma < 0.05
+        assert 0.7 < fitted.blur < 0.95  # 0.7 px of lens and the pixel's own 0.29
+
+
+def test_sides_moved_by_the_known_shift_are_as_near_as_they_say(scenes: list[tuple[Pose, Array]]) -> None:
+    """What is left where the print cannot be fitted."""
+    before, after, ratio = [], [], []
+    for k, (pose, light) in enumerate(scenes):
+        sides, fitted = sides_and_print(picture_of(light, WEBCAM, np.random.default_rng(k)))
+        true = CAMERA.project(pose.apply(marker_points(SIZE)))
+        moved = moved_outwards(sides, EdgeShift(fitted.edge_shift, fitted.edge_shift_sigma), CAMERA)
+        before.append(sides.corners - true)
+        after.append(moved.corners - true)
+        ratio.append(np.mean((moved.corners - true) ** 2) / moved.sigma**2)
+        assert moved.normalized == pytest.approx(CAMERA.undistort(moved.corners))
+    assert np.sqrt(np.mean(np.square(after))) < 0.3 * np.sqrt(np.mean(np.square(before)))
+    assert 0.1 < np.mean(ratio) < 4.0
+
+
+def test_a_print_that_cannot_be_fitted_takes_the_shift_of_the_others() -> None:
+    rng = np.random.default_rng(14)
+    pose = Pose((0.0, 0.0, 0.5), FACING.wxyz)
+    image = picture_of(light_of(dict(BOARD), pose, 0.7), WEBCAM, rng)
+    found = MarkerDetector(DICTIONARY).detect(image)
+    sides = refine_markers(image, [d.corners for d in found], CAMERA, cells=6)
+    # The last one is taken for another marker: its inside is not what its print says, its sides are.
+    ids = [found[0].id, found[1].id, found[2].id, 17]
+    fitted = refine_prints(image, sides, ids, DICTIONARY, CAMERA)
+    assert [one.by_print for one in fitted] == [True, True, True, False]
+    assert fitted[3].edge_shift == pytest.approx(np.mean([one.edge_shift for one in fitted[:3]]), abs=0.05)
+    true = CAMERA.project(pose.compose(BOARD[found[3].id][1]).apply(marker_points(SIZE)))
+    assert np.abs(fitted[3].corners - true).max() < 0.1 < np.abs(sides[3].corners - true).max()
+    assert not is_print(fitted[3]) and all(is_print(one) for one in fitted[:3])
+
+
+def test_what_only_has_the_code_of_a_marker_is_no_marker(scenes: list[tuple[Pose, Array]]) -> None:
+    """The detector corrects bits; the tracker asks whether the picture shows the print."""
+    image = picture_of(scenes[0][1], WEBCAM, np.random.default_rng(2))
+    tracker = MarkerTracker(CAMERA, DICTIONARY, SIZE)
+    assert [seen.id for seen in tracker.observe(frame_of(image))] == [ID]
+    real = tracker.detector.detect
+
+    def misread(gray: NDArray[np.uint8]) -> list[object]:
+        return [replace(one, id=31) for one in real(gray)]
+
+    tracker.detector.detect = misread  # type: ignore[method-assign,assignment]
+    assert tracker.observe(frame_of(image)) == []
