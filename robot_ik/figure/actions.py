@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, minimum_jerk, rotation
-from robot_ik.figure.gait import FLAT, WALK, Gait, Print, Walk, walk
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, Slices, minimum_jerk, rotation
+from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
 from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 
@@ -215,14 +215,10 @@ def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: floa
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 
 
-def walk_motion(
-    figure: Figure, q: Array, prints: list[Print], gait: Gait = WALK, *, look: Array | None = None,
-    dt: float = 1.0 / RATE,
-) -> tuple[Motion, Walk]:  # fmt: skip
+def walk_motion(figure: Figure, found: Walk, dt: float = 1.0 / RATE) -> Motion:
     """A walk as a motion; it may be left when both feet stand flat."""
-    found = walk(figure, q, prints, gait, look=look, dt=dt)
     done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
-    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done), found
+    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done)
 
 
 def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
@@ -269,16 +265,13 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
         [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
     )
     rows = Rows(figure, n)
-    poses = {s: [figure.pose(row, f.frame) for row in motion.q[:n]] for s, f in figure.feet.items()}
-    rows.feet(
-        {s: np.array([p for p, _ in found]) for s, found in poses.items()},
-        {s: np.array([r for _, r in found]) for s, found in poses.items()},
-    )  # fmt: skip
+    feet = {s: figure.poses(motion.q[:n], f.frame) for s, f in figure.feet.items()}
+    rows.feet({s: p for s, (p, _) in feet.items()}, {s: r for s, (_, r) in feet.items()})
     center = np.array([figure.center(row) for row in motion.q[:n]])
     was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
     shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
     rows.center(center + shift, axes="xy")
-    rows.turned(figure.trunk, np.array([figure.pose(row, figure.trunk)[1] for row in wanted]), 1.0)
+    rows.turned(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
     stiff = np.concatenate([np.zeros(6), np.ones(figure.robot.nv - 6)])
     frames = rows.solve(wanted, stiff, first, second, speeds=motion.speeds, dt=dt)
     q, miss = motion.q.copy(), motion.miss.copy()
@@ -288,18 +281,17 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
 
 def stop_walk(
     figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE
-) -> tuple[Motion, Walk]:
-    """The rest of a walk that ends with the step in hand, a short one and the closing one.
+) -> Slices[Walk]:
+    """A walk that begins as another and ends with the step in hand, a short one and the closing one.
 
-    The feet move as they did until then, so that the walk may be left at any frame: only the centre of
-    mass goes
-    over into its new plan (``join``).
+    The feet move as they did until the step in hand is over, so that the other walk may be left at any frame
+    until then: only the centre of mass goes over into its new plan (``join``).
 
     Args:
         figure: Who walks.
         start: (nq,) where the walk began.
         found: The walk.
-        frame: The last frame that was shown.
+        frame: The last frame that is shown of it.
         gait: How it walks.
         dt: Time between frames, s.
     """
@@ -318,10 +310,7 @@ def stop_walk(
             short.y - sign * 2 * half * np.cos(short.yaw), short.yaw,
         )  # fmt: skip
         prints = [*prints[:keep], short, beside]
-    walked = walk(figure, start, prints, gait, dt=dt)
-    done = np.arange(1, len(walked.frames.q) + 1) * dt > walked.strikes[-1] + 0.5
-    whole = Motion("walk", walked.frames.q, walked.contact, walked.frames.miss, walked.zmp, done)
-    return rest_of(whole, frame + 1), walked
+    return (yield from walk_slices(figure, start, prints, gait, dt=dt))
 
 
 def between_prints(a: Print, b: Print, share: float) -> tuple[float, float, float]:
