@@ -48,7 +48,9 @@ _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
 _FINE = 0.002
-_HEELS = 0.6
+_EARLY, _LEFT = 0.12, 0.9
+"""The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
+_HEELS, _PULL = 0.6, 7.0
 """Share of the absorption after which the heels are down."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
@@ -246,21 +248,33 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     figure, arm, T = plan.figure, plan.arm, plan.ends
     other = "left" if arm == "right" else "right"
     knots = np.array(
-        [0.0, T[1], T[2] - 0.03, plan.apex - 0.05, plan.apex + 0.05, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3]
+        [
+            0.0,
+            T[1] - _EARLY,
+            T[2] - 0.03,
+            plan.apex - 0.05,
+            plan.apex + 0.05,
+            T[3] + 0.05,
+            T[4] + 0.2,
+            T[5] + 0.3,
+        ]
     )
     grid = np.arange(0.0, knots[-1] + 0.1, 0.005)
 
     def curve(values: list[float]) -> Array:
         return np.interp(t, grid, smooth(monotone_curve(knots, np.array(values), grid), 0.03 / 0.005))
 
-    way = {"shoulder_pitch": [-0.6, 1.1, 1.2, 0.5], "elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
+    # An arm that rises in flight turns the whole body: most of its way is done before.
+    way = {"elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
     out: dict[str, Array] = {}
     for joint in figure.robot.joints:
         part = joint.removeprefix(f"{arm}_")
         if part != joint and any(k in part for k in ("shoulder", "elbow", "wrist", "clavicle")):
             a = figure.place(joint)[0]
             x0, x1 = float(figure.home[a]), float(top[a])
-            w = way.get(part, [x0, x0 + 0.3 * (x1 - x0), x0 + 0.3 * (x1 - x0), x0])
+            w = way.get(part, [x0, x0 + 0.6 * (x1 - x0), x0 + 0.5 * (x1 - x0), x0])
+            if part == "shoulder_pitch":
+                w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
     for joint, values in {
         f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 1.3, 1.3, 0.9, 0.5, 0.02],
@@ -301,7 +315,11 @@ def _frames(
         at = figure.pose(plan.ready, foot.frame)[0]
         place[side] = np.column_stack([at[0] + ahead, np.full(n, at[1]), height + lift])
     turn = rotation("y", pitch)
-    rows.feet(place, {side: turn for side in SIDES})
+    # In the air the feet give way before the centre of mass and the momentum do.
+    standing = np.where(air, 3e3, HARD)
+    for side, foot in figure.feet.items():
+        rows.position(foot.frame, place[side], standing)
+        rows.turned(foot.frame, turn, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
     begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
@@ -328,7 +346,7 @@ def _frames(
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
     near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
-    rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (7.5 * near - 3))
+    rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (_PULL * near - 3))
     posture = _posture(plan, t, deep, palm, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})

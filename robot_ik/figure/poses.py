@@ -158,9 +158,7 @@ def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.r
     return np.asarray(q)
 
 
-def _polished(
-    figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array
-) -> Pose:
+def _polished(figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array) -> Pose:
     """From a pose nearby, with no posture of its own: a step that is long crosses limits and gets caught there.
 
     The centre of mass is free while it is far enough inside the soles, and held at the border else.
@@ -183,7 +181,9 @@ def _polished(
         center = figure.center(q)[:2]
         miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
         outside = hull_margin(corners, center) < BALANCED + 0.0005
-        if not outside and ((miss < 0.5 * AT_BALL and hard < 3e-5) or (k > 3 and AT_BALL < miss > 0.93 * last)):
+        if not outside and (
+            (miss < 0.5 * AT_BALL and hard < 3e-5) or (k > 3 and AT_BALL < miss > 0.93 * last)
+        ):
             break
         last = miss if k > 1 else np.inf
         held = inset(corners, center, BALANCED + 0.001) if outside or held is not None else None

@@ -115,7 +115,7 @@ _MOVED, _OFTEN = 0.01, 6
 # meanwhile, m, is decided upon anew.
 _SLICES, _ELSEWHERE = 2, 0.3
 # The end of a walk under way is planned within so many frames; so often is each frame of a walk worked on.
-_AHEAD, _PASSES = 30, 7
+_AHEAD, _PASSES = 30, 11
 # Nearer than this to home, rad, and slower than this, rad/s, it need not stand up first; farther than this
 # from a stand point, m, it steps there.
 _AT_EASE, _STILL, _AT_STAND = 0.25, 0.1, 0.01

@@ -137,7 +137,7 @@ def test_the_command_prints_decisions_and_writes_frames(
 
 def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(abilities: Abilities, tmp_path: Path) -> None:
     session = FigureSession(abilities)
-    session.send(SetBall((2.6, 0.9, 1.2)))  # the longest reason
+    session.send(SetBall((1.3, 0.3, 1.2)))  # a long reason
     frame = session.step()
     painter = Painter(abilities.figure.robot, size=(480, 480))
     image = painter.paint(frame)
