@@ -128,10 +128,11 @@ class Abilities:
         if palm[2] >= over[2] - _HOP:  # no jump would do; a small one does
             palm = palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP)
         elif palm[2] < least:
-            palm = palm_over_center(self.figure, arm, over[:2], least)
+            palm = palm_over_center(self.figure, arm, over[:2], least, 0.05)
         rise = float(np.clip(over[2] - palm[2], _HOP, over[2] - least))
-        off = float(np.linalg.norm(palm + [0.0, 0.0, rise] - over))
-        return float(np.sqrt(2 * GRAVITY * rise)) if off <= ASIDE else None
+        aside = float(np.linalg.norm(palm[:2] - over[:2]))
+        reached = aside <= ASIDE and palm[2] >= least - 1e-3
+        return float(np.sqrt(2 * GRAVITY * rise)) if reached else None
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
@@ -167,7 +168,7 @@ def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
     return at - figure.center(q), float(np.linalg.norm(palm - at))
 
 
-def palm_over_center(figure: Figure, arm: str, xy: Array, z: float | None) -> Array:
+def palm_over_center(figure: Figure, arm: str, xy: Array, z: float | None, aside: float = 1.0) -> Array:
     """(3,) where the palm comes, seen from the centre of mass, the trunk upright and the legs as at home.
 
     Args:
@@ -175,19 +176,20 @@ def palm_over_center(figure: Figure, arm: str, xy: Array, z: float | None) -> Ar
         arm: Which hand.
         xy: (2,) where it shall be, m.
         z: At which height; None: as high as it comes.
+        aside: How much less the place counts than the height.
     """
-    q = _lifted(figure, arm, xy, z)
+    q = _lifted(figure, arm, xy, z, aside)
     return np.asarray(figure.pose(q, figure.hands[arm])[0] - figure.center(q))
 
 
-def _lifted(figure: Figure, arm: str, xy: Array, z: float | None) -> Array:
+def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, aside: float = 1.0) -> Array:
     steps = 10
     s = np.minimum(1.0, np.arange(1, steps + 1) / (0.7 * steps))[:, None]
     start = figure.posture({f"{arm}_shoulder_pitch": 2.0, f"{arm}_elbow_pitch": 0.4})
     rows, center = Rows(figure, steps), figure.center(start)
     hand = figure.pose(start, figure.hands[arm])[0]
     goal = center + np.array([xy[0], xy[1], 1.6 if z is None else z])
-    rows.position(figure.hands[arm], hand + (goal - hand) * s, 1e3, axes="xy")
+    rows.position(figure.hands[arm], hand + (goal - hand) * s, 1e3 * aside, axes="xy")
     rows.position(figure.hands[arm], hand + (goal - hand) * s, 1.0 if z is None else 1e3, axes="z")
     rows.center(center)
     rows.turned(figure.trunk, np.eye(3))

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
 # Fastest glance, rad/s (head turns of 3 to 6, a usual value).
 _GLANCE = 2.5
+# Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
+_UPRIGHT = 0.966
 # A zero-moment point off its plan by less than this, m, is let be.
 _STEADY = 0.015
 # A motion that is left decays into the next in this time, s.
@@ -189,26 +191,28 @@ def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: floa
     ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
     end = find_pose(figure, ball, arm, kind).q
+    # A hand that is led along a line while the trunk leans far straightens elbow and knees on the way.
+    upright = kind == REACH and figure.pose(end, figure.trunk)[1][2, 2] > _UPRIGHT
     way = figure.robot.difference(start, end)[6:]
-    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if kind == REACH else 3.0)
+    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
     slowest = 1.875 * float((np.abs(way) / limit).max())
     duration = max(
-        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if kind == REACH else _BEND_SPEED), slowest
+        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if upright else _BEND_SPEED), slowest
     )
     t = _times(duration, hold, dt)
     s = minimum_jerk(t / duration)
     here, there = figure.center(start)[:2], figure.center(end)[:2]
     turns = _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s)
-    stiff = figure.stiffnesses(STIFF if kind == REACH else STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
+    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
     def solve(center: Array) -> Frames:
         rows = Rows(figure, len(t))
         pinned(figure, start, rows)
         rows.center(_flat(center), axes="xy")
-        rows.turned(figure.trunk, turns, 20.0 if kind == REACH else 3.0)
-        if kind == REACH:
+        rows.turned(figure.trunk, turns, 20.0 if upright else 3.0)
+        if upright:
             rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-        _look(figure, rows, start, ball, t, within=0.6 if kind == REACH else 0.7 * duration)
+        _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
         return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
 
     frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)

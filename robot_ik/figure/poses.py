@@ -38,7 +38,7 @@ _HOPELESS = 0.3
 _BLOCK, _BLOCKS, _DAMPING = 3, 20, (1.0, 0.1)
 _STAND, _PULL = 3e3, 300.0
 # A hand that stays nearer than this is tried from other poses, so many.
-_NEARLY, _FRESH = 0.06, 2
+_NEARLY, _FRESH = 0.02, 6
 
 
 def pinned(figure: Figure, q: Array, rows: Rows) -> None:

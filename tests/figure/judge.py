@@ -211,10 +211,12 @@ class Judge:
 
     def jumps(self, ball: Array, starts: int, seed: int) -> str:
         """As ``state``: whether the palm comes beside the centre of mass to where a jump brings it."""
-        aside = [self.column(ball, arm, starts, seed) for arm in ("right", "left")]
-        return "yes" if min(aside) <= _COLUMN[0] else "no" if min(aside) > _COLUMN[1] else BORDER
+        for radius, answer in zip(_COLUMN, ("yes", BORDER), strict=True):
+            if any(self.column(ball, arm, starts, seed, radius) < 1e-3 for arm in ("right", "left")):
+                return answer
+        return "no"
 
-    def column(self, ball: Array, arm: str, starts: int, seed: int) -> float:
+    def column(self, ball: Array, arm: str, starts: int, seed: int, radius: float) -> float:
         """How far the palm stays from the column over the centre of mass that a jump needs, m."""
         m, d = self.model, self.data
         arms = ("clavicle", "shoulder", "elbow", "wrist")
@@ -229,7 +231,10 @@ class Judge:
             mujoco.mj_jacSite(m, d, jp, None, i)
             mujoco.mj_jacSubtreeCom(m, d, jc, 0)
             at = d.site_xpos[i] - d.subtree_com[0]
-            return 10 * (np.array([*want[:2], np.clip(at[2], low, high)]) - at), 10 * (jp - jc)
+            off = np.array([*want[:2], np.clip(at[2], low, high)]) - at
+            far = float(np.linalg.norm(off[:2]))
+            off[:2] *= max(0.0, far - radius) / max(far, 1e-9)
+            return 10 * off, 10 * (jp - jc)
 
         rng, least = np.random.default_rng([seed, 7, arm == "left"]), np.inf
         for k in range(starts // 2):
@@ -237,7 +242,7 @@ class Judge:
             q[7:] = np.where(may[6:], rng.uniform(self.lower, self.upper), self.home[7:])
             self.descend(q, self.lower, self.upper, may, rows)
             least = min(least, float(np.linalg.norm(rows()[0])) / 10)
-            if least <= _COLUMN[0] or (k >= 5 and least > 0.25):
+            if least < 1e-3 or (k >= 3 and least > 0.1) or (k >= 11 and least > 0.02):
                 break
         return least
 
@@ -277,9 +282,8 @@ class Judge:
             if any(self.state(there, kind, 8, seed) == "yes" for there in places):
                 return "walk"
         columns = [np.array([x, y, ball[2]]) for x in (0.0, 0.1, 0.2) for y in (-0.1, -0.2, -0.3)]
-        aside = [self.column(there, "right", 16, seed) for there in columns]
-        found = min(aside)
-        return "walk" if found < 5e-3 else "nothing" if found > 0.02 else BORDER
+        found = min(self.column(there, "right", 16, seed, 0.04) for there in columns)
+        return "walk" if found < 1e-3 else "nothing" if found > 0.01 else BORDER
 
 
 def drawn(count: int, seed: int) -> Iterator[tuple[int, Array]]:

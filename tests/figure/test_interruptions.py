@@ -23,6 +23,8 @@ PAIRS = list(itertools.product(KINDS, KINDS))
 # A motion that is left decays within this many frames (``actions.BLEND``).
 _WINDOW = 26
 _MOST = 2.0  # rad/s in a frame
+# A walk that nobody interrupts changes the speed of a knee by so much at its heel strikes.
+_STRIKE = 5.2
 _LONGEST = 20.0  # s
 
 
@@ -76,8 +78,9 @@ def require_smooth(abilities: Abilities, seed: int) -> None:
         if left in ("walk", "jump") and left != after:
             assert (frame.contact == FLAT).all() and frame.phase > 0.5, name
     change = np.abs(np.diff(speed[cut - 2 : cut + _WINDOW, 6:], axis=0)).max()
-    if all(f.action != "jump" for f in frames[cut - 2 : cut + _WINDOW]):
-        assert change <= _MOST, f"{name}: {change:.2f} rad/s in a frame"
+    around = {f.action for f in frames[cut - 2 : cut + _WINDOW]}
+    if "jump" not in around:
+        assert change <= (_STRIKE if "walk" in around else _MOST), f"{name}: {change:.2f} rad/s in a frame"
     standing = [f for f in frames if f.action not in ("walk", "jump")]
     for foot in figure.feet.values():
         for a, b in itertools.pairwise(standing):
@@ -86,7 +89,6 @@ def require_smooth(abilities: Abilities, seed: int) -> None:
                 assert np.abs(moved).max() < 1e-4, name
 
 
-# Each action is left for each other; those without a walk cost the least and come twice.
 @pytest.mark.parametrize("seed", [k for k, pair in enumerate(PAIRS) if pair[0] != pair[1]])
 def test_an_action_that_is_interrupted_goes_over_smoothly(abilities: Abilities, seed: int) -> None:
     require_smooth(abilities, seed)
