@@ -10,7 +10,6 @@ import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,7 +19,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Rows, lowest_points
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import (
     AIR,
     FLAT,
@@ -436,99 +435,8 @@ def _session_times(abilities: Abilities) -> Iterator[FigureRow]:
     yield FigureRow("time", "a frame that plans, longest", max(planned), "ms", most=1000.0 / RATE)
 
 
-def measure_beside_mink(figure: Figure) -> Iterator[FigureRow]:
-    """The frames of a walk solved by mink, too, with the same goals and the same misses; nothing without it.
-
-    Goals: both feet (poses) and the centre of mass (x, y) that must hold, the line of sight and a posture
-    that may give.  mink weighs them: feet 1, centre of mass 1, sight 0.05, posture 0.005; DAQP, joint limits, up
-    to 20 steps a frame, until feet and centre of mass are as near as ours are.
-    """
-    try:
-        import daqp  # noqa: F401
-        import mink
-    except ImportError:
-        return
-    prints = walk_prints(figure, prints_of(figure, figure.home), np.array([3.0, 0.0, 0.0]))
-    wanted = walk(figure, figure.home, prints).frames.q
-    places = {s: figure.poses(wanted, f.frame) for s, f in figure.feet.items()}
-    centers, eyes = (
-        np.array([figure.center(q) for q in wanted]),
-        figure.pose(figure.home, figure.gaze or "")[0],
-    )
-    look = eyes + np.array([20.0, 0.0, 0.0])
-
-    def ours() -> tuple[Array, float]:
-        rows = Rows(figure, len(wanted))
-        rows.feet({s: p for s, (p, _) in places.items()}, {s: r for s, (_, r) in places.items()})
-        rows.center(centers, axes="xy")
-        rows.aim(figure.gaze or "", look, 0.05)
-        began = time.thread_time()
-        q = rows.solve(figure.home, figure.stiffnesses({"*": 0.005}), figure.home, speeds=None).q
-        return q, time.thread_time() - began
-
-    ours()
-    q, seconds = ours()
-    miss = max(_needed_miss(figure, row, places, centers, i) for i, row in enumerate(q))
-    theirs, spent, steps = _mink_frames(mink, figure, places, centers, look, max(miss, 1e-6))
-    other = max(_needed_miss(figure, row, places, centers, i) for i, row in enumerate(theirs))
-    yield FigureRow("mink", "frames", len(wanted))
-    yield FigureRow("mink", "feet and centre of mass off, ours", 1e3 * miss, "mm", most=0.1)
-    yield FigureRow("mink", "feet and centre of mass off, mink", 1e3 * other, "mm")
-    yield FigureRow("mink", "steps a frame, mink", steps / len(wanted))
-    yield FigureRow("mink", "a frame, ours", 1e6 * seconds / len(wanted), "us", most=200)
-    yield FigureRow("mink", "a frame, mink", 1e6 * spent / len(wanted), "us")
-    yield FigureRow("mink", "times faster", spent / seconds, least=5.0)
-
-
-def _needed_miss(
-    figure: Figure, q: Array, places: Mapping[str, tuple[Array, Array]], centers: Array, i: int
-) -> float:
-    """Largest miss of feet and centre of mass, m."""
-    off = [np.linalg.norm(figure.pose(q, f.frame)[0] - places[s][0][i]) for s, f in figure.feet.items()]
-    return float(max(*off, np.linalg.norm((figure.center(q) - centers[i])[:2])))
-
-
-def _mink_frames(
-    mink: Any, figure: Figure, places: Mapping[str, tuple[Array, Array]], centers: Array, look: Array,
-    near: float,
-) -> tuple[Array, float, int]:  # fmt: skip
-    """Frames (n, nq), seconds and steps of mink."""
-    model = figure.model
-    configuration = mink.Configuration(model, figure.home)
-    feet = {
-        side: mink.FrameTask(foot.frame, "site", position_cost=1.0, orientation_cost=1.0)
-        for side, foot in figure.feet.items()
-    }
-    center = mink.ComTask(np.array([1.0, 1.0, 0.0]))
-    sight = mink.FrameTask(figure.gaze, "site", position_cost=0.0, orientation_cost=np.array([0, 0.05, 0.05]))
-    posture = mink.PostureTask(model, 0.005)
-    posture.set_target(figure.home)
-    tasks, limits = [*feet.values(), center, sight, posture], [mink.ConfigurationLimit(model)]
-    out, seconds, steps = [], 0.0, 0
-    for i, target in enumerate(centers):
-        began = time.thread_time()
-        for side, task in feet.items():
-            place, turn = places[side][0][i], places[side][1][i]
-            task.set_target(mink.SE3.from_rotation_and_translation(mink.SO3.from_matrix(turn), place))
-        center.set_target(target)
-        way = look - configuration.get_transform_frame_to_world(figure.gaze, "site").translation()
-        yaw, pitch = np.arctan2(way[1], way[0]), -np.arctan2(way[2], np.hypot(way[0], way[1]))
-        sight.set_target(mink.SE3.from_rotation(mink.SO3.from_rpy_radians(0.0, pitch, yaw)))
-        for _ in range(20):
-            velocity = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=1e-6, limits=limits)
-            configuration.integrate_inplace(velocity, 1.0)
-            steps += 1
-            off = [float(np.linalg.norm(task.compute_error(configuration)[:3])) for task in feet.values()]
-            if max(*off, float(np.linalg.norm(center.compute_error(configuration)[:2]))) < near:
-                break
-        seconds += time.thread_time() - began
-        out.append(configuration.q.copy())
-    return np.array(out), seconds, steps
-
-
 def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iterator[FigureRow]:
     """All rows, one after the other."""
     yield from measure_walks(abilities.figure)
     yield from measure_hands(abilities, count, seed)
     yield from measure_times(abilities)
-    yield from measure_beside_mink(abilities.figure)

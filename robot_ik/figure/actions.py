@@ -265,6 +265,9 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
         return motion
     t = np.arange(n, dtype=np.float64) * dt
     offset = decay(gap, speed - own, BLEND)(t)
+    for foot in figure.feet.values():  # toes on the floor: what little they are off would press them into it
+        if foot.toes is not None and abs(gap[foot.toes[1]]) < 0.1:
+            offset[:, foot.toes[1]] = 0.0
     wanted = np.array(
         [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
     )
@@ -276,8 +279,9 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
     rows.center(center + shift, axes="xy")
     rows.turned(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
-    stiff = np.concatenate([np.zeros(6), np.ones(figure.robot.nv - 6)])
-    frames = rows.solve(wanted, stiff, first, second, speeds=motion.speeds, dt=dt)
+    frames = rows.solve(
+        wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds, dt=dt
+    )
     q, miss = motion.q.copy(), motion.miss.copy()
     q[:n], miss[:n] = frames.q, frames.miss
     return replace(motion, q=q, miss=miss)

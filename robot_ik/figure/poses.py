@@ -159,7 +159,7 @@ def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.r
 
 
 def _polished(figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array) -> Pose:
-    """From a pose nearby, with no posture of its own: a step that is long crosses limits and gets caught there.
+    """From a pose nearby, with no posture of its own, by short steps: long ones get caught at limits.
 
     The centre of mass is free while it is far enough inside the soles, and held at the border else.
     """
