@@ -71,7 +71,7 @@ class Gait:
         late: How much later than by a cosine the foot arrives: one that waits before its strike holds the
             hips down.
         arrive: Speed of the foot at its strike as a share of its mean speed in the air: heels strike while
-            they still move (0.4 to 0.9 m/s: Lockhart, Woldstad & Smith, Ergonomics 46:1136, 2003).
+            they still move.
         turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
         lean_deg: Of the chest forwards.
         swing_deg: Of the arms.
@@ -291,11 +291,11 @@ class _Plan:
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
             top = off_ * (0.75 if fall.first else 1.0)
-            settled, level = gait.leveled
+            settled, share = gait.leveled
             knots = np.array(
                 [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
             )
-            values = np.array([0.0, top, top * gait.peak, level * top, on * (0.3 if after.last else 1.0)])
+            values = np.array([0.0, top, top * gait.peak, share * top, on * (0.3 if after.last else 1.0)])
             rolling = (t > rise) & (t < after.strike)
             pitch[rolling] = clamped_curve(knots, values, t[rolling])
             away = (t >= fall.off) & (t < after.strike)
