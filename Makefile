@@ -5,6 +5,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 STAMP4 := .venv-opencv4/.installed
+DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
 # A sourced ROS set-up puts its own packages and pytest plugins in front of ours.
@@ -24,7 +25,7 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test explore soak fuzz strangers check lint types imports format wheel test-opencv4 constraints clean FORCE
+.PHONY: help reach test explore soak fuzz strangers check lint types imports format docs wheel test-opencv4 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
@@ -32,6 +33,7 @@ help:
 	@echo 'make explore       the same tests with new random examples of every law'
 	@echo 'make check         ruff, mypy on the built wheel, import contracts'
 	@echo 'make format        let ruff put the layout and the imports in order'
+	@echo 'make docs          the pages and the API as a site, in build/site'
 	@echo 'make soak          the long tests'
 	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
 	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
@@ -83,6 +85,11 @@ format: $(STAMP)
 	@$(PY) -m ruff check --fix .
 	@$(PY) -m ruff format .
 
+# -E reads every page anew, -W makes a warning an error.
+docs: $(DOCS_STAMP)
+	@$(PY) -m sphinx -E -W --keep-going -q -d build/doctrees -c docs . build/site
+	@echo 'build/site/index.html'
+
 wheel: $(STAMP)
 	@rm -rf build dist
 	@$(PY) -m build --no-isolation . > $(VENV)/build.log 2>&1 || { cat $(VENV)/build.log; exit 1; }
@@ -109,6 +116,11 @@ $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
 	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,plots,descriptions,dev]'
 	@$(PY) .ci/link_stubs.py $(VENV)/stubs
 	@printf '%s\n' '$(CURDIR)' > $@
+
+# Only `make docs` needs these packages.
+$(DOCS_STAMP): $(STAMP)
+	@$(PY) -m pip install --quiet --disable-pip-version-check --no-build-isolation --constraint constraints.txt --editable '.[docs]'
+	@touch $@
 
 # The same versions but for OpenCV; without the extras that no camera test opens.
 $(STAMP4): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE4)

@@ -1,4 +1,4 @@
-"""Solves inverse kinematics for the PUMA 560 and says honestly what came out.
+"""Solves inverse kinematics for the PUMA 560 and prints the result.
 
 Prints the joint angles for a goal within reach, the miss that MuJoCo's own forward pass measures, and the
 effort of each method.  Then the same for a goal two metres too far: no exception, but a status, a proof and

@@ -16,15 +16,15 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import joint_offset
 from robot_ik.jobs.scene import stage_for
 
 
 def main(offset_deg: float = 0.0) -> None:
     robot = rik.load_robot("puma560")
     config = ArmConfig.load(robot.arm_file)
-    faults = Faults.for_joints(config, zero_offset_deg={"joint2": offset_deg})
-    servos = VirtualBus.from_config(config, rik.VirtualClock(), robot.home, faults)
+    servos = VirtualBus.from_config(config, rik.VirtualClock(), robot.home)
+    servos.inject(joint_offset(config.joint("joint2"), offset_deg))
     arm = open_arm(config, "sim", virtual_bus=servos)
 
     stage = stage_for(robot)  # where table, marker and camera stand: [reach] of robot.toml

@@ -1,4 +1,4 @@
-"""Follows a marker that somebody pushes round in a circle, and tells how far the gripper lags behind.
+"""Follows a marker that is pushed round in a circle, and prints how far the gripper lags behind.
 
     python examples/06_follow_a_marker.py           goals for the time they are used at
     python examples/06_follow_a_marker.py late      goals for the time their picture was taken at

@@ -32,10 +32,10 @@ def main(*ball: float) -> None:
             continue
         hand = session.figure.robot.measure(frame.q, session.figure.hands[frame.decision.arm])
         miss = np.linalg.norm(hand.position - frame.ball)
-        told = (
+        line = (
             f"after {frames / RATE:.1f} s the {frame.decision.arm} hand is {1e3 * miss:.2f} mm from the ball"
         )
-        print(f"         {told}")
+        print(f"         {line}")
 
 
 if __name__ == "__main__":

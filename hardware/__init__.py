@@ -15,7 +15,7 @@ from robot_ik.errors import BusNotOpenError, ConfigError
 
 if __name__ != "robot_ik.hardware":
     raise ImportError(
-        "this is the hardware room of robot_ik: `import robot_ik.hardware`, not `import hardware` "
+        "this is the hardware package of robot_ik: `import robot_ik.hardware`, not `import hardware` "
         "(other distributions own that name)"
     )
 

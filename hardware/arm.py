@@ -58,16 +58,17 @@ class ArmState(enum.Enum):
 
 
 _S = ArmState
-_MOVES: Mapping[ArmState, ArmState] = {_S.ENABLED: _S.ENABLED, _S.HOLD: _S.ENABLED}
+# Whoever parks holds the lock: seen with the lock in hand, PARKING is a parking that an exception cut short.
+_MOVES: Mapping[ArmState, ArmState] = dict.fromkeys((_S.ENABLED, _S.HOLD, _S.PARKING), _S.ENABLED)
 
 EVENTS: Mapping[str, Mapping[ArmState, ArmState]] = {
     "connect": {_S.DISCONNECTED: _S.CONNECTED},
     "enable": {_S.CONNECTED: _S.ENABLED},
     "send": _MOVES,
     "grip": _MOVES,
-    "hold": {_S.ENABLED: _S.HOLD, _S.HOLD: _S.HOLD},
-    "park": {_S.ENABLED: _S.PARKING, _S.HOLD: _S.PARKING},
-    "limit the current": {_S.CONNECTED: _S.CONNECTED, _S.ENABLED: _S.ENABLED, _S.HOLD: _S.HOLD},
+    "hold": dict.fromkeys(_MOVES, _S.HOLD),
+    "park": dict.fromkeys(_MOVES, _S.PARKING),
+    "limit the current": {state: state for state in (_S.CONNECTED, *_MOVES)},
     "reset a fault": {_S.FAULT: _S.CONNECTED},
     "reconnect": {_S.FAULT: _S.CONNECTED, _S.CONNECTED: _S.CONNECTED},
 }

@@ -9,14 +9,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, model_validator
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import config_error, read_json, read_toml, shown, write_atomically
+from robot_ik.files import read_json, shown, write_atomically
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap
 from robot_ik.hardware.x_series import REVERSE
+from robot_ik.tables import Several, Table, WrongKey, read_table
 
 SCHEMA = 1
 """Raised when a key changes its meaning."""
@@ -97,17 +98,11 @@ class Calibration:
         Raises:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
-        try:
-            found = _File.model_validate(read_toml(path, "the calibration"))
-        except ValidationError as error:
-            raise config_error(error, path) from None
+        found = read_table(_File, path, "the calibration")
         joints, twins = (
             tuple(JointCalibration(**row.model_dump()) for row in rows)
             for rows in (found.joints, found.twins)
         )
-        for joint in joints + twins:
-            if joint.range_min >= joint.range_max:
-                raise ConfigError(f"the range of {joint.name!r} is empty", file=path, key="range_min")
         return cls(found.arm, found.robot, found.created, found.bus.baud, joints, twins, path)
 
 
@@ -116,15 +111,10 @@ def calibration_beside(arm_file: Path) -> Path:
     return arm_file.with_name(arm_file.stem + SUFFIX)
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
 _Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
-_Degrees = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class _Joint(_Table):
+class _Joint(Table):
     name: str
     id: Annotated[int, Field(ge=0, le=252)]
     model: str
@@ -135,23 +125,29 @@ class _Joint(_Table):
     range_max: _Ticks
     direction: Literal[1, -1]
     zero_ticks: _Ticks
-    urdf_lower: _Degrees
-    urdf_upper: _Degrees
+    urdf_lower: float
+    urdf_upper: float
     present_at_save: _Ticks
 
+    @model_validator(mode="after")
+    def _some_range(self) -> _Joint:
+        if self.range_min >= self.range_max:
+            raise WrongKey(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
+        return self
 
-class _Bus(_Table):
+
+class _Bus(Table):
     baud: int
 
 
-class _File(_Table):
+class _File(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     arm: str
     robot: str
     created: str
     bus: _Bus
-    joints: Annotated[list[_Joint], Field(min_length=1)]
-    twins: list[_Joint] = []
+    joints: Annotated[Several[_Joint], Field(min_length=1)]
+    twins: Several[_Joint] = ()
 
 
 def as_plain(calibration: Calibration) -> dict[str, Any]:
@@ -426,7 +422,7 @@ def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
 
 def _edited(text: str, new: ArmConfig, file: Path) -> str:
     """The text with the zeros of ``new``; checked by reading it again."""
-    every = (*new.joints, *new.aside)
+    every = (*new.joints, *new.auxiliary)
     lines: list[str] = []
     number, wanted = -1, None  # of the table that we are in; None: it has no zero, or had it
     for line in text.splitlines(keepends=True):

@@ -42,7 +42,7 @@ class ArmConfig:
         watchdog_ms: Bus Watchdog of every servo, ms, a multiple of 20; 0 = off.
         on_exit: ``torque_off``, ``hold`` or ``park``.
         joints: In the order of q.
-        aside: Joints of other groups, such as a gripper's: no part of q.  An arm holds them where they are,
+        auxiliary: Joints of other groups, as a gripper's: no part of q.  An arm holds them where they are,
             and moves them by name.
         file: Where it was read from; ``None`` when made by a program.
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
@@ -61,7 +61,7 @@ class ArmConfig:
     file: Path | None = field(default=None, compare=False)
     stale_ms: int = STALE_MS
     on_stale: str = "hold"
-    aside: tuple[JointMap, ...] = ()
+    auxiliary: tuple[JointMap, ...] = ()
     uncalibrated: bool = False
 
     def __post_init__(self) -> None:
@@ -138,13 +138,13 @@ class ArmConfig:
 
     @cached_property
     def whole(self) -> ArmConfig:
-        """The same arm with all joints in its q: first ``joints``, then ``aside``."""
-        return replace(self, joints=self.joints + self.aside, aside=()) if self.aside else self
+        """The same arm with all joints in its q: first ``joints``, then ``auxiliary``."""
+        return replace(self, joints=self.joints + self.auxiliary, auxiliary=()) if self.auxiliary else self
 
     @cached_property
     def servos(self) -> tuple[JointMap, ...]:
-        """Every servo as a map of its joint: of ``joints`` in the order of q, ``aside``, the second ones."""
-        joints = self.joints + self.aside
+        """Every servo as a map of its joint: ``joints`` in the order of q, ``auxiliary``, the second ones."""
+        joints = self.joints + self.auxiliary
         return joints + tuple(other for joint in joints for other in joint.servos[1:])
 
     @cached_property
@@ -153,7 +153,7 @@ class ArmConfig:
         return tuple(servo.id for servo in self.servos)
 
     def spread(self, q: ArrayLike) -> Array:
-        """(number of servos,) from (joints and joints aside,): the value of each servo's joint."""
+        """(number of servos,) from (joints and auxiliary joints,): the value of each servo's joint."""
         where = {name: k for k, name in enumerate(self.whole.names)}
         return np.asarray(q, dtype=float)[[where[servo.name] for servo in self.servos]]
 
@@ -188,18 +188,18 @@ class ArmConfig:
         Raises:
             UnknownJointError: No such joint; close ones are named.
         """
-        for joint in (*self.joints, *self.aside):
+        for joint in (*self.joints, *self.auxiliary):
             if joint.name == name:
                 return joint
         raise UnknownJointError(name, self.whole.names)
 
-    def aside_of(self, name: str) -> tuple[JointMap, ...]:
+    def auxiliary_of(self, name: str) -> tuple[JointMap, ...]:
         """The joints of a group that are no part of q."""
-        return tuple(joint for joint in self.aside if joint.group == name)
+        return tuple(joint for joint in self.auxiliary if joint.group == name)
 
     def group(self, name: str) -> tuple[JointMap, ...]:
         """The joints of a group; none where there is no such group."""
-        return tuple(joint for joint in (*self.joints, *self.aside) if joint.group == name)
+        return tuple(joint for joint in (*self.joints, *self.auxiliary) if joint.group == name)
 
 
 def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
@@ -290,7 +290,7 @@ def check_arm(config: ArmConfig, file: Path | str) -> None:
     _check_watchdogs(config, file)
     names: dict[str, int] = {}
     ids: dict[int, str] = {}
-    for k, joint in enumerate((*config.joints, *config.aside)):
+    for k, joint in enumerate((*config.joints, *config.auxiliary)):
         at = f"joints[{k}]"
         table = _table(joint, at, file)
         _check_model(config, joint, table, at, file)

@@ -203,7 +203,7 @@ class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
 
     Commands are of the arm's q, or by name; what they do not speak of stays at its last command.  All else
-    here is of all joints: those of q, then those aside.
+    here is of all joints: those of q, then the auxiliary ones.
 
     Attributes:
         samples: Measured positions; ``limits``: state of the limiter; ``goals``: servo id -> ticks last sent.

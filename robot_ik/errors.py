@@ -28,6 +28,12 @@ def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     return [by_lower[item] for item in found]
 
 
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A hint with the known names that are close; empty where there are none."""
+    close = close_matches(name, known)
+    return f"did you mean {' or '.join(close)}?" if close else ""
+
+
 def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
     """One sentence for an unknown name: the close ones first, then what exists."""
     shown = repr(name)

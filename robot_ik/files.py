@@ -17,12 +17,10 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
 
 from robot_ik.errors import ConfigError, OutputError
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
 
 LARGEST_FILE = 256 * 2**20
 """Bytes; a recording of an hour has a tenth of it."""
@@ -192,21 +190,17 @@ def shown(value: object, text: Callable[[object], str] = repr) -> str:
     return found if len(found) <= 60 else found[:59] + "…"
 
 
-def config_error(error: ValidationError, file: Path | str) -> ConfigError:
-    """What pydantic finds wrong in a file, as one sentence with the key; an unknown key goes first.
-
-    Args:
-        error: Of ``model_validate``.
-        file: The file.
-    """
-    first = min(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
-    key = key_text(first["loc"])
-    if first["type"] == "extra_forbidden":
-        return ConfigError("unknown key", file=file, key=key)
-    if first["type"] == "missing":
-        return ConfigError("this key is missing", file=file, key=key, allowed="a value")
-    allowed = first["msg"].removeprefix("Input should be a valid ").removeprefix("Input should be ")
-    return ConfigError(f"{shown(first['input'])} is not right", file=file, key=key, allowed=allowed)
+FORMER: Mapping[str, str] = MappingProxyType(
+    {
+        "things": "objects",
+        "thing": "object",
+        "--phantoms": "--occluders",
+        "--phantom-geoms": "--occluder-geoms",
+        "--camera-place": "--camera-extrinsics",
+        "--place": "--extrinsics",
+    }
+)
+"""Keys and options of before the first release, and what they are called now; nothing reads the old ones."""
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

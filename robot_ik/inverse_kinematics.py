@@ -437,8 +437,8 @@ def solve_batch(
 
     Args:
         robot: From ``load_robot``.
-        poses: ``Pose``s, (n, 4, 4) homogeneous matrices, (n, 7) position and quaternion wxyz, or (n, 3)
-            positions whose orientation is free.
+        poses: ``Pose`` objects, (n, 4, 4) homogeneous matrices, (n, 7) position and quaternion wxyz, or
+            (n, 3) positions whose orientation is free.
         frame: What shall get there; default the tool.
         starts: (nq,) for all or (n, nq); default ``robot.home``.
         solver: Name or instance; ``auto`` and ``lm`` run compiled from end to end.

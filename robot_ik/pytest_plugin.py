@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.faults import FaultScript
+    from robot_ik.hardware.virtual.faults import FaultFile
     from robot_ik.ports import Array
 
 
@@ -91,26 +91,21 @@ class FaultPlayer:
     """
 
     def __init__(self, config: ArmConfig, bus: VirtualBus) -> None:
-        from robot_ik.hardware.virtual.faults import ScriptFaults
+        self._config, self._bus = config, bus
 
-        self._config, self._bus, self._mischief = config, bus, ScriptFaults(bus)
-
-    def __call__(self, source: str | Path) -> FaultScript:
+    def __call__(self, source: str | Path) -> FaultFile:
         """Plays a file of faults, or the text of one.
 
         Raises:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
-        import dataclasses
-
         from robot_ik.hardware.virtual.faults import load_faults, parse_faults
 
         text = isinstance(source, str) and "\n" in source
-        script = parse_faults(str(source), self._config) if text else load_faults(source, self._config)
-        self._bus.set_faults(dataclasses.replace(self._bus.faults, seed=script.seed))
-        for fault in script.faults:
-            self._mischief.inject(fault, fault.at or 0.0, fault.lasts)
-        return script
+        found = parse_faults(str(source), self._config) if text else load_faults(source, self._config)
+        self._bus.reseed(found.seed)
+        self._bus.inject(*found.faults)
+        return found
 
     def inject(
         self,
@@ -127,14 +122,16 @@ class FaultPlayer:
         Raises:
             ConfigError: No such kind, joint or value.
         """
-        from robot_ik.hardware.virtual.faults import fault_for
+        from robot_ik.hardware.virtual.faults import make_fault
 
-        fault = fault_for(self._config, kind, joint=joint, id=id, value=value, file="fault_script")
-        self._mischief.inject(fault, in_s, for_s)
+        fault = make_fault(
+            self._config, "fault_script", kind=kind, joint=joint, id=id, value=value, at_s=in_s, for_s=for_s
+        )
+        self._bus.inject(fault)
 
     def clear(self, kind: str | None = None) -> int:
         """Takes faults back, all or of one kind; servos that shut down restart.  How many there were."""
-        return self._mischief.clear(kind)
+        return self._bus.clear(kind)
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
-from robot_ik.files import read_toml
+from robot_ik.tables import Pair, Place, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""
@@ -26,11 +26,11 @@ _MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".toml")
 _WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or URDF file"
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+_Positive = Annotated[float, Field(gt=0.0)]
+_PlaceAndTurn = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
 
 
-class Tool(_Table):
+class Tool(Table):
     """A named end-effector frame: a site or a body of the model."""
 
     site: str | None = None
@@ -38,55 +38,55 @@ class Tool(_Table):
     about: str = ""
 
 
-class Marker(_Table):
+class Marker(Table):
     """A printed marker lying in the world, z up out of the paper."""
 
     id: int
     dictionary: str = "DICT_5X5_50"
     size: float
-    position: tuple[float, float, float]
+    position: Place
     yaw_deg: float = 0.0
 
 
-class Table(_Table):
+class TableTop(Table):
     """A table top: its height and extent in the world, metres."""
 
     height: float
-    x: tuple[float, float]
-    y: tuple[float, float]
+    x: Pair
+    y: Pair
 
 
-class CameraExtrinsics(_Table):
+class SceneCamera(Table):
     """A camera: where it stands, what it looks at, and its optics (pixels)."""
 
-    position: tuple[float, float, float]
-    look_at: tuple[float, float, float]
+    position: Place
+    look_at: Place
     width: int = 1280
     height: int = 720
     focal: float = 1100.0
-    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: Several[float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class ToolMarker(_Table):
+class ToolMarker(Table):
     """Four markers on the sides of a cube that the gripper carries."""
 
-    ids: tuple[int, ...]
+    ids: Several[int]
     size: float
     cube: float
     site: str
 
 
-class ReachScene(_Table):
+class ReachScene(Table):
     """The scene of ``robot-ik reach`` for this robot."""
 
     marker: Marker
     hover: float
-    table: Table | None = None
-    camera: CameraExtrinsics
+    table: TableTop | None = None
+    camera: SceneCamera
     tool_marker: ToolMarker
 
 
-class GalleryScene(_Table):
+class GalleryScene(Table):
     """What `robot-ik robots --gallery` draws beside the home pose.
 
     A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
@@ -94,32 +94,32 @@ class GalleryScene(_Table):
     """
 
     about: str = "reaching"
-    goals: dict[str, tuple[float, float, float] | tuple[float, float, float, float, float, float, float]] = {}
-    keep: tuple[str, ...] = ()
-    view_deg: tuple[float, float] = (-55.0, 16.0)
+    goals: dict[str, Place | _PlaceAndTurn] = Field(default={})
+    keep: Several[str] = ()
+    view_deg: Pair = (-55.0, 16.0)
 
 
-class FigureParts(_Table):
+class FigureParts(Table):
     """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
 
     ``bend``: the keyframe that a deep bend looks like.
     """
 
-    hands: dict[str, str] = {}
-    feet: dict[str, str] = {}
+    hands: dict[str, str] = Field(default={})
+    feet: dict[str, str] = Field(default={})
     gaze: str | None = None
-    neck: tuple[str, ...] = ()
+    neck: Several[str] = ()
     pelvis: str
     trunk: str
     bend: str | None = None
 
 
-class _Motion(_Table):
-    velocity_deg: tuple[float, ...] | None = None
-    acceleration_deg: tuple[float, ...] | None = None
+class _Motion(Table):
+    velocity_deg: Several[float] | None = None
+    acceleration_deg: Several[float] | None = None
 
 
-class Coupled(_Table):
+class Coupled(Table):
     """A joint that follows another: joint = ratio · leader + offset, rad or m."""
 
     follows: str
@@ -127,24 +127,24 @@ class Coupled(_Table):
     offset: float = 0.0
 
 
-class _Provenance(_Table):
-    sources: tuple[str, ...] = ()
+class _Provenance(Table):
+    sources: Several[str] = ()
 
 
-class _File(_Table):
-    schema_: Literal[1]
+class _File(Table):
+    version: Annotated[Literal[1], Field(alias="schema")]
     title: str
     model: str
     tool: str | None = None
     solver: str | None = None
-    home: str | tuple[float, ...] | None = None
-    tools: dict[str, Tool] = {}
-    groups: dict[str, tuple[str, ...]] = {}
+    home: str | Several[float] | None = None
+    tools: dict[str, Tool] = Field(default={})
+    groups: dict[str, Several[str]] = Field(default={})
     motion: _Motion = _Motion()
-    speed_deg: dict[str, dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]]] = {}
+    speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
     figure: FigureParts | None = None
-    stiffness: dict[str, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]] = {}
-    couplings: dict[str, Coupled] = {}
+    stiffness: dict[str, _Positive] = Field(default={})
+    couplings: dict[str, Coupled] = Field(default={})
     reach: ReachScene | None = None
     gallery: GalleryScene | None = None
     provenance: _Provenance = _Provenance()
@@ -196,13 +196,7 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     Raises:
         ConfigError: With file, key and what is allowed.
     """
-    raw = read_toml(path, "robot.toml")
-    if "schema" in raw:
-        raw["schema_"] = raw.pop("schema")
-    try:
-        parsed = _File.model_validate(raw)
-    except ValidationError as error:
-        raise _config_error(path, error) from error
+    parsed = read_table(_File, path, "robot.toml")
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(
         name=path.parent.name,
@@ -239,26 +233,6 @@ def _per_joint(
             file=path, key=key, allowed="one positive number, deg/s or deg/s², for each joint of groups.arm",
         )  # fmt: skip
     return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
-
-
-def _config_error(path: Path, error: ValidationError) -> ConfigError:
-    first = error.errors()[0]
-    key = ".".join("schema" if part == "schema_" else str(part) for part in first["loc"])
-    problem, allowed = str(first["msg"]), ""
-    if first["type"] == "extra_forbidden":
-        table: Any = _File
-        for part in first["loc"][:-1]:
-            if str(part) not in getattr(table, "model_fields", {}):
-                continue  # the name of an entry, such as a tool's
-            annotation = table.model_fields[str(part)].annotation
-            table = next(
-                (a for a in getattr(annotation, "__args__", [annotation]) if hasattr(a, "model_fields")), None
-            )
-        known = ["schema" if n == "schema_" else n for n in table.model_fields] if table else []
-        close = close_matches(str(first["loc"][-1]), known)
-        problem = "unknown key" + (f" (did you mean {close[0]!r}?)" if close else "")
-        allowed = ", ".join(known)
-    return ConfigError(problem, file=path, key=key, allowed=allowed)
 
 
 def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:

@@ -13,6 +13,7 @@ In README.md and docs/, top to bottom, in an empty folder for each page:
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import re
@@ -20,8 +21,10 @@ import shlex
 import signal
 import subprocess
 import sys
+import tempfile
 import tomllib
 import types
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +49,8 @@ ROOT, PAGES, OTHERS, SHOWN, blocks, prose, named = (
     pages.named,
 )
 
+FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
+
 
 # ------------------------------------------------------------------------------- blocks are run
 
@@ -54,7 +59,7 @@ ROOT, PAGES, OTHERS, SHOWN, blocks, prose, named = (
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_what_a_page_shows_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    give(page.read_text(encoding="utf-8"), tmp_path)
+    give(page, tmp_path)
     module = types.ModuleType(f"docs_{page.stem}")
     monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look it up
     beside: list[subprocess.Popen[str]] = []
@@ -82,14 +87,29 @@ def test_what_a_page_shows_runs(page: Path, tmp_path: Path, monkeypatch: pytest.
     assert [process.wait(timeout=20) for process in beside] == [0] * len(beside)
 
 
-def give(text: str, folder: Path) -> None:
-    """What a page takes for granted that a reader has: an arm file, a model."""
+def give(page: Path, folder: Path) -> None:
+    """What a page takes for granted that a reader has: an arm file, a model, a photograph and its camera."""
+    text = page.read_text(encoding="utf-8")
     if "my_arm.toml" in text:
         (folder / "my_arm.toml").write_bytes((ROOT / "models" / "puma560" / "arm.toml").read_bytes())
     if "path/to/arm.xml" in text:
-        (model,) = [b for b in blocks(ROOT / "docs" / "recipes.md") if b.file.endswith("desk_arm.xml")]
+        (model,) = [
+            b for b in blocks(ROOT / "docs" / "how-to" / "own_robot.md") if b.file.endswith("desk_arm.xml")
+        ]
         (folder / "path" / "to").mkdir(parents=True)
         (folder / "path" / "to" / "arm.xml").write_text(model.text, encoding="utf-8")
+    if re.search(r'"photo\.png"|detect photo\.png|locate photo\.png', text) and page != FIRST_PHOTO:
+        for name, content in photograph().items():
+            (folder / name).write_bytes(content)
+
+
+@cache
+def photograph() -> dict[str, bytes]:
+    """The photograph and the calibration that the page of the first camera makes."""
+    (block,) = [b for b in blocks(FIRST_PHOTO) if 'imwrite("photo.png"' in b.text]
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        exec(compile(block.text, str(FIRST_PHOTO), "exec", dont_inherit=True), {"__name__": "photo"})
+        return {name: Path(name).read_bytes() for name in ("photo.png", "camera.yaml")}
 
 
 def run_line(line: str, where: str, beside: list[subprocess.Popen[str]], *, only_options: bool) -> None:
@@ -168,7 +188,6 @@ def test_files_named_in_the_text_exist(page: Path) -> None:
 
 
 def helps() -> dict[str, str]:
-    import contextlib
     import io
 
     def asked(*words: str) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import re
 import sys
 import tomllib
-import types
 from pathlib import Path
 from typing import Any
 
@@ -21,35 +21,26 @@ assert _spec is not None and _spec.loader is not None
 pages: Any = importlib.util.module_from_spec(_spec)
 sys.modules[_spec.name] = pages  # dataclasses look it up
 _spec.loader.exec_module(pages)
-ROOT, PAGES, blocks, prose, named = (
+ROOT, PAGES, blocks, prose, named, script = (
     pages.ROOT,
     pages.PAGES,
     pages.blocks,
     pages.prose,
     pages.named,
+    pages.script,
 )
 
 
 # ------------------------------------------------------------------------- tables from the program
 
 
-def script(name: str) -> types.ModuleType:
-    """A program of docs/."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look it up
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_tables_are_what_the_program_says() -> None:
-    tables = script("make_tables")
+    tables = script("tables")
     used = set()
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         used |= {m[2] for m in tables.PLACE.finditer(text)}
-        assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make_tables.py"
+        assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make/tables.py"
     assert used == set(tables.TABLES)
 
 
@@ -83,7 +74,7 @@ def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.
 def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
     assert cli.main(["reach", "--bus", "sim", "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    page = prose(ROOT / "docs" / "reach.md")
+    page = prose(ROOT / "docs" / "start" / "reach.md")
     rows = re.findall(r"^\| `([\w.]+)`", page[page.index("## summary.json") :], re.MULTILINE)
     told = {row.split(".")[0] for row in rows}
     assert told == set(summary)
@@ -97,6 +88,19 @@ def test_contributors_are_told_every_target_of_make() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     told = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
     assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == told
+
+
+# ------------------------------------------------------------------------------------- the site
+
+
+def test_the_api_page_lists_every_public_name() -> None:
+    import robot_ik as rik
+
+    page = (ROOT / "docs" / "reference" / "api.rst").read_text(encoding="utf-8")
+    listed = re.findall(r"^\.\. auto(?:class|function|data|exception):: (\w+)$", page, re.MULTILINE)
+    assert sorted(listed) == sorted(name for name in rik.__all__ if name != "__version__")
+    for module, name in re.findall(r"^\.\. auto\w+:: (robot_ik\.[\w.]+)\.(\w+)$", page, re.MULTILINE):
+        assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
 
 
 # ------------------------------------------------------------------------------- the architecture
@@ -130,5 +134,12 @@ def test_every_package_and_page_is_on_the_map() -> None:
     here = {p.name for p in (ROOT / "robot_ik").iterdir()} | {p.name for p in ROOT.iterdir()}
     here |= {p.name for p in (ROOT / "hardware").iterdir()}
     assert {name.rstrip("/") for name in told} <= here, sorted(told)
-    for page in (page for page in PAGES[1:] if page.parent == ROOT / "docs"):
-        assert f"docs/{page.name}" in readme, f"README does not lead to {page.name}"
+    index = ROOT / "docs" / "index.md"
+    assert "(docs/index.md)" in readme
+    listed = {
+        (index.parent / link).resolve()
+        for link in re.findall(r"^\* \[.*?\]\((\S+)\)", prose(index), re.MULTILINE)
+    }
+    methods = ROOT / "docs" / "reference" / "solvers"  # their overview leads to them
+    for page in (page for page in PAGES[1:] if page.parent != methods):
+        assert page == index or page in listed, f"docs/index.md does not lead to {named(page)}"

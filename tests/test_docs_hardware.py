@@ -26,6 +26,7 @@ from robot_ik.ports import VirtualClock
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+REFERENCE = DOCS / "reference"
 ROBOT = load_robot("puma560")
 assert ROBOT.arm_file is not None
 CONFIG = ArmConfig.load(ROBOT.arm_file)
@@ -66,10 +67,9 @@ def test_whose_packets_are_on_the_wire_is_said_rightly(call: str, monkeypatch: p
     CALLS[call](bus)
     bus.close()
     assert bus.counters.bytes_sent > sent
-    rows = [
-        row for row in (DOCS / "hardware.md").read_text(encoding="utf-8").splitlines() if f"`{call}`" in row
-    ]
-    (row,) = [row for row in rows if row.startswith("|") and len(row.split("|")) == 5]
+    page = (REFERENCE / "hardware.md").read_text(encoding="utf-8")
+    packets = page.partition("\n## Packets\n")[2].partition("\n## ")[0]
+    (row,) = [row for row in packets.splitlines() if row.startswith("|") and f"`{call}`" in row]
     assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket", "rxPacket"})
     assert ("hardware/packets.py" in row.split("|")[3]) == (not used)
 
@@ -115,12 +115,12 @@ def _goals(packet: Packet) -> list[tuple[int, int]]:
 
 
 def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCaptureFixture) -> None:
-    page = (DOCS / "recipes.md").read_text(encoding="utf-8")
+    page = (DOCS / "how-to" / "extend.md").read_text(encoding="utf-8")
     (code,) = [
         text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class LoggedBus" in text
     ]
     module = types.ModuleType("logged")
-    exec(compile(code, "recipes.md", "exec", dont_inherit=True), module.__dict__)
+    exec(compile(code, "extend.md", "exec", dont_inherit=True), module.__dict__)
     servos = Wire.from_config(CONFIG, VirtualClock(), ROBOT.home)
     bus = module.LoggedBus(servos)
     with (
@@ -143,7 +143,7 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
 
 
 def _rows(heading: str) -> list[list[str]]:
-    page = (DOCS / "safety.md").read_text(encoding="utf-8")
+    page = (REFERENCE / "safety.md").read_text(encoding="utf-8")
     part = page.partition(f"## {heading}\n")[2].partition("\n## ")[0]
     rows = [
         [cell.strip() for cell in row.strip("|").split("|")] for row in part.splitlines() if row[:1] == "|"

@@ -22,13 +22,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import robot_ik
-from robot_ik import files, load_robot
+from robot_ik import files, load_robot, tables
 from robot_ik.bench.methods.results import Machine, Results, Settings, read_results, results_text
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
-from robot_ik.camera.drawing.renderers import load_phantoms
+from robot_ik.camera.drawing.renderers import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.cli.servo_hand import load_motion, save_motion
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
@@ -196,8 +196,8 @@ ROWS = {
         _saved(CameraExtrinsics(Pose(), "world", np.eye(6), 0.1, 0.2, today(), LENS.digest).save),
     ),
     "bodies": Row(load_bodies, "bodies.toml", lambda _: BODIES),
-    "boxes": Row(load_phantoms, "boxes.toml", lambda _: BOXES),
-    "things as a model": Row(load_phantoms, "things.xml", lambda _: MJCF),
+    "boxes": Row(load_occluders, "boxes.toml", lambda _: BOXES),
+    "things as a model": Row(load_occluders, "things.xml", lambda _: MJCF),
     "MJCF": Row(load_robot, "m.xml", lambda _: MJCF),
     "URDF": Row(load_robot, "u.xml", lambda _: URDF),
     "intrinsics": Row(CameraIntrinsics.load, "camera.yaml", _saved(LENS.save)),
@@ -233,7 +233,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # ------------------------------------------------------------------------------- all are found
 
-READING = {name for name in vars(files) if re.match(r"(read|parse)(_|$)", name)} | {"read_model"}
+READING = {name for name in (*vars(files), *vars(tables)) if re.match(r"(read|parse)(_|$)", name)} | {
+    "read_model"
+}
 
 FOREIGN = {
     "tomllib.loads", "tomllib.load", "json.loads", "json.load", "yaml.load", "yaml.safe_load",
@@ -309,12 +311,13 @@ def _readers() -> set[str]:
     """Functions that read a file through ``robot_ik.files``."""
     found = set()
     for name, tree in _sources():
-        if name == "robot_ik/files.py":
+        if name in ("robot_ik/files.py", "robot_ik/tables.py"):
             continue
         imported = {
             alias.name
             for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and node.module in ("robot_ik.files", "robot_ik.model")
+            if isinstance(node, ast.ImportFrom)
+            and node.module in ("robot_ik.files", "robot_ik.tables", "robot_ik.model")
             for alias in node.names
         }
         for node in ast.walk(tree):
@@ -571,3 +574,53 @@ def test_half_a_character_is_refused_in_words_that_can_be_printed(text: str) -> 
     with pytest.raises(ConfigError, match="is no text") as caught:
         files.parse_json(text, "x.json")
     str(caught.value).encode("utf-8")
+
+
+# ------------------------------------------------------------------------------- files of earlier days
+
+FORMER_SCRIPT = """schema = 1
+name = "a script of before the first release"
+physics = true
+[[things]]
+name = "block"
+position = [0.19, 0.05, 0.015]
+size_mm = [20.0, 20.0, 30.0]
+[[steps]]
+do = "expect"
+thing = "block"
+position = [0.19, 0.05, 0.015]
+"""
+
+
+def test_an_old_key_is_answered_with_its_new_name_until_the_file_is_right(folder: Path) -> None:
+    file, text, seen = folder / "old.toml", FORMER_SCRIPT, []
+    for _ in range(9):
+        file.write_text(text)
+        try:
+            load_script(file)
+            break
+        except ConfigError as error:
+            old = error.key.rpartition(".")[2]
+            assert f"the key {old} is called {files.FORMER[old]} now" in str(error)
+            seen.append(old)
+            text = text.replace(f"[[{old}]]", f"[[{files.FORMER[old]}]]")
+            text = text.replace(f"{old} = ", f"{files.FORMER[old]} = ")
+    assert sorted(seen) == sorted(key for key in files.FORMER if not key.startswith("-"))
+
+
+def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:
+    file = folder / "strict.toml"
+    for name, old, new in (
+        ("arm file", "baud = 1_000_000", "baud = true"),
+        ("arm file", "direction = 1", "direction = true"),
+        ("script", "mass_g = 50.0", "mass_g = true"),
+        ("faults", "at_s = 1.5", 'at_s = "1.5"'),
+        ("bodies", "id = 20", "id = true"),
+        ("boxes", "yaw_deg = 30", "yaw_deg = false"),
+        ("robot.toml", "schema = 1", "schema = true"),
+    ):
+        text = ROWS[name].text(folder)
+        assert old in text, name
+        file.write_text(text.replace(old, new, 1))
+        with pytest.raises(ConfigError, match=old.partition(" ")[0]):
+            ROWS[name].read(file)

@@ -76,7 +76,7 @@ def test_port(virtual_port, virtual_bus, fault_script):
 @pytest.mark.timeout(120)
 def test_projects_of_other_people(pytester: pytest.Pytester) -> None:
     """In one child: what pytest imports and forgets in this process would be here twice."""
-    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
     examples = dict(re.findall(r"^```python file=(test_\w+)\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
     assert examples
     files = {**examples, "test_one_world": ONE_WORLD, "test_another_arm": ANOTHER_ARM}

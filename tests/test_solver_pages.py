@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
-import types
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +14,16 @@ import pytest
 from robot_ik import load_robot
 from robot_ik.solvers import SOLVERS
 
-DOCS = Path(__file__).parents[1] / "docs"
+# The helpers lie beside this file; they are nobody's package.
+_spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))
+assert _spec is not None and _spec.loader is not None
+pages: Any = importlib.util.module_from_spec(_spec)
+sys.modules[_spec.name] = pages  # dataclasses look it up
+_spec.loader.exec_module(pages)
+script = pages.script
+
+DOCS = pages.ROOT / "docs"
+METHODS = DOCS / "reference" / "solvers"
 PLOTS = DOCS / "images" / "solvers"
 HEADINGS = [
     "Formula and source",
@@ -22,24 +31,14 @@ HEADINGS = [
     "When to use it, and when not",
     "Convergence",
     "Options",
-    "Floors",
+    "Solve rates",
 ]
-
-
-def script(name: str) -> types.ModuleType:
-    """A program of docs/."""
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look it up
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> None:
-    page = DOCS / "solvers" / f"{name}.md"
-    assert page.is_file(), f"docs/solvers/{name}.md is missing: take another method's page as a pattern"
+    page = METHODS / f"{name}.md"
+    assert page.is_file(), f"docs/reference/solvers/{name}.md is missing; the others show what it holds"
     text = page.read_text(encoding="utf-8")
     assert text.startswith(f"# {name}: ")
     for table in ("method", "options", "floors"):
@@ -47,20 +46,20 @@ def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> N
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert headings == HEADINGS
     picture = PLOTS / f"{name}.png"
-    assert f"(../images/solvers/{name}.png)" in text
-    assert picture.is_file(), f"python docs/make_plots.py {name}"
+    assert f"(../../images/solvers/{name}.png)" in text
+    assert picture.is_file(), f"python docs/make/plots.py {name}"
     assert 3_000 < picture.stat().st_size < 40 * 1024
-    overview = (DOCS / "solvers.md").read_text(encoding="utf-8")
+    overview = METHODS.with_suffix(".md").read_text(encoding="utf-8")
     assert f"(solvers/{name}.md)" in overview
 
 
 def test_pages_and_pictures_are_of_methods_that_are_there() -> None:
-    assert {page.stem for page in (DOCS / "solvers").iterdir()} == set(SOLVERS)
+    assert {page.stem for page in METHODS.iterdir()} == set(SOLVERS)
     assert {picture.stem for picture in PLOTS.iterdir()} == set(SOLVERS)
 
 
 def test_measured_tables_have_a_row_for_every_method_that_can() -> None:
-    measure = script("make_measurements")
+    measure = script("measurements")
     found = {}
     for page in measure.PAGES:
         for place in measure.PLACE.finditer(page.read_text(encoding="utf-8")):
@@ -69,12 +68,12 @@ def test_measured_tables_have_a_row_for_every_method_that_can() -> None:
     able = list(measure.methods())
     assert {"lm", "analytic"} <= set(able)
     assert found == {"convergence": list(SOLVERS), "targets": able, "path": able}, (
-        "python docs/make_measurements.py"
+        "python docs/make/measurements.py"
     )
 
 
 def test_poses_called_singular_are_singular() -> None:
-    measure, robot = script("make_measurements"), load_robot("puma560")
+    measure, robot = script("measurements"), load_robot("puma560")
     for kind in ("wrist", "elbow", "both"):
         for q, start in measure.singular_cases(robot, kind, 5):
             sigma, beside = (np.linalg.svd(robot.jacobian(v), compute_uv=False) for v in (q, start))
@@ -84,7 +83,7 @@ def test_poses_called_singular_are_singular() -> None:
 
 def test_a_picture_is_drawn_and_drawn_the_same_again(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need the extra: pip install robot_ik[plots]")
-    plots = script("make_plots")
+    plots = script("plots")
     for name in ("a", "b"):
         plots.draw("dls", tmp_path / f"{name}.png", count=3)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

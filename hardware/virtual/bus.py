@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import random
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual import servo as instructions
-from robot_ik.hardware.virtual.faults import TICKS_PER_DEGREE, Faults, SupplyFaults, Wire, feed
+from robot_ik.hardware.virtual.faults import Fault, Injected
 from robot_ik.hardware.virtual.protocol import BROADCAST, ErrorCode, Instruction, Packet, Parser, build_status
 from robot_ik.hardware.virtual.servo import (
     ANSWERS_ALL,
@@ -24,11 +23,10 @@ from robot_ik.hardware.virtual.servo import (
     answering,
     fast_answers,
 )
-from robot_ik.hardware.virtual.wire import Schedule, collide
+from robot_ik.hardware.virtual.wire import Schedule, Wire, collide
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.virtual.faults import Fault
     from robot_ik.hardware.virtual.world import World
 
 
@@ -45,10 +43,12 @@ class VirtualBus:
     Args:
         servos: Ids may repeat, as they may by mistake on a real bus: answers then collide.
         clock: Tells when bytes arrive.
-        faults: What is wrong from the start.
+        seed: Of the dice of faults.
         world: Moves the shafts by a model of the arm; ``None``: their profiles do.
 
     Attributes:
+        wire: The way of the answers to the host.
+        echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
         latency: Seconds by which answers come later than they should, besides what the port was told.
     """
@@ -57,35 +57,36 @@ class VirtualBus:
         self,
         servos: Iterable[VirtualServo],
         clock: Clock,
-        faults: Faults | None = None,
+        seed: int = 0,
         world: World | None = None,
     ) -> None:
         self.servos = tuple(servos)
         self.clock = clock
         self.lock = threading.RLock()
         self.world = world
-        self.unplugged = False
+        self.echo = self.unplugged = False
         self.latency = 0.0
         self.schedule = Schedule(clock)
-        self.supply_faults = SupplyFaults()
-        self._built = {servo.id: servo for servo in self.servos}
+        self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
+        self.wire = Wire((servo.id for servo in self.servos), seed)
+        self._dice = random.Random(seed)
+        self._injected: list[Injected] = []
         self._parser = Parser()
         self._delay = 0.0
         self._wakers: list[Callable[[], None]] = []
-        self.set_faults(faults or Faults())
 
     @classmethod
     def from_config(
-        cls, config: ArmConfig, clock: Clock, start: ArrayLike | None = None, faults: Faults | None = None
+        cls, config: ArmConfig, clock: Clock, start: ArrayLike | None = None, *, seed: int = 0
     ) -> VirtualBus:
         """The servos an arm file names, set up as it says (id, model, mode, baud rate), without torque.
 
         Args:
             config: The arm.
             clock: Time of the servos.
-            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Joints aside stand in
+            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
                 the middle of their ranges.
-            faults: What is wrong from the start.
+            seed: Of the dice of faults.
 
         Raises:
             ConfigError: ``start`` has another shape or is not finite.
@@ -97,7 +98,7 @@ class VirtualBus:
                 f"start {q.tolist()} is no pose", file=config.file or config.name, allowed=f"{n} angles, rad"
             )
         q = np.clip(q, config.lower, config.upper)
-        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.aside])
+        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
         servos = [
             VirtualServo(
                 joint.model,
@@ -111,51 +112,57 @@ class VirtualBus:
             )
             for joint, angle in zip(config.servos, config.spread(q), strict=True)
         ]
-        return cls(servos, clock, faults)
+        bus = cls(servos, clock, seed)
+        bus._built |= {joint.name: bus.servo(joint.id) for joint in config.whole.joints}
+        return bus
 
-    def servo(self, id: int) -> VirtualServo:
-        """The servo that was put on the bus with this id.
+    def servo(self, who: int | str) -> VirtualServo:
+        """The servo that was put on the bus with this id, or the (first) one of this joint.
 
         Raises:
             KeyError: There is none.
         """
-        return self._built[id]
+        if who not in self._built:
+            raise KeyError(f"no servo {who!r}; there are {', '.join(map(str, self._built))}")
+        return self._built[who]
 
-    def set_faults(self, faults: Faults) -> None:
-        """Replaces all faults; ``Faults()`` heals everything but a shutdown, which wants a reboot.
-
-        Raises:
-            KeyError: A fault names an id that is not on the bus.
-        """
-        if missing := faults.servo_ids() - set(self._built):
-            raise KeyError(f"no servo with id {sorted(missing)}; there are {sorted(self._built)}")
+    def reseed(self, seed: int) -> None:
+        """The dice of faults anew; faults stay."""
         with self.lock:
-            self.faults = faults
-            self.wire = Wire(faults, self._built)
-            self._dice = random.Random(faults.seed)
-            for id, servo in self._built.items():
-                servo.zero_offset_ticks = faults.zero_offset_deg.get(id, 0.0) * TICKS_PER_DEGREE
-                servo.stuck = id in faults.stuck
-                servo.silent = id in faults.silent
-                if id in faults.overload:
-                    servo.inject_error("overload")
-
-    def change_wire(self, **rates: float) -> None:
-        """Other probabilities (fields of ``Faults``) from here on; the dice go on."""
-        with self.lock:
-            self.faults = dataclasses.replace(self.faults, **rates)  # type: ignore[arg-type]
-            self.wire.change(self.faults)
+            self.wire.reseed(seed)
+            self._dice = random.Random(seed)
 
     def inject(self, *faults: Fault) -> None:
-        """Lets faults happen, now or at their time; see ``fault_kinds.KINDS``."""
+        """Lets faults happen, now or at their time, which counts from now.
+
+        Raises:
+            KeyError: There is no such servo.
+        """
         with self.lock:
+            self._injected = [fault for fault in self._injected if not fault.over]
             for fault in faults:
-                fault.book(self)
+                self._injected.append(Injected(fault, self))
+        self._wake()
+
+    def clear(self, kind: str | None = None) -> int:
+        """Takes faults back, the last first, all or those of one kind; servos that shut down restart.
+
+        Returns:
+            How many there were.
+        """
+        with self.lock:
+            chosen = [one for one in self._injected if not one.over and kind in (None, one.fault.kind)]
+            for one in reversed(chosen):
+                one.end()
+        self._wake()
+        return len(chosen)
+
+    def _wake(self) -> None:
         for wake in self._wakers:
             wake()
 
     def when_changed(self, wake: Callable[[], None]) -> None:
-        """``wake`` is called after faults were injected, so that nobody sleeps through them."""
+        """``wake`` is called after faults came or went, so that nobody sleeps through them."""
         self._wakers.append(wake)
 
     def add(self, servo: VirtualServo) -> None:
@@ -173,7 +180,7 @@ class VirtualBus:
         """The supply of all servos; so low that a servo cannot run, it starts anew once power is back."""
         with self.lock:
             for servo in self.servos:
-                feed(servo, volts)
+                servo.feed(volts)
 
     def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
@@ -204,7 +211,7 @@ class VirtualBus:
         with self.lock:
             self.advance()
             self._delay = 0.0
-            replies = [data] if self.faults.echo else []
+            replies = [data] if self.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
                 self.schedule.count()
                 listeners = self._listeners(baud)

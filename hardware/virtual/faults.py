@@ -1,230 +1,57 @@
-"""What can be wrong with a virtual bus, as data: on the way, in the supply, in files and in scripts."""
+"""What can go wrong on a virtual bus: a ``Fault`` is of a kind of ``FAULTS``, on somebody, for a time.
+
+A row of ``FAULTS`` is all there is of a kind: files, scripts, the command line and the table in the docs
+take names, values and help from it.  A file of faults::
+
+    schema = 1
+    seed = 7
+
+    [[faults]]
+    kind = "silent"       # a name in FAULTS
+    joint = "joint3"      # or id = 3; neither: every servo
+    at_s = 2.0            # or at_packet = 100; neither: at once
+    for_s = 0.05          # or for_packets = 1; neither: for good
+
+    [[faults]]
+    kind = "corrupt"
+    value = 0.001
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import random
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+from weakref import WeakKeyDictionary
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from robot_ik.errors import ConfigError, UnknownJointError, close_matches
-from robot_ik.files import parse_toml, read_text, shown
+from robot_ik.files import parse_toml, read_text
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.config_file import first_slip
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
     CONTROL_TABLES,
     HARDWARE_ERRORS,
     TICKS_PER_TURN,
-    model_by_number,
 )
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual.memory import TRIPPED
-from robot_ik.hardware.virtual.protocol import BROADCAST, Parser, build_status
 from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.hardware.virtual.wire import SPOILS
+from robot_ik.tables import Table, WrongKey, check_table, keys_of
 
 if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
-
     from robot_ik.hardware.virtual.bus import VirtualBus
 
-
 TICKS_PER_DEGREE = TICKS_PER_TURN / 360.0
-RATES = (
-    "corrupt",
-    "truncate",
-    "drop",
-    "garbage",
-    "short",
-    "error",
-    "duplicate",
-    "wrong_id",
-    "reorder",
-    "late",
-)
-"""Fields of ``Faults`` that are probabilities per status packet."""
-
-
-@dataclass(frozen=True)
-class Faults:
-    """Faults of servos, by id, and of the wire, by probability per status packet.
-
-    Attributes:
-        zero_offset_deg: Servo id -> degrees by which its shaft is ahead of what its registers say.
-        stuck: Ids whose shaft does not move.
-        silent: Ids that neither hear nor answer.
-        overload: Ids that shut down with an overload when the faults are set.
-        corrupt: One bit of the packet flips.
-        truncate: The packet breaks off.
-        drop: The packet is lost.
-        garbage: One to eight random bytes come before the packet.
-        short: The packet has fewer data than asked for, and a right checksum.
-        error: The packet has an error number and no data.
-        duplicate: The packet comes twice.
-        wrong_id: A packet of a servo that nobody asked comes first.
-        reorder: The packet comes after the next one.
-        late: The packet comes before the answers to the next request.
-        echo: The adapter returns what was sent.
-        seed: Of the wire's dice; equal seeds and equal traffic give equal faults.
-    """
-
-    zero_offset_deg: Mapping[int, float] = field(default_factory=dict)
-    stuck: frozenset[int] = frozenset()
-    silent: frozenset[int] = frozenset()
-    overload: frozenset[int] = frozenset()
-    corrupt: float = 0.0
-    truncate: float = 0.0
-    drop: float = 0.0
-    garbage: float = 0.0
-    short: float = 0.0
-    error: float = 0.0
-    duplicate: float = 0.0
-    wrong_id: float = 0.0
-    reorder: float = 0.0
-    late: float = 0.0
-    echo: bool = False
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in RATES:
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} is a probability, 0..1, not {getattr(self, name)}")
-
-    @classmethod
-    def for_joints(
-        cls,
-        config: ArmConfig,
-        *,
-        zero_offset_deg: Mapping[str, float] | None = None,
-        stuck: Iterable[str] = (),
-        silent: Iterable[str] = (),
-        overload: Iterable[str] = (),
-        **wire: float,
-    ) -> Faults:
-        """The same by joint name; offsets are degrees of the joint, in its own direction.
-
-        Args:
-            config: The arm.
-            zero_offset_deg: Joint name -> degrees.
-            stuck: Joint names.
-            silent: Joint names.
-            overload: Joint names.
-            **wire: Fields of ``Faults`` that concern the wire.
-
-        Raises:
-            UnknownJointError: The arm has no such joint.
-        """
-        offsets = {}
-        for name, degrees in (zero_offset_deg or {}).items():
-            joint = config.joint(name)
-            offsets[joint.id] = degrees * joint.direction * joint.ratio
-        known = {f.name for f in fields(cls)}
-        if unknown := set(wire) - known:
-            raise TypeError(f"no such faults: {sorted(unknown)}; there are: {sorted(known)}")
-
-        def ids(names: Iterable[str]) -> frozenset[int]:
-            return frozenset(config.joint(name).id for name in names)
-
-        return cls(offsets, ids(stuck), ids(silent), ids(overload), **wire)  # type: ignore[arg-type]
-
-    def servo_ids(self) -> frozenset[int]:
-        """Every id that a fault names."""
-        return frozenset(self.zero_offset_deg) | self.stuck | self.silent | self.overload
-
-
-class Wire:
-    """Applies the faults of the wire to status packets.
-
-    Args:
-        faults: Which, how often, and the seed.
-        taken: Ids on the wire: a stranger has none of them, for nobody could tell its answer from theirs.
-
-    Attributes:
-        faults: The ones in force.
-    """
-
-    def __init__(self, faults: Faults, taken: Iterable[int] = ()) -> None:
-        self._strangers = sorted(set(range(253)).difference(taken)) or [BROADCAST]
-        self.change(faults)
-        self._dice = random.Random(faults.seed)
-        self._late: list[bytes] = []
-
-    def change(self, faults: Faults) -> None:
-        """Other faults from here on; the dice go on."""
-        self.faults = faults
-        self._clean = not any(getattr(faults, rate) for rate in RATES)
-
-    def carry(self, packets: list[bytes]) -> list[bytes]:
-        """What of the answers to one request arrives at the host, in the order in which it does."""
-        if self._clean and not self._late:
-            return packets
-        arriving, self._late = self._late, []
-        behind: bytes | None = None
-        for packet in packets:
-            if self._happens(self.faults.late):
-                self._late.append(packet)
-                continue
-            spoiled = self._spoil(packet)
-            if behind is None and self._happens(self.faults.reorder):
-                behind = spoiled
-                continue
-            arriving.append(spoiled)
-            if behind is not None:
-                arriving.append(behind)
-                behind = None
-        return arriving if behind is None else [*arriving, behind]
-
-    def _spoil(self, packet: bytes) -> bytes:
-        """One packet, as it arrives."""
-        faults, dice = self.faults, self._dice
-        if self._happens(faults.drop):
-            return b""
-        id = packet[4]
-        whole = id != BROADCAST  # the torso of a fast read is no status of its own
-        if whole and self._happens(faults.short):
-            packet = _shortened(packet)
-        if whole and self._happens(faults.error):
-            packet = build_status(id, dice.randrange(1, 8))
-        if self._happens(faults.corrupt):
-            bit = dice.randrange(8 * len(packet))
-            spoiled = bytearray(packet)
-            spoiled[bit // 8] ^= 1 << bit % 8
-            packet = bytes(spoiled)
-        if self._happens(faults.truncate):
-            packet = packet[: dice.randrange(1, len(packet))]
-        if self._happens(faults.duplicate):
-            packet += packet
-        if self._happens(faults.wrong_id):
-            packet = build_status(dice.choice(self._strangers), 0, dice.randbytes(4)) + packet
-        if self._happens(faults.garbage):
-            packet = dice.randbytes(dice.randrange(1, 9)) + packet
-        return packet
-
-    def _happens(self, probability: float) -> bool:
-        return probability > 0.0 and self._dice.random() < probability
-
-
-def _shortened(packet: bytes) -> bytes:
-    """The same status with one byte of data less; one without data, or no status at all, stays."""
-    answers = Parser().feed(packet, 0.0)
-    if not answers or not answers[0].is_status:  # servos that talk over each other
-        return packet
-    answer = answers[0]
-    return build_status(answer.id, answer.params[0], answer.data[:-1])
-
-
-# ------------------------------------------------------------------------------------------
-# Faults that can be made to happen on a virtual bus while it runs: one row a kind.
-#
-# ``Fault("silent", id=3, at=2.0, lasts=0.05)`` is one of them; ``VirtualBus.inject`` books it.
-
 
 Undo = Callable[[], None] | None
+"""How to take it back; None where there is no way."""
+Apply = Callable[[Any, float], Undo]
+"""(servo or bus, value): lets it happen."""
 
 
 @dataclass(frozen=True)
@@ -233,113 +60,206 @@ class Kind:
 
     Attributes:
         help: One line for people.
-        on_servo: (servo, value) -> how to take it back, or ``None`` where it cannot be.
-        on_bus: The same of the wire, the supply or the port.
-        low, high: Range of its value; both ``None``: it takes none.
+        apply: What it does, to a servo or to the bus.
+        low, high: Range of its value; ``among``: instead, the only values; none of them: it takes none.
         whole: The value is a whole number.
+        servo: It befalls servos; else the bus, wire and port among it.
     """
 
     help: str
-    on_servo: Callable[[VirtualServo, float], Undo] | None = None
-    on_bus: Callable[[VirtualBus, float], Undo] | None = None
+    apply: Apply
     low: float | None = None
     high: float | None = None
     whole: bool = False
+    among: tuple[int, ...] = ()
+    servo: bool = True
 
     @property
-    def servo(self) -> bool:
-        """It befalls a servo, not the bus."""
-        return self.on_servo is not None
+    def span(self) -> str:
+        """What its value may be, in words; empty where it takes none."""
+        if self.among:
+            return ", ".join(map(str, self.among))
+        whole = "a whole number, " if self.whole else ""
+        return "" if self.low is None or self.high is None else f"{whole}{self.low:.10g}..{self.high:.10g}"
+
+    def require(self, value: float | None) -> None:
+        """Refuses a value that is missing, out of range, or none of its own.
+
+        Raises:
+            WrongKey: With what is allowed.
+        """
+        if not self.span:
+            if value is not None:
+                raise WrongKey(f"{value:g} is given to a fault that takes no value", "value", "nothing")
+        elif value is None:
+            raise WrongKey("this key is missing", "value", self.span)
+        elif self.among:
+            if value not in self.among:
+                raise WrongKey(f"{value:g} is not right", "value", self.span)
+        elif not (self.low or 0.0) <= value <= (self.high or 0.0) or (self.whole and value != round(value)):
+            raise WrongKey(f"{value:g} is not right", "value", self.span)
+
+
+_Seconds = Annotated[float | None, Field(ge=0.0)]
+_Count = Annotated[int | None, Field(ge=1)]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault to be.
+    """A fault to be; a table of a file of faults has these keys.
 
     Attributes:
-        kind: A name in ``KINDS``.
-        id: Servo; ``None``: every servo, or none where the kind is not of a servo.
+        kind: A name in ``FAULTS``.
+        id: Servo, or ``joint``: its name; neither: every servo, or none where the kind is not of servos.
         value: As the kind wants it.
-        at: Seconds after the bus was made; ``at_packet``: instead, before that many packets are handled.
-        lasts: Seconds until it is taken back; ``lasts_packets``: instead, so many packets; both ``None``:
-            for good.
+        at_s: Seconds after it was injected; ``at_packet``: instead, before that many packets are handled.
+        for_s: Seconds until it is taken back; ``for_packets``: instead, so many packets; neither: for good.
+
+    Raises:
+        WrongKey: No such kind, a value that it does not take, or two keys that say the same.
     """
 
     kind: str
-    id: int | None = None
-    value: float = 0.0
-    at: float | None = None
-    at_packet: int | None = None
-    lasts: float | None = None
-    lasts_packets: int | None = None
+    id: Annotated[int | None, Field(ge=0, le=252)] = None
+    value: float | None = None
+    joint: str | None = dataclasses.field(default=None, kw_only=True)
+    at_s: _Seconds = dataclasses.field(default=None, kw_only=True)
+    at_packet: _Count = dataclasses.field(default=None, kw_only=True)
+    for_s: _Seconds = dataclasses.field(default=None, kw_only=True)
+    for_packets: _Count = dataclasses.field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        kind = KINDS.get(self.kind)
-        if kind is None:
-            raise ValueError(f"no fault is called {self.kind!r}; there are: {', '.join(KINDS)}")
-        if kind.low is not None and kind.high is not None and not kind.low <= self.value <= kind.high:
-            raise ValueError(f"{self.kind} takes {kind.low:g}..{kind.high:g}, not {self.value:g}")
+        if self.kind not in FAULTS:
+            raise WrongKey.unknown("fault", self.kind, FAULTS, "kind")
+        for one, other in (("joint", "id"), ("at_s", "at_packet"), ("for_s", "for_packets")):
+            if getattr(self, one) is not None and getattr(self, other) is not None:
+                raise WrongKey(f"{one} and {other} say the same", other, f"{one} or {other}")
+        kind = FAULTS[self.kind]
+        whom = next((key for key in ("joint", "id") if getattr(self, key) is not None), None)
+        if whom is not None and not kind.servo:
+            raise WrongKey(f"{self.kind} is not of one servo", whom, "no joint and no id")
+        kind.require(self.value)
 
-    def book(self, bus: VirtualBus) -> None:
-        """Puts it into the schedule of ``bus``; what is due happens at once.
+    def require_servo(self, config: ArmConfig) -> None:
+        """Checks that the arm has this servo.
 
         Raises:
-            KeyError: There is no servo with this id.
+            WrongKey: It has not.
         """
-        if self.id is not None:
-            bus.servo(self.id)
-        if self.at_packet is not None:
-            bus.schedule.at_packet(self.at_packet, lambda: self._begin(bus, bus.clock.now()))
-        elif self.at is not None:
-            when = bus.schedule.start + self.at
-            bus.schedule.at(when, lambda: self._begin(bus, when))
-            bus.schedule.run()
+        names, ids = config.whole.names, config.servo_ids
+        if self.joint is not None and self.joint not in names:
+            raise WrongKey.unknown("joint", self.joint, names, "joint")
+        if self.id is not None and self.id not in ids:
+            raise WrongKey(f"no servo has the id {self.id}", "id", ", ".join(map(str, ids)))
+
+
+def joint_offset(joint: JointMap, degrees: float) -> Fault:
+    """The ``zero_offset`` by which a joint is so many degrees ahead, in its own direction."""
+    return Fault("zero_offset", joint.id, degrees * joint.direction * joint.ratio)
+
+
+class Injected:
+    """A fault on a bus: on its way, happening or over.  The bus holds its lock.
+
+    Args:
+        fault: What; times and packets count from now.
+        bus: Where.
+
+    Raises:
+        KeyError: There is no such servo.
+    """
+
+    def __init__(self, fault: Fault, bus: VirtualBus) -> None:
+        self.fault = fault
+        self.over = False
+        self._bus = bus
+        self._undos: list[Undo] = []
+        whom = fault.id if fault.joint is None else fault.joint
+        self._servos = bus.servos if whom is None else (bus.servo(whom),)
+        now = bus.clock.now()
+        if fault.at_packet is not None:
+            bus.schedule.at_packet(
+                bus.schedule.packets + fault.at_packet, lambda: self._begin(bus.clock.now())
+            )
+        elif fault.at_s:
+            when = now + fault.at_s  # from when it should have begun its end is counted
+            bus.schedule.at(when, lambda: self._begin(when))
         else:
-            self._begin(bus, bus.clock.now())
+            self._begin(now)
 
-    def _begin(self, bus: VirtualBus, when: float) -> None:
-        """Happens; ``when`` it should have, for that is when its end is counted from."""
-        kind = KINDS[self.kind]
-        undos: list[Undo] = []
-        if kind.on_servo is not None:
-            servos = bus.servos if self.id is None else (bus.servo(self.id),)
-            undos += [kind.on_servo(servo, self.value) for servo in servos]
-        if kind.on_bus is not None:
-            undos.append(kind.on_bus(bus, self.value))
+    def _begin(self, when: float) -> None:
+        if self.over:
+            return
+        fault, bus = self.fault, self._bus
+        kind = FAULTS[fault.kind]
+        for target in self._servos if kind.servo else (bus,):
+            self._undos.append(kind.apply(target, fault.value or 0.0))
+        if fault.for_s is not None:
+            bus.schedule.at(when + fault.for_s, self.end)
+        elif fault.for_packets is not None:
+            bus.schedule.at_packet(bus.schedule.upcoming + fault.for_packets, self.end)
 
-        def end() -> None:
-            for undo in undos:
-                if undo is not None:
-                    undo()
-
-        if self.lasts is not None:
-            bus.schedule.at(when + self.lasts, end)
-        elif self.lasts_packets is not None:
-            bus.schedule.at_packet(bus.schedule.upcoming + self.lasts_packets, end)
-
-
-# ------------------------------------------------------------------------------------- to servos
+    def end(self) -> None:
+        """Takes it back, or off the schedule."""
+        if not self.over:
+            self.over = True
+            for undo in filter(None, reversed(self._undos)):
+                undo()
 
 
-def _attribute(name: str) -> Callable[[VirtualServo, float], Undo]:
-    """Sets a yes/no attribute of a servo."""
-
-    def begin(servo: VirtualServo, value: float) -> Undo:
-        setattr(servo, name, True)
-        return lambda: setattr(servo, name, False)
-
-    return begin
+# ------------------------------------------------------------------------------------------
+# What the kinds do.
 
 
-def _register(name: str, convert: Callable[[float], int] = int) -> Callable[[VirtualServo, float], Undo]:
-    """Sets a register behind the host's back and puts the old value back."""
+class _Override:
+    """A value laid over a target's own: of several the one that began last, while it lasts.
 
-    def begin(servo: VirtualServo, value: float) -> Undo:
-        before = servo.memory.get(name)
-        servo.memory.set(name, convert(value))
-        return lambda: servo.memory.set(name, before)
+    Args:
+        read, write: The value of a servo or bus.
+        convert: From the fault's value to what is written.
+    """
 
-    return begin
+    def __init__(
+        self,
+        read: Callable[[Any], Any],
+        write: Callable[[Any, Any], None],
+        convert: Callable[[float], Any] = lambda value: value,
+    ) -> None:
+        self._read, self._write, self._convert = read, write, convert
+        self._laid: WeakKeyDictionary[Any, tuple[Any, list[tuple[object, Any]]]] = WeakKeyDictionary()
+
+    def __call__(self, target: Any, value: float) -> Undo:
+        own, layers = self._laid.setdefault(target, (self._read(target), []))
+        layer = (object(), self._convert(value))
+        layers.append(layer)
+        self._write(target, layer[1])
+
+        def undo() -> None:
+            was_last = layers[-1] is layer
+            layers.remove(layer)
+            if was_last:
+                self._write(target, layers[-1][1] if layers else own)
+            if not layers:
+                del self._laid[target]
+
+        return undo
+
+
+def _attribute(name: str, convert: Callable[[float], Any] = lambda _: True) -> _Override:
+    """An attribute of a servo or of the bus; by default one that is yes or no."""
+    return _Override(lambda it: getattr(it, name), lambda it, value: setattr(it, name, value), convert)
+
+
+def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
+    """A register, behind the host's back."""
+    return _Override(
+        lambda servo: servo.memory.get(name), lambda servo, value: servo.memory.set(name, value), convert
+    )
+
+
+def _chance(name: str) -> _Override:
+    """A probability of the wire."""
+    return _Override(lambda bus: bus.wire.chance(name), lambda bus, value: bus.wire.set_chance(name, value))
 
 
 def _baud_code(rate: float) -> int:
@@ -347,12 +267,14 @@ def _baud_code(rate: float) -> int:
     return codes[min(codes, key=lambda bits: abs(bits - rate))]
 
 
-def _error(name: str) -> Callable[[VirtualServo, float], Undo]:
-    def begin(servo: VirtualServo, value: float) -> Undo:
-        servo.inject_error(name)
-        return None
+def _shutdown(name: str) -> Apply:
+    """A hardware error, which only a restart takes back."""
 
-    return begin
+    def apply(servo: VirtualServo, value: float) -> Undo:
+        servo.inject_error(name)
+        return servo.reboot
+
+    return apply
 
 
 def _reboot(servo: VirtualServo, value: float) -> Undo:
@@ -365,20 +287,13 @@ def _jam(servo: VirtualServo, value: float) -> Undo:
     return lambda: servo.jam(False)
 
 
-def _unplug_servo(servo: VirtualServo, value: float) -> Undo:
+def _unplug(servo: VirtualServo, value: float) -> Undo:
     servo.switch_off()
     return servo.switch_on
 
 
-def _zero_offset(servo: VirtualServo, value: float) -> Undo:
-    before, servo.zero_offset_ticks = servo.zero_offset_ticks, value * TICKS_PER_DEGREE
-    return lambda: setattr(servo, "zero_offset_ticks", before)
-
-
-def _push(servo: VirtualServo, value: float) -> Undo:
-    before = servo.shaft.load
-    servo.shaft.load = dataclasses.replace(before, push=value)
-    return lambda: setattr(servo.shaft, "load", before)
+def _set_push(servo: VirtualServo, push: float) -> None:
+    servo.shaft.load = dataclasses.replace(servo.shaft.load, push=push)
 
 
 def _turn(servo: VirtualServo, value: float) -> Undo:
@@ -386,45 +301,18 @@ def _turn(servo: VirtualServo, value: float) -> Undo:
     return lambda: servo.turn_by_hand(-value * TICKS_PER_DEGREE)
 
 
-def _hot(servo: VirtualServo, value: float) -> Undo:
+def _heat(servo: VirtualServo, value: float) -> Undo:
     servo.controller.electrics.temperature = value
     servo.memory.set("present_temperature", round(value))
     return None
 
 
-def _turns(servo: VirtualServo, value: float) -> Undo:
+def _lose_turns(servo: VirtualServo, value: float) -> Undo:
     servo.shaft.lose_turns(round(value))
     return None
 
 
-# ---------------------------------------------------------------------- to wire, supply and port
-
-
-def _rate(name: str) -> Callable[[VirtualBus, float], Undo]:
-    """Sets a probability of the wire."""
-
-    def begin(bus: VirtualBus, value: float) -> Undo:
-        before = getattr(bus.faults, name)
-        bus.change_wire(**{name: value if isinstance(before, float) else True})
-        return lambda: bus.change_wire(**{name: before})
-
-    return begin
-
-
-def _supply(bus: VirtualBus, value: float) -> Undo:
-    return bus.supply_faults.begin(bus.servos, value)
-
-
-def _port(name: str, scale: float | None = None) -> Callable[[VirtualBus, float], Undo]:
-    def begin(bus: VirtualBus, value: float) -> Undo:
-        before = getattr(bus, name)
-        setattr(bus, name, True if scale is None else scale * value)
-        return lambda: setattr(bus, name, before)
-
-    return begin
-
-
-def _extra(bus: VirtualBus, value: float) -> Undo:
+def _add_servo(bus: VirtualBus, value: float) -> Undo:
     known = bus.servos[0] if bus.servos else None
     model = known.table.model if known else next(iter(CONTROL_TABLES))
     more = VirtualServo(model, int(value), bus.clock, baud=known.baud if known else 1_000_000)
@@ -432,120 +320,62 @@ def _extra(bus: VirtualBus, value: float) -> Undo:
     return lambda: bus.remove(more)
 
 
-def _wrong_model(servo: VirtualServo, value: float) -> Undo:
-    if model_by_number(int(value)) is None:
-        raise ValueError(f"no model has the number {value:g}")
-    return _register("model_number")(servo, value)
+_PUSH = _Override(lambda servo: servo.shaft.load.push, _set_push)
+_SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.feed)
+_ZERO_OFFSET = _attribute("zero_offset_ticks", lambda degrees: degrees * TICKS_PER_DEGREE)
+_BAUD = _register("baud_rate", _baud_code)
+_LATENCY = _attribute("latency", lambda ms: 1e-3 * ms)
+_MODELS = tuple(sorted({table.number for table in CONTROL_TABLES.values()}))
 
-
-def _whole(help: str, begin: Callable[[VirtualServo, float], Undo], low: int, high: int) -> Kind:
-    """A kind of a servo whose value is a whole number."""
-    return Kind(help, begin, None, low, high, True)
-
-
-def _chance(name: str, help: str) -> dict[str, Kind]:
-    """A kind of the wire whose value is a probability per answer."""
-    return {name: Kind(help, on_bus=_rate(name), low=0.0, high=1.0)}
-
-
-KINDS: Mapping[str, Kind] = MappingProxyType(
+FAULTS: Mapping[str, Kind] = MappingProxyType(
     {
         "silent": Kind("neither hears nor answers", _attribute("silent")),
-        "unplugged": Kind("has no power; it starts anew when plugged in", _unplug_servo),
+        "unplugged": Kind("has no power; it starts anew when plugged in", _unplug),
         "stuck": Kind("the gear is stripped: the shaft rests and feels no load", _attribute("stuck")),
         "jammed": Kind("something holds the shaft: the motor presses against it", _jam),
-        "push": Kind("a steady torque on the shaft, N m", _push, None, -100.0, 100.0),
-        "zero_offset": Kind("shaft ahead of its registers, degrees", _zero_offset, None, -360.0, 360.0),
-        "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, None, -3600.0, 3600.0),
-        "lost_turns": _whole("counts wrong by so many turns", _turns, -255, 255),
+        "push": Kind("a steady torque on the shaft, N m", _PUSH, -100, 100),
+        "zero_offset": Kind("shaft ahead of its registers, degrees", _ZERO_OFFSET, -3600, 3600),
+        "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, -3600, 3600),
+        "lost_turns": Kind("counts wrong by so many turns", _lose_turns, -255, 255, whole=True),
         "reboot": Kind("restarts by itself", _reboot),
-        "hot": Kind("is so warm, C", _hot, None, 0.0, 150.0),
-        **{name: Kind(f"hardware error: {name}", _error(name)) for name in HARDWARE_ERRORS.values()},
+        "hot": Kind("is so warm, C", _heat, 0, 150),
+        **{name: Kind(f"hardware error: {name}", _shutdown(name)) for name in HARDWARE_ERRORS.values()},
         "watchdog_tripped": Kind("its watchdog has run out", _register("bus_watchdog", lambda _: TRIPPED)),
-        "return_delay": _whole("waits, 2 us a count", _register("return_delay_time"), 0, 254),
-        "status_level": _whole("Status Return Level", _register("status_return_level"), 0, 2),
-        "baud": _whole("its baud rate, bits/s", _register("baud_rate", _baud_code), 9_600, 4_500_000),
-        "id": _whole("its id; one that is taken makes answers collide", _register("id"), 0, 252),
-        "model": _whole("says it is this model number", _wrong_model, 0, 65_535),
-        "extra": Kind("one servo more, with this id", on_bus=_extra, low=0, high=252, whole=True),
-        "supply": Kind("volts of all servos; far too low: they restart", on_bus=_supply, low=0.0, high=30.0),
-        **_chance("drop", "an answer is lost"),
-        **_chance("corrupt", "one bit of an answer flips"),
-        **_chance("truncate", "an answer breaks off"),
-        **_chance("short", "an answer has fewer data than asked, checksum right"),
-        **_chance("error", "an answer has an error number and no data"),
-        **_chance("garbage", "bytes before an answer"),
-        **_chance("duplicate", "an answer comes twice"),
-        **_chance("wrong_id", "an answer of a stranger comes first"),
-        **_chance("reorder", "an answer comes after the next one"),
-        **_chance("late", "an answer comes before those to the next request"),
-        "echo": Kind("the adapter returns what was sent", on_bus=_rate("echo")),
-        "latency": Kind("answers come so much later, ms", on_bus=_port("latency", 1e-3), low=0.0, high=1e3),
-        "port_unplugged": Kind("the port is gone", on_bus=_port("unplugged")),
+        "return_delay": Kind("waits, 2 us a count", _register("return_delay_time"), 0, 254, whole=True),
+        "status_level": Kind("Status Return Level", _register("status_return_level"), 0, 2, whole=True),
+        "baud": Kind("its baud rate, bits/s", _BAUD, 9600, 4_500_000, whole=True),
+        "id": Kind("its id; one that is taken makes answers collide", _register("id"), 0, 252, whole=True),
+        "model": Kind("says it is this model number", _register("model_number"), among=_MODELS),
+        "supply": Kind("volts it gets; far too low: it restarts", _SUPPLY, 0, 30),
+        "extra": Kind("one servo more, with this id", _add_servo, 0, 252, whole=True, servo=False),
+        **{name: Kind(row.help, _chance(name), 0, 1, servo=False) for name, row in SPOILS.items()},
+        "echo": Kind("the adapter returns what was sent", _attribute("echo"), servo=False),
+        "latency": Kind("answers come so much later, ms", _LATENCY, 0, 1000, servo=False),
+        "port_unplugged": Kind("the port is gone", _attribute("unplugged"), servo=False),
     }
 )
 """Every kind of fault, by name; the only place of registration."""
 
 
 # ------------------------------------------------------------------------------------------
-# The TOML file of faults that ``sim-bus --faults`` and tests read, and what is said of a slip in it.
-#
-# ::
-#
-#     schema = 1
-#     seed = 7
-#
-#     [[faults]]
-#     kind = "silent"       # a name in fault_kinds.KINDS
-#     joint = "joint3"      # or id = 3; neither: every servo
-#     at_s = 2.0            # or at_packet = 100; neither: from the start
-#     for_s = 0.05          # or for_packets = 1; neither: for good
-#
-#     [[faults]]
-#     kind = "corrupt"
-#     value = 0.001
+# The file.
 
 
-_Seconds = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-_Count = Annotated[int, Field(ge=1)]
-
-
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    kind: str
-    joint: str | None = None
-    id: Annotated[int | None, Field(ge=0, le=252)] = None
-    value: Annotated[float | None, Field(allow_inf_nan=False)] = None
-    at_s: _Seconds | None = None
-    at_packet: _Count | None = None
-    for_s: _Seconds | None = None
-    for_packets: _Count | None = None
-
-
-class _File(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    # Named so because ``schema`` is taken in pydantic's base class.
-    version: Annotated[int, Field(alias="schema", ge=1, le=1)]
-    seed: int = 0
-    faults: list[_Entry] = []
-
-
-@dataclass(frozen=True)
-class FaultScript:
-    """Faults of one run.
+class FaultFile(Table):
+    """A file of faults.
 
     Attributes:
-        seed: Of the wire's dice.
-        faults: In the order of the file.
+        version: ``schema`` in the file (the name is taken in pydantic's base class).
+        seed: Of the dice of the wire.
+        faults: In order.
     """
 
-    seed: int
-    faults: tuple[Fault, ...]
+    version: Annotated[Literal[1], Field(alias="schema")]
+    seed: int = 0
+    faults: Annotated[tuple[Annotated[Fault, keys_of(Fault)], ...], Field(strict=False)] = ()
 
 
-def load_faults(path: Path | str, config: ArmConfig) -> FaultScript:
+def load_faults(path: Path | str, config: ArmConfig) -> FaultFile:
     """Reads a file of faults for an arm.
 
     Raises:
@@ -555,247 +385,36 @@ def load_faults(path: Path | str, config: ArmConfig) -> FaultScript:
     return parse_faults(read_text(path, "the file of faults"), config, path)
 
 
-def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultScript:
+def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultFile:
     """The same from text; ``file`` appears in errors."""
-    try:
-        parsed = _File.model_validate(parse_toml(text, file))
-    except ValidationError as error:
-        raise _explain(first_slip(error), file) from None
-    faults = tuple(_fault(entry, f"faults[{k}]", config, file) for k, entry in enumerate(parsed.faults))
-    return FaultScript(parsed.seed, faults)
+    found = check_table(FaultFile, parse_toml(text, file), file)
+    for k, fault in enumerate(found.faults):
+        _check(fault, config, file, f"faults[{k}]")
+    return found
 
 
-def _explain(detail: ErrorDetails, file: Path | str) -> ConfigError:
-    key = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in detail["loc"]).lstrip(".")
-    if detail["type"] == "extra_forbidden":
-        name = str(detail["loc"][-1])
-        fields = (_Entry if len(detail["loc"]) > 1 else _File).model_fields
-        known = [info.alias or field for field, info in fields.items()]
-        close = close_matches(name, known)
-        hint = f"did you mean {' or '.join(close)}?" if close else ""
-        return ConfigError(
-            f"unknown key {shown(name)}", file=file, key=key, allowed=", ".join(known), hint=hint
-        )
-    if detail["type"] == "missing":
-        return ConfigError("this key is missing", file=file, key=key, allowed="a value")
-    allowed = detail["msg"].removeprefix("Input should be a valid ").removeprefix("Input should be ")
-    return ConfigError(f"{shown(detail['input'])} is not right", file=file, key=key, allowed=allowed)
+def make_fault(config: ArmConfig, file: Path | str = "<text>", at: str = "fault", **keys: Any) -> Fault:
+    """The fault of these keys, checked as in a file of faults.
 
-
-def _fault(entry: _Entry, at: str, config: ArmConfig, file: Path | str) -> Fault:
-    def wrong(text: str, key: str, allowed: str, hint: str = "") -> ConfigError:
-        return ConfigError(text, file=file, key=f"{at}.{key}", allowed=allowed, hint=hint)
-
-    kind = KINDS.get(entry.kind)
-    if kind is None:
-        close = close_matches(entry.kind, KINDS)
-        hint = f"did you mean {' or '.join(close)}?" if close else ""
-        raise wrong(f"no fault is called {shown(entry.kind)}", "kind", ", ".join(KINDS), hint)
-    for one, other in (("joint", "id"), ("at_s", "at_packet"), ("for_s", "for_packets")):
-        if getattr(entry, one) is not None and getattr(entry, other) is not None:
-            raise wrong(f"{one} and {other} say the same", other, f"{one} or {other}")
-    if not kind.servo and (entry.joint is not None or entry.id is not None):
-        key = "joint" if entry.joint is not None else "id"
-        raise wrong(f"{entry.kind} is not of one servo", key, "no joint and no id")
-    return Fault(
-        entry.kind,
-        _servo_id(entry, config, wrong),
-        _value(entry, wrong),
-        entry.at_s,
-        entry.at_packet,
-        entry.for_s,
-        entry.for_packets,
-    )
-
-
-def _servo_id(entry: _Entry, config: ArmConfig, wrong: Any) -> int | None:
-    if entry.joint is not None:
-        try:
-            return config.joint(entry.joint).id
-        except UnknownJointError:
-            names = config.whole.names
-            close = close_matches(entry.joint, names)
-            hint = f"did you mean {' or '.join(close)}?" if close else ""
-            raise wrong(f"no joint is called {shown(entry.joint)}", "joint", ", ".join(names), hint) from None
-    if entry.id is not None and entry.id not in config.servo_ids:
-        raise wrong(f"no servo has the id {entry.id}", "id", ", ".join(map(str, config.servo_ids)))
-    return entry.id
-
-
-def _value(entry: _Entry, wrong: Any) -> float:
-    kind = KINDS[entry.kind]
-    if kind.low is None or kind.high is None:
-        if entry.value is not None:
-            raise wrong(f"{entry.kind} takes no value", "value", "nothing")
-        return 0.0
-    span = f"{'a whole number, ' if kind.whole else ''}{kind.low:g}..{kind.high:g}"
-    if entry.value is None:
-        raise wrong("this key is missing", "value", span)
-    if not kind.low <= entry.value <= kind.high or (kind.whole and entry.value != round(entry.value)):
-        raise wrong(f"{entry.value:g} is not right", "value", span)
-    return entry.value
-
-
-# ------------------------------------------------------------------------------------------
-# What feeds the servos of a virtual bus, and faults of that which come, overlap and go.
-
-
-BROWN_OUT = 0.4
-"""Share of the nominal supply below which a servo loses its mind and starts anew when power is back."""
-
-
-def feed(servo: VirtualServo, volts: float) -> None:
-    """This supply for one servo; so low that it cannot run, it starts anew once power is back."""
-    servo.set_supply(volts)
-    starved = volts < BROWN_OUT * servo.table.supply
-    if starved != servo.off:
-        (servo.switch_off if starved else servo.switch_on)()
-
-
-class SupplyFaults:
-    """Voltages that all servos get instead of their own, the one that began last while it lasts."""
-
-    def __init__(self) -> None:
-        self._volts: list[list[float]] = []  # a list each, so that two of one voltage are told apart
-        self._own: dict[VirtualServo, float] = {}
-
-    def begin(self, servos: Iterable[VirtualServo], volts: float) -> Callable[[], None]:
-        """Feeds all ``servos`` with ``volts``; the way back gives each what it had when none was wrong."""
-        fault = [volts]
-        self._volts.append(fault)
-        for servo in servos:
-            self._own.setdefault(servo, servo.shaft.volts)
-            feed(servo, volts)
-        return lambda: self._end(fault)
-
-    def _end(self, fault: list[float]) -> None:
-        left = [other for other in self._volts if other is not fault]
-        if len(left) == len(self._volts):
-            return  # it is over
-        was_last, self._volts = self._volts[-1] is fault, left
-        if was_last:
-            for servo, own in self._own.items():
-                feed(servo, left[-1][0] if left else own)
-        if not left:
-            self._own.clear()
-
-
-# ------------------------------------------------------------------------------------------
-# Faults of a script: they begin when the script says so, counted from there, and can be taken back.
-
-
-def fault_for(
-    config: ArmConfig,
-    kind: str,
-    *,
-    joint: str | None = None,
-    id: int | None = None,
-    value: float | None = None,
-    file: Path | str = "<text>",
-    key: str = "fault",
-) -> Fault:
-    """The fault of these parameters, as a file of faults would say it.
+    Args:
+        config: The arm.
+        file: For messages.
+        at: Where in the file the fault stands.
+        **keys: Of ``Fault``; those that are None are left out.
 
     Raises:
-        ConfigError: No such kind, joint or value; ``file`` and ``key`` say where it stands.
+        ConfigError: No such kind, servo or value.
     """
-    given = {"kind": kind, "joint": joint, "id": id, "value": value}
-    rows = [f"{name} = {json.dumps(entry)}" for name, entry in given.items() if entry is not None]
     try:
-        (fault,) = parse_faults("schema = 1\n[[faults]]\n" + "\n".join(rows), config, file).faults
-    except ConfigError as error:
-        problem = str(error.args[0]).removeprefix(f"{file}: {error.key}: ")
-        problem = problem.removesuffix(f"; allowed: {error.allowed}")
-        there = error.key.replace("faults[0]", key)
-        raise ConfigError(problem, file=file, key=there, allowed=error.allowed, hint=error.hint) from None
-    if kind == "model" and model_by_number(int(fault.value)) is None:
-        known = ", ".join(str(table.number) for table in CONTROL_TABLES.values())
-        raise ConfigError(
-            f"no model has the number {fault.value:g}", file=file, key=f"{key}.value", allowed=known
-        )
+        fault = Fault(**{name: value for name, value in keys.items() if value is not None})
+    except WrongKey as wrong:
+        raise wrong.within((), at).in_file(file) from None
+    _check(fault, config, file, at)
     return fault
 
 
-@dataclass
-class _Booking:
-    """One fault on its way: what ``VirtualBus.inject`` takes for a ``Fault``."""
-
-    fault: Fault
-    delay: float
-    lasts: float | None
-    undos: list[Callable[[], None]] = field(default_factory=list)
-    over: bool = False
-
-    def book(self, bus: VirtualBus) -> None:
-        """Puts it into the schedule; without delay it happens at once."""
-        if self.fault.id is not None:
-            bus.servo(self.fault.id)
-        if self.fault.at_packet is not None:
-            bus.schedule.at_packet(bus.schedule.packets + self.fault.at_packet, lambda: self._begin(bus))
-        elif self.delay > 0.0:
-            bus.schedule.at(bus.clock.now() + self.delay, lambda: self._begin(bus))
-        else:
-            self._begin(bus)
-
-    def end(self) -> None:
-        """Takes it back, or off the schedule."""
-        if not self.over:
-            self.over = True
-            for undo in reversed(self.undos):
-                undo()
-
-    def _begin(self, bus: VirtualBus) -> None:
-        if self.over:
-            return
-        kind, id = KINDS[self.fault.kind], self.fault.id
-        if kind.on_servo is not None:
-            for servo in bus.servos if id is None else (bus.servo(id),):
-                undo = kind.on_servo(servo, self.fault.value)
-                self.undos.append(undo or _restart(servo, self.fault.kind))
-        if kind.on_bus is not None and (undo := kind.on_bus(bus, self.fault.value)) is not None:
-            self.undos.append(undo)
-        if self.lasts is not None:
-            bus.schedule.at(bus.clock.now() + self.lasts, self.end)
-        elif self.fault.lasts_packets is not None:
-            bus.schedule.at_packet(bus.schedule.upcoming + self.fault.lasts_packets, self.end)
-
-
-def _restart(servo: VirtualServo, kind: str) -> Callable[[], None]:
-    """A servo that shut down is well again after a restart; what else has no way back stays."""
-    return servo.reboot if kind in HARDWARE_ERRORS.values() else lambda: None
-
-
-@dataclass
-class _Healing:
-    """Ends bookings where ``VirtualBus.inject`` holds the lock and wakes whoever sleeps."""
-
-    bookings: list[_Booking]
-
-    def book(self, bus: VirtualBus) -> None:
-        for booking in reversed(self.bookings):
-            booking.end()
-
-
-class ScriptFaults:
-    """Faults injected into one virtual bus, and the way back."""
-
-    def __init__(self, bus: VirtualBus) -> None:
-        self._bus = bus
-        self._booked: list[_Booking] = []
-
-    def inject(self, fault: Fault, delay: float = 0.0, lasts: float | None = None) -> None:
-        """Lets ``fault`` happen in ``delay`` s, for ``lasts`` s or for good.
-
-        Packets, where the fault counts those instead, are counted from here, too.
-        """
-        booking = _Booking(fault, delay, lasts)
-        self._booked.append(booking)
-        self._bus.inject(cast(Fault, booking))
-
-    def clear(self, kind: str | None = None) -> int:
-        """Takes back what was injected, the last first; of one kind, or all.  How many there were."""
-        chosen = [b for b in self._booked if kind in (None, b.fault.kind)]
-        self._booked = [b for b in self._booked if b not in chosen]
-        running = [b for b in chosen if not b.over]
-        self._bus.inject(cast(Fault, _Healing(chosen)))
-        return len(running)
+def _check(fault: Fault, config: ArmConfig, file: Path | str, at: str) -> None:
+    try:
+        fault.require_servo(config)
+    except WrongKey as wrong:
+        raise wrong.within((), at).in_file(file) from None

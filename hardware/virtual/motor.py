@@ -31,7 +31,7 @@ ROOM_TEMPERATURE = 32.0
 HEAT_TIME = 180.0
 """Seconds in which a servo comes two thirds of the way to its final temperature."""
 STALL_HEAT = 150.0
-"""C above the room that a stalled motor would reach; goes with the square of the current."""
+"""C above the surroundings that a stalled motor would reach; goes with the square of the current."""
 OVERLOAD_SHARE = 0.9
 """Of the stall torque; more than this for longer than ``OVERLOAD_TIME`` is an overload."""
 OVERLOAD_TIME = 1.0
@@ -212,8 +212,8 @@ def move(
         kind: What to report; ``None``: triangular or trapezoidal, as it comes out.
     """
     distance = goal - position
-    room = distance - 0.5 * velocity * abs(velocity) / acceleration
-    side = math.copysign(1.0, room)
+    spare = distance - 0.5 * velocity * abs(velocity) / acceleration
+    side = math.copysign(1.0, spare)
     peak = min(top, math.sqrt(max(0.0, side * acceleration * distance + 0.5 * velocity**2)))
     cruise = side * peak
     first = abs(cruise - velocity) / acceleration

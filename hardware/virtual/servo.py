@@ -25,6 +25,8 @@ from robot_ik.ports import Clock
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
 _STORE, _RESTORE = b"\x01CTRL", b"\x02CTRL"
 _TORQUE_AT_START, _RAM_FROM_BACKUP = 0b01, 0b10  # bits of Startup Configuration
+BROWN_OUT = 0.4
+"""Share of the nominal supply below which a servo loses its memory and starts anew when power is back."""
 
 
 class VirtualServo:
@@ -295,6 +297,13 @@ class VirtualServo:
         low, high = self.memory.get("min_voltage_limit"), self.memory.get("max_voltage_limit")
         if not low <= 10.0 * volts <= high:
             self.controller.fail("input_voltage")
+
+    def feed(self, volts: float) -> None:
+        """Another supply voltage; so low that it cannot run, it starts anew once power is back."""
+        self.set_supply(volts)
+        starved = volts < BROWN_OUT * self.table.supply
+        if starved != self.off:
+            (self.switch_off if starved else self.switch_on)()
 
     def switch_off(self) -> None:
         """Takes its power away: no torque, no answers, RAM lost."""

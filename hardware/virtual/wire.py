@@ -1,11 +1,14 @@
-"""What is to happen on a virtual bus at a time, or when so many packets have come."""
+"""When things happen on a virtual bus, and what becomes of status packets on their way to the host."""
 
 from __future__ import annotations
 
 import heapq
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
 
+from robot_ik.hardware.virtual.protocol import BROADCAST, Parser, build_status
 from robot_ik.ports import Clock
 
 Action = Callable[[], None]
@@ -18,13 +21,11 @@ class Schedule:
         clock: Whose time it is.
 
     Attributes:
-        start: When this was made, s.
         packets: Instruction packets so far.
         upcoming: Number of the packet that is handled next; within ``count`` that is the one counted.
     """
 
     def __init__(self, clock: Clock) -> None:
-        self.start = clock.now()
         self.packets = 0
         self.upcoming = 1
         self._clock = clock
@@ -96,3 +97,124 @@ def _received(wire: list[int]) -> bytes:
         found.append(sum(bit << k for k, bit in enumerate(data)))
         at += 10
     return bytes(found)
+
+
+# ------------------------------------------------------------------------------------------
+# Packets that are lost, spoiled, doubled or late: by chance, one row a kind.
+
+
+class Spoil(NamedTuple):
+    """One thing that can become of a status packet.
+
+    Attributes:
+        help: One line for people.
+        apply: (wire, packet) -> the bytes that arrive in its place now.
+    """
+
+    help: str
+    apply: Callable[[Wire, bytes], bytes]
+
+
+class Wire:
+    """The way of status packets to the host.
+
+    Args:
+        taken: Ids on the wire: a stranger has none of them, for nobody could tell its answer from theirs.
+        seed: Of the dice; equal seeds and equal traffic give equal faults.
+
+    Attributes:
+        dice: What decides.
+        strangers: Ids that no servo has.
+        held: Packets that come before the answers to the next request.
+        behind: A packet that comes after the next one.
+    """
+
+    def __init__(self, taken: Iterable[int], seed: int) -> None:
+        self.strangers = sorted(set(range(253)).difference(taken)) or [BROADCAST]
+        self.reseed(seed)
+        self._chances = dict.fromkeys(SPOILS, 0.0)
+        self._clean = True
+
+    def reseed(self, seed: int) -> None:
+        """The dice anew, and nothing on its way."""
+        self.dice = random.Random(seed)
+        self.held: list[bytes] = []
+        self.behind = b""
+
+    def chance(self, name: str) -> float:
+        """Probability per status packet of a row of ``SPOILS``."""
+        return self._chances[name]
+
+    def set_chance(self, name: str, probability: float) -> None:
+        """Another probability from here on; the dice go on."""
+        self._chances[name] = probability
+        self._clean = not any(self._chances.values())
+
+    def carry(self, packets: list[bytes]) -> list[bytes]:
+        """What of the answers to one request arrives at the host, in the order in which it does."""
+        if self._clean and not self.held:
+            return packets
+        arriving, self.held = self.held, []
+        for packet in packets:
+            waiting, self.behind = self.behind, b""
+            arriving += [self._spoil(packet), waiting]
+        last, self.behind = self.behind, b""
+        return [*arriving, last]
+
+    def _spoil(self, packet: bytes) -> bytes:
+        """One packet, as it arrives."""
+        for name, probability in self._chances.items():
+            if packet and probability > 0.0 and self.dice.random() < probability:
+                packet = SPOILS[name].apply(self, packet)
+        return packet
+
+
+def _late(wire: Wire, packet: bytes) -> bytes:
+    wire.held.append(packet)
+    return b""
+
+
+def _shorten(wire: Wire, packet: bytes) -> bytes:
+    """The same status with one byte of data less; one without data, or no status at all, stays."""
+    answers = Parser().feed(packet, 0.0) if packet[4] != BROADCAST else []
+    if not answers or not answers[0].is_status:  # servos that talk over each other, the torso of a fast read
+        return packet
+    answer = answers[0]
+    return build_status(answer.id, answer.params[0], answer.data[:-1])
+
+
+def _refuse(wire: Wire, packet: bytes) -> bytes:
+    id = packet[4]
+    return packet if id == BROADCAST else build_status(id, wire.dice.randrange(1, 8))
+
+
+def _flip(wire: Wire, packet: bytes) -> bytes:
+    bit = wire.dice.randrange(8 * len(packet))
+    spoiled = bytearray(packet)
+    spoiled[bit // 8] ^= 1 << bit % 8
+    return bytes(spoiled)
+
+
+def _swap(wire: Wire, packet: bytes) -> bytes:
+    wire.behind = packet
+    return b""
+
+
+SPOILS: Mapping[str, Spoil] = MappingProxyType(
+    {
+        "late": Spoil("an answer comes before those to the next request", _late),
+        "drop": Spoil("an answer is lost", lambda wire, packet: b""),
+        "short": Spoil("an answer has fewer data than asked, checksum right", _shorten),
+        "error": Spoil("an answer has an error number and no data", _refuse),
+        "corrupt": Spoil("one bit of an answer flips", _flip),
+        "truncate": Spoil("an answer breaks off", lambda w, p: p[: w.dice.randrange(1, len(p))]),
+        "duplicate": Spoil("an answer comes twice", lambda wire, packet: 2 * packet),
+        "wrong_id": Spoil(
+            "an answer of a stranger comes first",
+            lambda w, p: build_status(w.dice.choice(w.strangers), 0, w.dice.randbytes(4)) + p,
+        ),
+        "garbage": Spoil("bytes before an answer", lambda w, p: w.dice.randbytes(w.dice.randrange(1, 9)) + p),
+        "reorder": Spoil("an answer comes after the next one", _swap),
+    }
+)
+"""What the faults of the wire do, in the order in which they are tried on a packet."""

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from robot_ik.camera.image import dictionary_size
 from robot_ik.camera.observations import marker_points
-from robot_ik.errors import CameraError, ConfigError, unknown_name_text
-from robot_ik.files import read_toml, shown
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
+from robot_ik.tables import Place, Several, Table, WrongKey, Wxyz, read_table
 
-_BODY_KEYS = ("name", "dictionary", "markers")
-_MARKER_KEYS = ("id", "size", "position", "wxyz")
 _CUBE_SIDES = 6
 
 
@@ -144,6 +144,58 @@ def cube_body(ids: Sequence[int], size: float, edge: float, *, name: str = "cube
 # ------------------------------------------------------------------------------------- files
 
 
+class _MarkerTable(Table):
+    id: int
+    size: float
+    position: Place = (0.0, 0.0, 0.0)
+    wxyz: Wxyz = (1.0, 0.0, 0.0, 0.0)
+
+
+class _BodyTable(Table):
+    name: Annotated[str, Field(min_length=1, pattern=r"\S")]
+    dictionary: str | None = None
+    markers: Annotated[Several[_MarkerTable], Field(min_length=1)]
+
+    @cached_property
+    def body(self) -> MarkerBody:
+        """The body that is described.
+
+        Raises:
+            WrongKey: It cannot be.
+        """
+        numbers = [marker.id for marker in self.markers]
+        for k, number in enumerate(numbers):
+            if number in numbers[:k]:
+                raise WrongKey(f"marker {number} comes twice", f"markers[{k}]", "each id once")
+        sides = {m.id: (m.size, Pose(m.position, m.wxyz)) for m in self.markers}
+        try:
+            return MarkerBody(self.name, sides, self.dictionary)
+        except CameraError as error:
+            raise WrongKey(str(error.args[0]), hint=error.hint) from None
+
+    @model_validator(mode="after")
+    def _can_be(self) -> _BodyTable:
+        _ = self.body  # which raises where it cannot be
+        return self
+
+
+class _BodiesFile(Table):
+    body: Annotated[Several[_BodyTable], Field(min_length=1, description="one table [[body]] for each")]
+
+    @model_validator(mode="after")
+    def _once(self) -> _BodiesFile:
+        owner: dict[tuple[str | None, int], str] = {}
+        for k, row in enumerate(self.body):
+            if row.name in [other.name for other in self.body[:k]]:
+                raise WrongKey(f"two bodies are named {row.name!r}", f"body[{k}].name", "every name once")
+            for marker in row.markers:
+                other = owner.setdefault((row.dictionary, marker.id), row.name)
+                if other != row.name:
+                    problem = f"marker {marker.id} is on {other!r} and on {row.name!r}"
+                    raise WrongKey(problem, f"body[{k}].markers", "each id once")
+        return self
+
+
 def load_bodies(path: Path | str) -> dict[str, MarkerBody]:
     """Bodies of a TOML file by name.
 
@@ -160,83 +212,4 @@ def load_bodies(path: Path | str) -> dict[str, MarkerBody]:
         ConfigError: The file is missing or no TOML, a key is unknown or missing, a value is of the wrong
             kind or cannot be (size, id, dictionary), or a marker is on two bodies.
     """
-    file = Path(path)
-    content = read_toml(file, "the file of bodies")
-    _known_keys(content, ("body",), file, "")
-    rows = content.get("body")
-    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-        raise ConfigError("describes no body", file=file, allowed="one table [[body]] for each")
-    bodies: dict[str, MarkerBody] = {}
-    owner: dict[tuple[str | None, int], str] = {}
-    for k, row in enumerate(rows):
-        body = _read_body(row, file, f"body[{k}]")
-        if body.name in bodies:
-            raise ConfigError(f"two bodies are named {body.name!r}", file=file, key=f"body[{k}].name")
-        bodies[body.name] = body
-        for i in body.markers:
-            other = owner.setdefault((body.dictionary, i), body.name)
-            if other != body.name:
-                problem = f"marker {i} is on {other!r} and on {body.name!r}"
-                raise ConfigError(problem, file=file, key=f"body[{k}].markers", allowed="each id once")
-    return bodies
-
-
-def _read_body(row: dict[str, Any], file: Path, key: str) -> MarkerBody:
-    _known_keys(row, _BODY_KEYS, file, key)
-    name, dictionary = row.get("name"), row.get("dictionary")
-    if not isinstance(name, str) or not name.strip():
-        raise ConfigError("a body needs a name", file=file, key=f"{key}.name", allowed="a text")
-    if dictionary is not None and not isinstance(dictionary, str):
-        allowed = 'a name as "DICT_5X5_50"'
-        raise ConfigError("is no dictionary", file=file, key=f"{key}.dictionary", allowed=allowed)
-    entries = row.get("markers")
-    if not isinstance(entries, list) or not entries:
-        allowed = "a list of {id = 0, size = 0.05, position = [x, y, z], wxyz = [w, x, y, z]}"
-        raise ConfigError("a body needs markers", file=file, key=f"{key}.markers", allowed=allowed)
-    markers: dict[int, tuple[float, Pose]] = {}
-    for k, entry in enumerate(entries):
-        where = f"{key}.markers[{k}]"
-        if not isinstance(entry, dict):
-            raise ConfigError("is no table", file=file, key=where, allowed="{id = …, size = …}")
-        _known_keys(entry, _MARKER_KEYS, file, where)
-        number, size, pose = _read_marker(entry, file, where)
-        if number in markers:
-            raise ConfigError(f"marker {number} comes twice", file=file, key=where, allowed="each id once")
-        markers[number] = (size, pose)
-    try:
-        return MarkerBody(name, markers, dictionary)
-    except CameraError as error:
-        raise ConfigError(str(error.args[0]), file=file, key=key, hint=error.hint) from None
-
-
-def _read_marker(entry: dict[str, Any], file: Path, key: str) -> tuple[int, float, Pose]:
-    number, size = entry.get("id"), entry.get("size")
-    if not isinstance(number, int) or isinstance(number, bool):
-        raise ConfigError("a marker needs its number", file=file, key=f"{key}.id", allowed="an integer")
-    if not isinstance(size, (int, float)) or isinstance(size, bool):
-        allowed = "the side of the black square in metres"
-        raise ConfigError("a marker needs its size", file=file, key=f"{key}.size", allowed=allowed)
-    position = _numbers(entry, "position", (0.0, 0.0, 0.0), file, key)
-    wxyz = _numbers(entry, "wxyz", (1.0, 0.0, 0.0, 0.0), file, key)
-    try:
-        return number, float(size), Pose(position, wxyz)
-    except ValueError as error:
-        raise ConfigError(str(error), file=file, key=key) from None
-
-
-def _numbers(
-    entry: dict[str, Any], name: str, default: tuple[float, ...], file: Path, key: str
-) -> tuple[float, ...]:
-    value = entry.get(name, list(default))
-    right = isinstance(value, list) and len(value) == len(default)
-    if not right or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value):
-        allowed = f"{len(default)} numbers"
-        raise ConfigError(f"is {shown(value)}", file=file, key=f"{key}.{name}", allowed=allowed)
-    return tuple(float(v) for v in value)
-
-
-def _known_keys(table: dict[str, Any], known: tuple[str, ...], file: Path, key: str) -> None:
-    for name in table:
-        if name not in known:
-            where = f"{key}.{name}" if key else name
-            raise ConfigError(unknown_name_text("key", name, known), file=file, key=where)
+    return {row.name: row.body for row in read_table(_BodiesFile, Path(path), "the file of bodies").body}

@@ -111,7 +111,7 @@ class CameraIntrinsics:
 
     @cached_property
     def radius_limit(self) -> float:
-        """Largest |(X, Y)| / Z at which the lens model is still one to one; beyond it, it folds back."""
+        """Largest ``|(X, Y)| / Z`` at which the lens model is still one to one; beyond it, it folds back."""
         return lens.radius_limit(self.model, self.coefficients)
 
     # ------------------------------------------------------------------------------ mapping

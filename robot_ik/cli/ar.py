@@ -44,7 +44,9 @@ class ArOptions:
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
     """OpenCV's name of the markers' dictionary."""
-    place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(from robot-ik camera locate)")] = ""
+    extrinsics: Annotated[
+        str, arg(metavar="FILE.toml", help_behavior_hint="(from robot-ik camera locate)")
+    ] = ""
     """Where the camera stands, instead of a board; the robot stands in its world."""
     base: Annotated[tuple[float, ...], arg(metavar="X Y Z [YAW_DEG]", help_behavior_hint="")] = ()
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
@@ -59,10 +61,10 @@ class ArOptions:
     """Side of its black square, metres."""
     backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
-    phantoms: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
-    """Real things in front of which the robot must not be drawn."""
-    phantom_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
-    """Geoms of the model that are such things."""
+    occluders: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
+    """Real objects that hide the robot."""
+    occluder_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
+    """Geoms of the model that do."""
     sync: Literal["tracked", "latest"] = "tracked"
     """Show the picture that was tracked (no delay by construction), or the newest."""
     predict: bool = False
@@ -189,14 +191,14 @@ def make_request(options: ArOptions) -> ArRequest:
         intrinsics=Path(options.intrinsics) if options.intrinsics else None,
         board=options.board,
         dictionary=options.dictionary,
-        place=Path(options.place) if options.place else None,
+        extrinsics=Path(options.extrinsics) if options.extrinsics else None,
         base=(x, y, z, yaw),
         scale=options.scale,
         motion=options.motion,
         marker=(options.marker, options.marker_size),
         backend=options.backend,
-        phantoms=Path(options.phantoms) if options.phantoms else None,
-        phantom_geoms=options.phantom_geoms,
+        occluders=Path(options.occluders) if options.occluders else None,
+        occluder_geoms=options.occluder_geoms,
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         delay=options.delay,
         alpha=options.alpha,

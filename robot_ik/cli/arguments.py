@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO, get_type_hints
 
 from robot_ik.cli.console import NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
+from robot_ik.files import FORMER
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -249,7 +250,10 @@ class _Slip:
         flag = next((word for word in words if word.startswith("-")), None)
         if flag is None:
             return wrong("", f"{' '.join(words) or found[1]!r}: nothing more is taken here", hint=self._hint)
-        close = close_matches(flag, re.findall(r"--[a-z][\w.-]*", self._help), 1)
+        flags = re.findall(r"--[a-z][\w.-]*", self._help)
+        if (now := FORMER.get(flag)) in flags:
+            return wrong(flag, f"this option is called {now} now", hint=self._hint)
+        close = close_matches(flag, flags, 1)
         meant = f"; did you mean {close[0]!r}?" if close else ""
         return wrong("", f"unknown option {flag!r}{meant}", hint=self._hint)
 

@@ -210,7 +210,7 @@ def _detect(
     if intrinsics is None:
         console.say("no --intrinsics: corners only, no poses", "yellow")
     if failed:
-        _tell_failed(failed, len(rows))
+        _report_failed(failed, len(rows))
     if any(row.values["markers"] for row in rows):
         return console.NOT_ACHIEVED if failed else console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
@@ -232,7 +232,7 @@ def _raise_first(failed: Sequence[_Row]) -> None:
     raise error
 
 
-def _tell_failed(failed: Sequence[_Row], count: int) -> None:
+def _report_failed(failed: Sequence[_Row], count: int) -> None:
     console.say(f"error: {len(failed)} of {count} pictures could not be looked at", "bold red")
     for row in failed[:_MOST_TOLD]:
         assert row.error is not None
@@ -281,17 +281,17 @@ def _looked(
                     yield _Row(file, number, None, dict(_NOTHING), frame)
                     continue
                 try:
-                    sighting = finder.look(frame)
+                    observation = finder.look(frame)
                 except CalibrationError as error:  # of another size
                     yield _Row(file, number, frame.size, dict(_NOTHING), error)
                     if in_film:
                         break
                     continue
-                if not sighting.markers:
+                if not observation.markers:
                     blank.append(frame.image)
-                yield _Row(file, number, frame.size, as_values(sighting), in_film=in_film)
+                yield _Row(file, number, frame.size, as_values(observation), in_film=in_film)
                 if drawings is not None:
-                    drawings.save(file, number if in_film else None, drawn(sighting, intrinsics))
+                    drawings.save(file, number if in_film else None, drawn(observation, intrinsics))
             bar.remove_task(task)
             finder = MarkerFinder(*asked)
 
@@ -356,7 +356,7 @@ def _print_bodies(rows: Sequence[_Row]) -> None:
 
 
 def _show(shown: Table, *, posed: bool) -> None:
-    if posed:  # numbers stay whole, names of pictures are broken where there is no room
+    if posed:  # numbers stay whole, names of pictures are broken where there is no space
         for column in shown.columns[1:]:
             column.no_wrap = True
     if shown.row_count:
@@ -584,12 +584,12 @@ def _print_sheet(options: CameraPrintOptions) -> int:
     from robot_ik.camera.sheets.page import write_sheet
     from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 
-    wish = SheetRequest(**{name: getattr(options, name) for name in SheetRequest.__dataclass_fields__})
-    page = make_sheet_page(wish)
+    request = SheetRequest(**{name: getattr(options, name) for name in SheetRequest.__dataclass_fields__})
+    page = make_sheet_page(request)
     if options.body is not None:
         from robot_ik.camera.sheets.sheets import body_file
 
-        write_atomically(options.body, body_file(wish, options.body.stem))
+        write_atomically(options.body, body_file(request, options.body.stem))
         console.say(f"wrote {options.body}: where its markers are", "green")
     write_sheet(page, options.out, dpi=options.dpi)
     console.say(f"wrote {options.out}: {page.about}", "green")

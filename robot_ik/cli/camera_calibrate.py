@@ -89,8 +89,8 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     from robot_ik.camera.calibration.views import ViewGatherer
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
-    wish = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
-    gatherer, shelf = ViewGatherer(wish.pattern()), _Shelf(options)
+    wanted = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
+    gatherer, shelf = ViewGatherer(wanted.pattern()), _Shelf(options)
     with _kept_on_interrupt(gatherer, shelf):
         for text in options.sources:
             _gather(text, gatherer, shelf, options)

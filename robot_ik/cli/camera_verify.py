@@ -51,7 +51,7 @@ class CameraVerifyOptions:
     """Where the pictures come from."""
     intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=_NEEDED)] = ""
     """Its calibration."""
-    camera_place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=_NEEDED)] = ""
+    camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=_NEEDED)] = ""
     """Where it stands, from camera locate."""
     board: Annotated[str, arg(metavar="BOARD", help_behavior_hint=_NEEDED)] = ""
     """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
@@ -201,7 +201,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     sigma = options.board_sigma
     return VerifyRequest(
         **arm_camera_values(options, "zeros"),
-        place=Path(options.camera_place) if options.camera_place else None,
+        extrinsics=Path(options.camera_extrinsics) if options.camera_extrinsics else None,
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         fit=options.fit,
@@ -330,7 +330,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     if verdict is None:
         return found
     found |= verdict
-    found["place_by_arm"] = report.by_arm
+    found["extrinsics_by_arm"] = report.by_arm
     found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
     found["unsure"] = list(report.unsure)
     found["regions"] = _sums(report.judged(corrected=False))
@@ -358,7 +358,7 @@ def _named(report: VerifyReport) -> list[tuple[str, float]]:
 
 def _error(one: PoseError) -> dict[str, Any]:
     return {
-        "place_m": one.place, "off_m": one.vector, "off_rad": one.angle,
+        "position_m": one.place, "off_m": one.vector, "off_rad": one.angle,
         "sigma_m": one.sigma, "sigma_rad": one.sigma_angle,
     }  # fmt: skip
 

@@ -205,15 +205,15 @@ class _Table(Table):
         words = [max(len(word) for text in column for word in text.split() or [""]) for column in texts]
         lines = [max(len(line) for text in column for line in text.splitlines() or [""]) for column in texts]
         words[0] = lines[0]  # the first column is never broken
-        room = options.max_width - _GAP * (len(texts) - 1)
-        if sum(lines) > room >= sum(words):
-            spare = room - sum(words)
-            wishes = sorted((line - word, k) for k, (word, line) in enumerate(zip(words, lines, strict=True)))
-            for done, (wish, k) in enumerate(wishes):  # the smallest first: long lines fold, not headers
-                more = min(wish, spare // (len(wishes) - done))
+        space = options.max_width - _GAP * (len(texts) - 1)
+        if sum(lines) > space >= sum(words):
+            spare = space - sum(words)
+            widths = sorted((line - word, k) for k, (word, line) in enumerate(zip(words, lines, strict=True)))
+            for done, (width, k) in enumerate(widths):  # the smallest first: long lines fold, not headers
+                more = min(width, spare // (len(widths) - done))
                 self.columns[k].width = words[k] + more
                 spare -= more
-        elif sum(lines) > room and len(texts) > 2:
+        elif sum(lines) > space and len(texts) > 2:
             yield from self._rows_as_lists()
             return
         yield from super().__rich_console__(console, options)

@@ -286,7 +286,7 @@ def _group(name: str, command: Command, rest: list[str]) -> int:
         text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
     else:
         text = unknown_name_text(told, word or rest[0], list(command.subcommands))
-    return _tell_wrong(text, f"robot-ik {name} --help")
+    return _report_wrong(text, f"robot-ik {name} --help")
 
 
 def _run(name: str, command: Command, arguments: list[str], *, debug: bool) -> int:
@@ -337,10 +337,10 @@ def _unknown(name: str) -> int:
         text = f"unknown option {name!r} before the command" + (
             f"; did you mean {close[0]!r}?" if close else ""
         )
-    return _tell_wrong(text, "robot-ik --help")
+    return _report_wrong(text, "robot-ik --help")
 
 
-def _tell_wrong(text: str, see: str) -> int:
+def _report_wrong(text: str, see: str) -> int:
     from robot_ik.cli import console
 
     console.say(f"error: {text}", "bold red")

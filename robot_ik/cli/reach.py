@@ -73,7 +73,9 @@ class ReachOptions:
         arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
     ] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
-    camera_place: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: --camera-pose)")] = ""
+    camera_extrinsics: Annotated[
+        str, arg(metavar="FILE.toml", help_behavior_hint="(default: --camera-pose)")
+    ] = ""
     """The same from a file of `robot-ik camera locate` or `camera handeye`."""
     marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
     """Which marker to reach; no other ever becomes a goal."""
@@ -93,9 +95,9 @@ class ReachOptions:
     seconds: float = 10.0
     """How long to follow."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
-    """While following, when the marker stays out of sight: hold there, park at home, or stop."""
+    """While following, when the marker stays unseen: hold there, park at home, or stop."""
     lost_after: Annotated[float, arg(metavar="S")] = 2.0
-    """Out of sight for so many seconds; until then the arm holds."""
+    """Unseen for so many seconds; until then the arm holds."""
     lead: Annotated[float, arg(metavar="S")] = 0.0
     """Predict the marker's motion so far beyond each tick: the lag of the servos."""
     view: bool = False
@@ -212,14 +214,14 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
     from robot_ik.geometry import Pose
 
     numbers = options.camera_pose
-    if options.camera_place:
+    if options.camera_extrinsics:
         if numbers or not options.intrinsics:
             what = "a place file and a pose" if numbers else "a place file without its calibration"
-            raise wrong("--camera-place", what, "with --intrinsics FILE and without --camera-pose")
+            raise wrong("--camera-extrinsics", what, "with --intrinsics FILE and without --camera-pose")
         from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
         from robot_ik.camera.intrinsics import CameraIntrinsics
 
-        place = CameraExtrinsics.load(options.camera_place, CameraIntrinsics.load(options.intrinsics))
+        place = CameraExtrinsics.load(options.camera_extrinsics, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")
         return place.pose_parent_camera
     if not numbers:

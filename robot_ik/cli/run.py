@@ -85,7 +85,7 @@ def _run(script: Script, options: RunOptions) -> int:
             this.run(progress)
     finally:
         if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
-            _tell(this.report, options)
+            _report(this.report, options)
     return console.DONE if this.report.passed else console.NOT_ACHIEVED
 
 
@@ -114,7 +114,7 @@ def _list() -> int:
     return console.DONE
 
 
-def _tell(report: ScriptReport, options: RunOptions) -> None:
+def _report(report: ScriptReport, options: RunOptions) -> None:
     from robot_ik.files import plain, write_atomically
     from robot_ik.jobs.script import json_report
     from robot_ik.jobs.script.report import junit_report

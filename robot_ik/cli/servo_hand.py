@@ -33,8 +33,9 @@ from robot_ik.cli.connection import (
 )
 from robot_ik.cli.servo_motion import parse_angles, shown_value, slowed
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, TrajectoryError
-from robot_ik.files import claimed, config_error, read_json, write_atomically
+from robot_ik.files import claimed, read_json, write_atomically
 from robot_ik.ports import Array, Clock
+from robot_ik.tables import config_error
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm

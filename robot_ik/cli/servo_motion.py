@@ -89,11 +89,11 @@ def slowed(config: ArmConfig, speed: float) -> ArmConfig:
     """
     if not 0.0 < speed <= 1.0:
         raise wrong("--speed", f"{speed:g} is no share of the speed caps", "above 0, at most 1")
-    joints, aside = (
+    joints, auxiliary = (
         tuple(replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in row)
-        for row in (config.joints, config.aside)
+        for row in (config.joints, config.auxiliary)
     )
-    return replace(config, joints=joints, aside=aside)
+    return replace(config, joints=joints, auxiliary=auxiliary)
 
 
 def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
@@ -104,7 +104,9 @@ def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
         UnknownJointError: No such joint; close ones are named.
     """
     word = (
-        "JOINT=DEG" if not any(joint.slides for joint in (*config.joints, *config.aside)) else "JOINT=DEG|MM"
+        "JOINT=DEG"
+        if not any(joint.slides for joint in (*config.joints, *config.auxiliary))
+        else "JOINT=DEG|MM"
     )
     form = f"{word}, or {len(config.names)} numbers for {', '.join(config.names)}"
     if all("=" in word for word in words) and words:

@@ -19,18 +19,32 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.errors import RobotIkError
+from robot_ik.hardware.virtual.faults import FAULTS
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.faults import Faults
+    from robot_ik.hardware.virtual.faults import Fault
     from robot_ik.hardware.virtual.pty import PtyPort
     from robot_ik.ports import Array
 
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals after which the link is taken away; Windows has no SIGHUP."""
+
+
+def _help(kind: str) -> str:
+    """One line of a flag that is short for a row of ``FAULTS``."""
+    row = FAULTS[kind]
+    whom = "Joints with the fault" if row.servo else f"Probability ({row.span}) of the fault"
+    return f"{whom} {kind}: {row.help}."
+
+
+_FILE_HELP = (
+    "File of faults (TOML): what goes wrong with which servo, when and for how long. "
+    f"Kinds: {', '.join(FAULTS)}."
+)
 
 
 @dataclass(frozen=True)
@@ -53,18 +67,17 @@ class SimBusOptions:
     """Take the time that the bytes take at this rate; 0: none."""
     latency_ms: float = 0.0
     """Answer so much later, as a USB adapter does (16 ms unless set to 1)."""
-    stuck: Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")] = ()
-    """Joints whose servo does not move."""
-    silent: Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")] = ()
-    """Joints whose servo does not answer."""
+    stuck: Annotated[tuple[str, ...], arg(metavar="JOINT …", help=_help("stuck"), help_behavior_hint="")] = ()
+    silent: Annotated[
+        tuple[str, ...], arg(metavar="JOINT …", help=_help("silent"), help_behavior_hint="")
+    ] = ()
     zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
     """Joints whose zero is off by so many degrees, unknown to their registers."""
-    corrupt: Annotated[float, arg(metavar="P")] = 0.0
-    """Probability that an answer has a flipped bit."""
-    drop: Annotated[float, arg(metavar="P")] = 0.0
-    """Probability that an answer is lost."""
-    faults: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """File of faults (TOML): what goes wrong with which servo, when and for how long."""
+    corrupt: Annotated[float, arg(metavar="P", help=_help("corrupt"))] = 0.0
+    drop: Annotated[float, arg(metavar="P", help=_help("drop"))] = 0.0
+    faults: Annotated[
+        Path | None, arg(metavar="FILE", help=_FILE_HELP, help_behavior_hint="(default: none)")
+    ] = None
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the file's, or 0)")] = None
     """Of the dice of all this: the same seed and traffic give the same faults."""
     physics: bool = False
@@ -80,18 +93,19 @@ def run(options: SimBusOptions) -> int:
 
         raise no_pty(reason) from reason
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.faults import FaultScript, load_faults
+    from robot_ik.hardware.virtual.faults import load_faults
     from robot_ik.ports import RealClock
 
     _check_numbers(options)
     _require_free(options.link)
     config = load_arm(options.arm)
-    script = load_faults(options.faults, config) if options.faults is not None else FaultScript(0, ())
-    seed = script.seed if options.seed is None else options.seed
-    bus = VirtualBus.from_config(config, RealClock(), _home(config), _faults(options, config, seed))
+    file = None if options.faults is None else load_faults(options.faults, config)
+    seed = (file.seed if file else 0) if options.seed is None else options.seed
+    bus = VirtualBus.from_config(config, RealClock(), _home(config), seed=seed)
+    bus.inject(*_faults(options, config))
     if options.physics:
         _add_world(config, bus)
-    bus.inject(*script.faults)
+    bus.inject(*(file.faults if file else ()))
     with (
         _ended_by_signal() as ended,
         PtyPort(
@@ -146,8 +160,9 @@ def _add_world(config: ArmConfig, bus: VirtualBus) -> None:
     World(load_robot(config.robot).model, config, bus)
 
 
-def _faults(options: SimBusOptions, config: ArmConfig, seed: int) -> Faults:
-    from robot_ik.hardware.virtual.faults import Faults
+def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
+    """Those of the flags."""
+    from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     offsets = {}
     for item in options.zero_offset:
@@ -158,15 +173,13 @@ def _faults(options: SimBusOptions, config: ArmConfig, seed: int) -> Faults:
             offsets[joint] = float("nan")
         if not -360.0 <= offsets[joint] <= 360.0:
             raise wrong("--zero-offset", f"not {item}", "JOINT=DEGREES, such as joint2=2.0")
-    return Faults.for_joints(
-        config,
-        zero_offset_deg=offsets,
-        stuck=options.stuck,
-        silent=options.silent,
-        corrupt=options.corrupt,
-        drop=options.drop,
-        seed=seed,
-    )
+    return [
+        *(joint_offset(config.joint(name), degrees) for name, degrees in offsets.items()),
+        *(Fault("stuck", config.joint(name).id) for name in options.stuck),
+        *(Fault("silent", config.joint(name).id) for name in options.silent),
+        Fault("corrupt", value=options.corrupt),
+        Fault("drop", value=options.drop),
+    ]
 
 
 def _check_numbers(options: SimBusOptions) -> None:

@@ -5,7 +5,7 @@ air its
 lowest point follows the same curve with a clearance.  The centre of mass is planned over a zero-moment
 point under
 the feet and corrected twice by the whole body's own dynamics (``balance``).  The pelvis goes as high as legs
-let it.  Human numbers: ``docs/figure.md``.
+let it.  Human numbers: ``docs/theory/figure.md``.
 """
 
 from __future__ import annotations

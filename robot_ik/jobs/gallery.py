@@ -37,10 +37,10 @@ from robot_ik.robot_file import GalleryScene
 from robot_ik.solution import Solution
 
 # ------------------------------------------------------------------------------------------
-# A robot photographed in an empty studio: rays and soft shadows on a seamless floor, no OpenGL.
+# A robot photographed in an empty gallery: rays and soft shadows on a seamless floor, no OpenGL.
 
 
-# The studio's one tone, BGR, and how much of its light on the floor comes from the lamp and the ceiling.
+# The gallery's one tone, BGR, and how much of its light on the floor comes from the lamp and the ceiling.
 TONE = (0.945, 0.94, 0.935)
 _LAMP_SHARE, _CEILING_SHARE = 0.22, 0.30
 # Of lamp, ceiling, window, ambient from above, ambient from below: a robot in front of a bright wall.
@@ -72,7 +72,7 @@ class Photo:
 
 
 def lens(width: int, height: int) -> CameraIntrinsics:
-    """The studio's lens for pictures of that size."""
+    """The gallery's lens for pictures of that size."""
     focal = _FOCAL * height
     return CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
@@ -106,15 +106,15 @@ def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: Came
     seen = points @ turn  # camera axes, origin in the world's
     low, high = seen.min(axis=0), seen.max(axis=0)
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
-    room = np.array(intrinsics.size) * (1 - 2 * _MARGIN)
-    distance = 2.0 * size * intrinsics.fx / float(room.min())
+    space = np.array(intrinsics.size) * (1 - 2 * _MARGIN)
+    distance = 2.0 * size * intrinsics.fx / float(space.min())
     for _ in range(_FIT_STEPS):
         depth = seen[:, 2] - centre[2] + distance
         pixels = (seen[:, :2] - centre[:2]) / depth[:, None] * intrinsics.fx
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         centre[:2] += (low + high) / 2 * distance / intrinsics.fx
         # Half of what it takes: what reaches far towards the camera grows much faster than it comes nearer.
-        distance = max(distance * math.sqrt(float(((high - low) / room).max())), 0.51 * size)
+        distance = max(distance * math.sqrt(float(((high - low) / space).max())), 0.51 * size)
     return Pose.from_rotation(turn, turn @ centre + distance * back)
 
 
@@ -311,8 +311,8 @@ def _card(robot: Robot, captions: tuple[str, str], pair: tuple[Image, Image]) ->
     x = 0
     for image, caption in zip(pair, captions, strict=True):
         card[top : top + height, x : x + image.shape[1]] = image
-        room = image.shape[1] - 2 * letter
-        size = min(letter, max(8, letter * room // max(1, text_size(caption, letter)[0])))
+        space = image.shape[1] - 2 * letter
+        size = min(letter, max(8, letter * space // max(1, text_size(caption, letter)[0])))
         write(card, caption, (x + letter, top + height + round(1.1 * letter)), size, _GREY)
         x += image.shape[1] + 2
     return card

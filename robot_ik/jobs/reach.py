@@ -356,7 +356,7 @@ def _accept(report: ReachReport) -> None:
 
 def _known(report: ReachReport) -> Bound:
     """Standard deviation of the goal as the last look at the marker tells it."""
-    assert report.seen is not None and report.vision is not None  # eyes have seen it
+    assert report.seen is not None and report.vision is not None
     return report.seen.uncertainty(report.vision.stage.pose_marker_tool.position)
 
 
@@ -417,7 +417,7 @@ def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
     from robot_ik.execution import follow
 
     request, setup, vision = report.request, report.setup, report.vision
-    assert vision is not None  # without a goal there are eyes
+    assert vision is not None  # without a goal there is a camera
 
     behind: list[float] = []
 

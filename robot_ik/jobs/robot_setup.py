@@ -207,7 +207,7 @@ def prepare_robot(request: ReachRequest) -> RobotSetup:
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.faults import Faults
+    from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
     before = {name: limits for name, _, limits in _ranges(robot)}
@@ -223,9 +223,11 @@ def prepare_robot(request: ReachRequest) -> RobotSetup:
         arm = open_arm(config, request.bus)
         return RobotSetup(limited, frame, limits, config, arm, arm.clock)
     rehearsal = request.rehearsal
-    faults = Faults.for_joints(config, zero_offset_deg=rehearsal.zero_offset_deg, stuck=rehearsal.stuck)
+    faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
+    faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
     clock = row.clock()
-    servos = VirtualBus.from_config(config, clock, limited.home, faults)
+    servos = VirtualBus.from_config(config, clock, limited.home)
+    servos.inject(*faults)
     return RobotSetup(
         limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock
     )

@@ -40,7 +40,7 @@ REST_SECONDS = 1.5
 
 
 class WithoutTruth(ClosingSource):
-    """A source whose pictures come without their truth; the truth is kept aside for the report."""
+    """A source whose pictures come without their truth; the truth is kept for the report."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source

@@ -17,7 +17,7 @@ from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 
 # Columns of ``links`` (points, LINK_COLUMNS), int64.  Points are the nodes, then the goals.
 UP, FIRST, NEXT, THROUGH, STACK, PATH, LINK_COLUMNS = range(7)
-# Columns of ``points`` (points, POINT_COLUMNS): where it is, where it is wished, what it counts, how far
+# Columns of ``points`` (points, POINT_COLUMNS): where it is, its target, its weight, how far
 # along its hinge's axis it stands from the node's origin, and the length of the bone that ends in it.
 NOW, WISH, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
 
@@ -87,7 +87,7 @@ def link_points(tree, goal, nodes, links, points):
 
 @pure
 def apart(points, b, at_b, a, at_a):
-    """Distance of two points, each as it is (NOW) or as it is wished (WISH)."""
+    """Distance of two points, each as it is (NOW) or its target (WISH)."""
     x = points[b, at_b] - points[a, at_a]
     y = points[b, at_b + 1] - points[a, at_a + 1]
     z = points[b, at_b + 2] - points[a, at_a + 2]
@@ -203,13 +203,13 @@ def third_side_angle(a, c, b):
 
 
 # ------------------------------------------------------------------------------------------
-# The turn that brings vectors nearest to where they are wished, from their 3 x 3 correlation.
+# The rotation that brings vectors nearest to their targets, from their 3 x 3 correlation.
 #
-# With M = Σ w d pᵀ over vectors p that are wished along d, a turn by φ about a unit axis u gains
+# With M = Σ w d pᵀ over vectors p with targets along d, a rotation by φ about a unit axis u gains
 # A cos φ + B sin φ, where A = tr M − uᵀ M u and B = u · Σ w p × d (Wang & Chen, IEEE T-RA 7(4), 1991).
 
 
-# ``sums``: M row by row, and how many vectors there are; then how much a hinge heeds the goals themselves
+# ``sums``: M row by row, and how many vectors there are; then how much a hinge weighs the goals themselves
 # beside the next points (0 = not at all), and how much a ball does.
 # In KEPT, the pose of a joint before it turns.
 AIMS, PULL, BALL_PULL, KEPT, SUM_SIZE = 9, 10, 11, 12, 24
@@ -217,7 +217,7 @@ AIMS, PULL, BALL_PULL, KEPT, SUM_SIZE = 9, 10, 11, 12, 24
 
 @pure
 def add_aim(sums, weight, dx, dy, dz, px, py, pz):
-    """One more vector p that is wished along d."""
+    """One more vector p whose target is along d."""
     sums[0] += weight * dx * px
     sums[1] += weight * dx * py
     sums[2] += weight * dx * pz
@@ -275,7 +275,7 @@ def turn_axis(sums):
 
 
 # ------------------------------------------------------------------------------------------
-# One joint's best turn: how joints follow points that a geometric method wishes somewhere.
+# One joint's best rotation: how joints follow the targets that a geometric method gives to points.
 #
 # ``settle`` turns the joints, root to tip, each about its real axis and inside its limits, to the exact
 # optimum of its own: q is feasible at all times.
@@ -303,7 +303,7 @@ def mark_hanging(goal, links):
 
 @outlined
 def add_point(points, sums, k, c):
-    """Point ``c`` is wished where it is wished, seen from point ``k``."""
+    """Point ``c`` and its target, seen from point ``k``."""
     add_aim(
         sums, points[c, SHARE],
         points[c, WISH] - points[k, NOW], points[c, WISH + 1] - points[k, NOW + 1],
@@ -315,7 +315,7 @@ def add_point(points, sums, k, c):
 
 @outlined
 def add_columns(goal, work, sums, share, g):
-    """The axes of goal ``g``'s frame are wished along those of its target."""
+    """The axes of goal ``g``'s frame have those of its target for targets."""
     w = share * goal.weight[g, 1] * goal.weight[g, 1]
     for i in range(3, 6):
         add_aim(
@@ -339,7 +339,7 @@ def gather(tree, goal, work, links, points, one, sums, k):
     """Into ``sums``, what joint ``k`` should aim at: the next points that it moves.
 
     A point that it cannot move, because their anchors coincide or it lies on the axis, is looked
-    through to the ones behind it (links[k, THROUGH] tells).
+    through to the ones behind it (links[k, THROUGH]).
     """
     n = tree.parent.shape[0]
     for i in range(AIMS + 1):
@@ -373,7 +373,7 @@ def gather(tree, goal, work, links, points, one, sums, k):
 def heed_goals(tree, goal, work, links, points, sums, k, pull):
     """Adds to ``sums`` the goals that hang on joint ``k``, as they would be if later joints stayed.
 
-    A bone's wish says nothing of an error across the bone, which a ball can take out and a hinge cannot:
+    A bone's target contains no error across the bone, which a ball can take out and a hinge cannot:
     without this, hinges whose axes are not parallel wait for each other.
     """
     n = tree.parent.shape[0]
@@ -527,7 +527,7 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
 
 @outlined
 def settle(tree, goal, work, links, points, one, sums, sweeps):
-    """Brings the points towards their wishes: every joint once, root to tip, to its own optimum.
+    """Brings the points towards their targets: every joint once, root to tip, to its own optimum.
 
     Joints that aim at the same point (anchors that coincide, or axes that meet) are gone over
     ``sweeps`` times, because together they do what none of them can do alone.

@@ -8,7 +8,7 @@
 Why not a tuple or a structref: a tuple of 25 arrays is 175 machine words that LLVM copies at each use,
 which makes a solver compile four times longer; a structref counts references at each use, and the
 first of its type costs 0.2 s in every process.  A bundle is one pointer.  A table keeps the arrays alive
-that it points to; a bare address does not keep its table, so whoever holds one holds the table beside it.
+that it points to; a bare address does not keep its table, so its holder holds the table beside it.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -33,6 +33,7 @@ _ARRAY_OF: dict[str, tuple[Any, Any]] = {
     "table": (types.Array(types.float64, 2, "C"), np.float64),
     "int_table": (types.Array(types.int64, 2, "C"), np.int64),
 }
+_NUMBER_OF = {float: types.float64, int: types.int64, bool: types.boolean}
 _COLUMNS = 3  # address, rows, columns
 _WORD = ir.IntType(64)
 
@@ -100,8 +101,49 @@ def _lower_field(context: Any, builder: Any, kind: BundleType, pointer: Any, nam
     return array._getvalue()
 
 
+class RowType(types.Type):
+    """numba's type of an open row of named numbers; equal names in equal order are equal types."""
+
+    def __init__(self, title: str, fields: tuple[tuple[str, type], ...]) -> None:
+        self.place = {name: (k, kind) for k, (name, kind) in enumerate(fields)}
+        super().__init__(name=f"Row({title}: {' '.join(f'{n}={k.__name__}' for n, k in fields)})")
+
+
+register_model(RowType)(_BundleModel)
+
+
+@infer_getattr
+class _Numbers(AttributeTemplate):
+    key = RowType
+
+    def generic_resolve(self, kind: RowType, name: str) -> Any:  # type: ignore[override]
+        found = kind.place.get(name)
+        return None if found is None else _NUMBER_OF[found[1]]
+
+
+@lower_getattr_generic(RowType)  # type: ignore[untyped-decorator]
+def _lower_number(context: Any, builder: Any, kind: RowType, pointer: Any, name: str) -> Any:
+    place, number = kind.place[name]
+    doubles = builder.bitcast(pointer, ir.DoubleType().as_pointer())
+    value = builder.load(builder.gep(doubles, [ir.Constant(_WORD, place)]))
+    value.set_metadata("invariant.load", builder.module.add_metadata([]))
+    if number is bool:
+        return builder.fcmp_unordered("!=", value, ir.Constant(ir.DoubleType(), 0.0))
+    return builder.fptosi(value, _WORD) if number is int else value
+
+
+def named_row(title: str, fields: tuple[tuple[str, type], ...]) -> Callable[[Any], Any]:
+    """What opens, in compiled code, an array (n,) of floats as numbers with names.
+
+    Args:
+        title: Of the row, for messages of the compiler.
+        fields: Name and ``float``, ``int`` or ``bool`` of each number.
+    """
+    return _opener(RowType(title, fields))
+
+
 def address_of(table: NDArray[Any]) -> Any:
-    """The address of a packed table, which whoever uses it must hold too; other arrays as they are.
+    """The address of a packed table, whose user must hold the table too; other arrays as they are.
 
     An integer passes into compiled code a tenth of a microsecond faster than an array.
     """
@@ -136,15 +178,16 @@ class Layout:
         return np.asarray(_Owner(table, tuple(arrays[name] for name in self.fields)))
 
 
-def _opener(kind: BundleType) -> Callable[[Any], Any]:
+def _opener(kind: BundleType | RowType) -> Callable[[Any], Any]:
     @intrinsic
     def open_bundle(_typing: Any, table: Any) -> Any:
-        """The bundle of a table of addresses, or of the address of one (``table.ctypes.data``)."""
+        """Of an array, or of the address of one (``table.ctypes.data``)."""
 
         def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             if isinstance(signature.args[0], types.Integer):
                 return builder.inttoptr(arguments[0], _WORD.as_pointer())
-            return make_array(signature.args[0])(context, builder, value=arguments[0]).data
+            data = make_array(signature.args[0])(context, builder, value=arguments[0]).data
+            return builder.bitcast(data, _WORD.as_pointer())
 
         return kind(table), build
 

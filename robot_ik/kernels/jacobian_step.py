@@ -12,7 +12,7 @@ A step is made as follows; the middle is what makes a method:
     cap(work, gain, max_step)
 
 A *pinned* joint stands at its bound and would be pushed out: its column is zero, so that the others do
-its work and it holds nobody back.  Joints inside their range are never pinned.
+its work and it holds no other joint back.  Joints inside their range are never pinned.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -23,7 +23,7 @@ from robot_ik.kernels.loop import step_bounds
 from robot_ik.kernels.residuals import goal_jacobian
 from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 
-# A joint with less room than this, rad or m, stands at its bound.
+# A joint nearer to its bound than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
 # Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
 _MISTRUST = 0.1
@@ -70,7 +70,7 @@ def prepare(tree, goal, work, clamp, alternative):
     The last descent does without it and clamps all goals alike: it is to end where the cost itself is least.
     """
     last = work.state[POLISHING] > 0
-    if alternative > 0.0 and not last:
+    if alternative and not last:
         goal_jacobian(tree, goal, work, goal.target)
     else:
         goal_jacobian(tree, goal, work, work.frames)
@@ -137,7 +137,7 @@ def pin_outward(work):
 
 @outlined
 def keep_inside(work):
-    """Cuts work.step to the room of each joint; shortens it as a whole where cutting would lead uphill.
+    """Cuts work.step to the bounds of each joint; shortens it as a whole where cutting would lead uphill.
 
     Returns the share of the whole step that is left, 1 where single joints were cut.
     """

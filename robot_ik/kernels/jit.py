@@ -8,8 +8,11 @@ imports, so an edit starts a fresh one for what it concerns, and for nothing els
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import hashlib
+import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -20,7 +23,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from llvmlite import binding as llvm
 from numba import types
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult
 from numba.extending import intrinsic
 
 from robot_ik.errors import ConfigError
@@ -35,6 +42,24 @@ if numba_config.DISABLE_JIT:
 
 logger = logging.getLogger("robot_ik.kernels")
 
+
+def _load_arrays_without_blas() -> None:
+    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
+
+    numba imports it only to see that it is there, and once more when code that calls it is compiled.
+    """
+    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
+        return
+    linalg: Any = importlib.import_module("numba.np.linalg")
+    look, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = look
+
+
+_load_arrays_without_blas()
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Not nnan and ninf: comparisons with NaN and infinity must mean what they say.  Even so LLVM folds
@@ -46,14 +71,14 @@ _OPTIONS: dict[str, Any] = {
 
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-# Rooms with compiled code: what compiled code of one file takes from another lies in them.
+# Packages with compiled code: what compiled code of one file takes from another lies in them.
 _ROOMS = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
 _IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of ``solvers.ccd``; None for what is not a module of a room with compiled code."""
+    """The source of ``solvers.ccd``; None for what is not in a package with compiled code."""
     if module.split(".")[0] not in _ROOMS:
         return None
     path = _PACKAGE.joinpath(*module.split("."))
@@ -119,6 +144,80 @@ def cache_folder(module: str = __name__) -> Path:
     return Path(tempfile.mkdtemp(prefix="robot-ik-"))
 
 
+# ------------------------------------------------------------------------------------------
+# Inner functions are kept as unoptimised LLVM code; an entry point links in all that it calls, optimises
+# it and makes machine code of it, once.  numba by itself does so for every function together with all that
+# lies below it: a function six calls deep would be optimised six times, which doubled a first compile.
+
+
+class _NoEnvironment:
+    """What numba sees as an inner library's code generator: it has no machine code that could hold one."""
+
+    @staticmethod
+    def set_env(name: str, environment: Any) -> None:
+        """Does nothing: an environment is for Python objects, and inner functions have none."""
+
+
+class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """LLVM code of a function that compiled code alone calls, to be linked into its callers."""
+
+    codegen = _NoEnvironment
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        # Where Python would enter: a TypeError in place of a crash.
+        return ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value or 0
+
+    def serialize_using_object_code(self) -> tuple[str, bytes]:
+        return self.name, self._get_module_for_linking().as_bitcode()
+
+    @classmethod
+    def load(cls, codegen: Any, name: str, bitcode: bytes) -> _InnerLibrary:
+        """From what ``serialize_using_object_code`` gave."""
+        library = cls(codegen, name)
+        library._final_module = library._shared_module = llvm.parse_bitcode(bitcode)
+        library._finalize_final_module()
+        return library
+
+
+class _InnerCompiler(Compiler):  # type: ignore[misc]
+    def compile_extra(self, function: Any) -> Any:
+        self.state.library = _InnerLibrary(self.state.targetctx.codegen(), function.__qualname__)
+        return super().compile_extra(function)
+
+
+class _InnerCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        return CompileResult._rebuild(_InnerContext(target_context), *payload)
+
+
+class _InnerCache(FunctionCache):  # type: ignore[misc]
+    _impl_class = _InnerCacheImpl
+
+
+class _InnerContext:
+    """A target context that makes inner libraries of what the cache holds."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+    def codegen(self) -> Any:
+        return self
+
+    def unserialize_library(self, state: tuple[str, bytes]) -> _InnerLibrary:
+        return _InnerLibrary.load(self._context.codegen(), *state)
+
+
 def _compile(function: F, **options: Any) -> F:
     previous = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(function.__module__))
@@ -127,6 +226,18 @@ def _compile(function: F, **options: Any) -> F:
     finally:
         numba_config.CACHE_DIR = previous
     return compiled
+
+
+def _compile_inner(function: F, **options: Any) -> F:
+    previous = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
+    try:
+        options |= {"cache": False, "pipeline_class": _InnerCompiler, "no_cpython_wrapper": True}
+        compiled: Any = numba.njit(**(_OPTIONS | {"_nrt": False} | options))(function)
+        compiled._cache = _InnerCache(function)
+    finally:
+        numba_config.CACHE_DIR = previous
+    return compiled  # type: ignore[no-any-return]
 
 
 def kernel(function: F) -> F:
@@ -143,23 +254,23 @@ def pure(function: F) -> F:
     Without this, numba counts references at every array that passes through a tuple or a call: a solver
     step then costs 4 µs instead of 0.5.  Such a function may be called from compiled code only.
     """
-    return _compile(function, _nrt=False, forceinline=True, no_cpython_wrapper=True)
+    return _compile_inner(function, forceinline=True)
 
 
 def literal(function: F) -> F:
     """Like ``pure``, but sums are formed as they are written: where rounding errors shall cancel."""
-    return _compile(function, _nrt=False, forceinline=True, no_cpython_wrapper=True, fastmath={"contract"})
+    return _compile_inner(function, forceinline=True, fastmath={"contract"})
 
 
 def outlined(function: F) -> F:
-    """Like ``pure`` but compiled on its own: what is large or called twice, so that it is optimised once."""
-    return _compile(function, _nrt=False)
+    """Like ``pure`` but never forced into its callers: what is large or called from several places."""
+    return _compile_inner(function)
 
 
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
     """The compiled code of an entry point, which takes arguments of the types of these and asks no more.
 
-    numba's own call looks at the type of each argument first, which costs a tenth of a microsecond.
+    numba's own call inspects the type of each argument first, which costs a tenth of a microsecond.
     """
     types = tuple(numba.typeof(argument) for argument in arguments)
     function.compile(types)

@@ -7,7 +7,7 @@ from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
 
-# A joint with less room than this, rad or m, stands at its bound.
+# A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
 # Singular vectors: sweeps at most (six or seven are enough), and what counts as rounding.
 _SWEEPS = 40

@@ -121,7 +121,7 @@ def draw(tree, nodes, start, state, q):
 
 @outlined
 def apply_step(tree, goal, nodes, step, dq, q):
-    """q = q ⊕ ease · step for the goals' degrees of freedom, inside the limits; ``dq`` is work space."""
+    """q = q ⊕ joint scale · step for the goals' joints, inside the limits; ``dq`` is work space."""
     dofs, joint_scale = goal.dofs, goal.joint_scale
     kind, qadr, vadr, dof_node, lower, upper = (
         tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,

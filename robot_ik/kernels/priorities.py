@@ -16,7 +16,7 @@ import math
 from numba import types
 
 from robot_ik.kernels.jacobian_step import goal_end
-from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import eliminate
 from robot_ik.kernels.loop import (
@@ -32,8 +32,7 @@ from robot_ik.kernels.loop import (
     some_within_reach,
     step_bounds,
 )
-from robot_ik.kernels.residuals import goal_jacobian, open_goals
-from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.residuals import goal_jacobian
 from robot_ik.kernels.workspace import (
     ALL_GOALS,
     BEST_COST,
@@ -62,8 +61,6 @@ from robot_ik.kernels.workspace import (
     STATUS,
     TRY_LIMIT,
     TRY_STEPS,
-    open_run,
-    open_work,
 )
 
 # Damping of levels that are served already: nothing where they are met, else in proportion to their cost.
@@ -476,12 +473,13 @@ def keep_first(work):
 def level_step(tree, goal, work, options):
     """One step of the level that is being served; taken back unless it helps and harms no earlier level."""
     state, value = work.state, work.value
-    floor, increase, decrease, least = options[0], options[2], options[3], options[4]
+    floor, least = options.floor, options.least
+    increase, decrease = options.increase, options.decrease
     stage = state[STAGE]
     before = work.level_cost[stage]
     soft = stage >= needed_levels(goal)
     if state[TRY_STEPS] == 0 and not soft:
-        value[DAMPING] = options[1]
+        value[DAMPING] = options.damping
     copy(work.q, work.accepted)
     damping = value[DAMPING] if soft else value[DAMPING] * before + floor
     pressed, largest = stacked_step(tree, goal, work, stage, damping)
@@ -678,14 +676,12 @@ def begin_levels(tree, goal, work, first_damping):
         state[STATUS] = RUNNING  # what is only wanted is still to be served
 
 
-@kernel
-def lm_levels(run):
-    """``lm`` for goals of several priorities, and for soft ones; options as there."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
-    state, options, levels = work.state, run.options, work.level_cost.shape[0]
+@pure
+def run_levels(tree, goal, work, options):
+    """All steps of a solve, until it ends or its slice does."""
+    state, levels = work.state, work.level_cost.shape[0]
     if state[STATUS] != RUNNING:
-        begin_levels(tree, goal, work, options[1])
+        begin_levels(tree, goal, work, options.damping)
     while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
         stage = state[STAGE]
         if stage >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
@@ -694,6 +690,6 @@ def lm_levels(run):
             if not step_together(tree, goal, work):
                 state[STAGE], state[STALLS] = 0, 0
         elif level_met(goal, work, stage) or exhausted(state):
-            next_level(tree, goal, work, options[1])
+            next_level(tree, goal, work, options.damping)
         else:
             level_step(tree, goal, work, options)

@@ -37,10 +37,8 @@ from robot_ik.kernels.tree import BALL, FREE, SLIDE, open_tree
 from robot_ik.kernels.workspace import open_work
 
 # ------------------------------------------------------------------------------------------
-# Rows of the goals that ask for a part of a pose, for the centre of mass or for the joints.
-#
-# Whole positions, orientations and poses have a path of their own in ``residuals.py``, which is quicker.
-# A goal says in ``goal.how`` which rows it makes:
+# Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;
+# ``goal.how`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
 #
 #     place   all three coordinates, some of them in the axes of the target, or one side of a plane only
 #     turn    the whole orientation, one axis along the target's, or one axis aimed at the target's origin
@@ -323,7 +321,7 @@ GOALS = Layout(
     moments="table",  # … and their work space
     posture="table",  # (g, nq) where a posture wants the joints
     joint_weight="table",  # (g, nv) and how much each counts
-    feature="int_table",  # (n, 3) what a pose prior looks at, see ``pose_prior``; there is one at most
+    feature="int_table",  # (n, 3) the features of a pose prior, see ``pose_prior``; there is one at most
     prior="table",  # (…, n) its mixture, and its work space
 )
 open_goals = GOALS.open

@@ -250,7 +250,7 @@ def frame_rows(tree, body, what, target, t, g):
 
 @outlined
 def measure_way(tree, body, q):
-    """What lies between the frame before and q, (nv,), and the room of every joint for the next step."""
+    """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
     previous, way = body.previous, body.way
     for k in range(tree.kind.shape[0]):
         a, v = tree.qadr[k], tree.vadr[k]

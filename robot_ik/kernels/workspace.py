@@ -63,7 +63,7 @@ WORK = Layout(
     factor="table",  # (k, k), k = max(m, nu)
     gradient="floats",  # (nu,)
     step="floats",  # (nu,) the step to take
-    low="floats",  # (nu,) room of the step
+    low="floats",  # (nu,) lower bounds of the step
     high="floats",  # (nu,)
     rhs="floats",  # (k,)
     free="ints",  # (k,)

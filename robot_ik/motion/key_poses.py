@@ -7,16 +7,18 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from robot_ik.errors import ConfigError, TrajectoryError, close_matches
-from robot_ik.files import read_toml, shown, write_atomically
+from robot_ik.files import shown, write_atomically
 from robot_ik.kernels.tree import Q_WIDTH
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
+from robot_ik.tables import Several, Table, read_table
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -149,28 +151,35 @@ class KeyPoses:
 
     @classmethod
     def load(cls, path: Path | str, robot: Robot) -> KeyPoses:
-        """Reads what ``save`` wrote; joints that a pose does not name stand as at home.
+        """Reads what ``save`` wrote; joints that a pose does not name are as in the home pose.
 
         Raises:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        content = read_toml(file, "the key poses", hint="robot-ik poses record makes one")
-        for key in content:
-            if key not in ("schema", "robot", "poses", "motions"):
-                raise ConfigError("unknown key", file=file, key=key, allowed="schema, robot, poses, motions")
-        if content.get("schema") != 1:
-            raise ConfigError(f"{content.get('schema')!r} is not right", file=file, key="schema", allowed="1")
+        content = read_table(_File, file, "the key poses", "robot-ik poses record makes one")
         book = cls(robot)
-        for name, joints in _tables(content, "poses", file):
+        for name, joints in content.poses.items():
             q = _pose_of(robot, joints, file, name)
             with _in_file(file, f"poses.{name}"):
                 book.record(name, q)
-        for name, table in _tables(content, "motions", file):
-            motion = _sequence_of(table, f"motions.{name}", file)
+        for name, motion in content.motions.items():
             with _in_file(file, f"motions.{name}"):
                 book.record_motion(name, motion.poses, motion.durations, loop=motion.loop)
         return book
+
+
+class _Motion(Table):
+    poses: Annotated[Several[str], Field(description="names of poses")]
+    durations: Annotated[Several[float], Field(description="seconds")] = ()
+    loop: bool = False
+
+
+class _File(Table):
+    version: Annotated[Literal[1], Field(alias="schema")]
+    robot: str = ""
+    poses: dict[str, dict[str, float | Several[float]]] = Field(default={})
+    motions: dict[str, _Motion] = Field(default={})
 
 
 def _stated_limits(robot: Robot) -> Array:
@@ -188,15 +197,7 @@ def _in_file(file: Path, key: str) -> Iterator[None]:
         raise ConfigError(str(error.args[0]), file=file, key=key, hint=error.hint) from error
 
 
-def _tables(content: Mapping[str, Any], key: str, file: Path) -> list[tuple[str, dict[str, Any]]]:
-    """The tables below ``key``, by name."""
-    found = content.get(key, {})
-    if not isinstance(found, dict) or not all(isinstance(table, dict) for table in found.values()):
-        raise ConfigError("is no table of tables", file=file, key=key, allowed=f"[{key}.NAME] …")
-    return list(found.items())
-
-
-def _pose_of(robot: Robot, joints: Mapping[str, Any], file: Path, name: str) -> Array:
+def _pose_of(robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file: Path, name: str) -> Array:
     """(nq,) home with the joints that a table names."""
     q = np.array(robot.home)
     for joint, value in joints.items():
@@ -207,36 +208,12 @@ def _pose_of(robot: Robot, joints: Mapping[str, Any], file: Path, name: str) -> 
             raise ConfigError(problem, file=file, key=key, allowed=f"a joint of {robot.name!r}")
         k = robot.joints.index(joint)
         width, first = Q_WIDTH[int(robot.tree.kind[k])], int(robot.tree.qadr[k])
-        values = [value] if width == 1 else value
-        numbers = isinstance(values, list) and all(
-            isinstance(v, int | float) and not isinstance(v, bool) for v in values
-        )
-        if not numbers or len(values) != width:
-            raise ConfigError(
-                f"{shown(value)} is not right", file=file, key=key,
-                allowed="a number, rad or m" if width == 1 else f"{width} numbers",
-            )  # fmt: skip
+        values = [value] if isinstance(value, int | float) else list(value)
+        if len(values) != width:
+            allowed = "a number, rad or m" if width == 1 else f"{width} numbers"
+            raise ConfigError(f"{shown(value)} is not right", file=file, key=key, allowed=allowed)
         q[first : first + width] = values
     return q
-
-
-def _sequence_of(table: Mapping[str, Any], key: str, file: Path) -> KeySequence:
-    """A motion of its table."""
-    allowed = {"poses": list, "durations": list, "loop": bool}
-    for name, value in table.items():
-        if name not in allowed:
-            raise ConfigError("unknown key", file=file, key=f"{key}.{name}", allowed=", ".join(allowed))
-        kind = {"poses": str, "durations": int | float}.get(name)
-        fits = isinstance(value, allowed[name])
-        if fits and kind is not None:
-            fits = all(isinstance(item, kind) and not isinstance(item, bool) for item in value)
-        if not fits:
-            what = {"poses": "names of poses", "durations": "seconds", "loop": "true or false"}[name]
-            raise ConfigError(f"{shown(value)} is not right", file=file, key=f"{key}.{name}", allowed=what)
-    if "poses" not in table:
-        raise ConfigError("this key is missing", file=file, key=f"{key}.poses", allowed="names of poses")
-    durations = tuple(float(value) for value in table.get("durations", ()))
-    return KeySequence(tuple(table["poses"]), durations, table.get("loop", False))
 
 
 def _by_joint(robot: Robot, q: Array) -> Iterator[tuple[str, list[float]]]:

@@ -113,7 +113,7 @@ def line_move(
         acceleration: (nq,) likewise, rad/s^2.
 
     Raises:
-        TrajectoryError: A place on the line cannot be reached, or only by a jump of a joint; tells
+        TrajectoryError: A place on the line cannot be reached, or only by a jump of a joint; states
             how far the line is possible and which joint is in the way.
         UnsupportedJointError: The robot has ball or free joints.
     """
@@ -161,7 +161,7 @@ class _Tracer:
     """Solves places on one line, each from its neighbour.
 
     Args:
-        robot: Its joint names and limits are told in errors.
+        robot: Its joint names and limits appear in errors.
         frame: The frame that runs straight.
         line: Where it runs.
         near: The joint vector (nq,) of a pose nearest to a start, None where there is none.

@@ -100,7 +100,7 @@ def fit_pose_prior(
         parts: Of the mixture.
         poses: So many are kept, those that differ most.
         mirror: Learn from each pose and its mirror image.
-        names: Features to look at; None: all, ``feature_names``.
+        names: Features to use; None: all, ``feature_names``.
         seed: Of the first guess.
 
     Raises:

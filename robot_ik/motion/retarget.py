@@ -15,15 +15,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field, field_validator
 
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
-from robot_ik.files import config_error, read_toml
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.motion.bvh import Bvh, qpos_places
@@ -32,6 +31,7 @@ from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
+from robot_ik.tables import Several, Table, WrongKey, read_table
 
 SIDES = ("left", "right")
 ROLES = (
@@ -52,16 +52,22 @@ _BUDGET = Budget(iterations=60, restarts=0)
 _FIRST_BUDGET = Budget(iterations=2000)
 
 
-class _Role(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class _Role(Table):
     body: str
-    names: tuple[str, ...]
+    names: Several[str]
 
 
-class _MapFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    schema_: Literal[1]
+class _MapFile(Table):
+    version: Annotated[Literal[1], Field(alias="schema")]
     roles: dict[Literal[ROLES], _Role]  # type: ignore[valid-type]
+
+    @field_validator("roles")
+    @classmethod
+    def _all(cls, roles: dict[str, _Role]) -> dict[str, _Role]:
+        for role in ROLES:
+            if role not in roles:
+                raise WrongKey("this key is missing", role, "body, names")
+        return roles
 
 
 @dataclass(frozen=True)
@@ -86,17 +92,7 @@ class SkeletonMap:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        content = read_toml(file, "the map of joints")
-        content["schema_"] = content.pop("schema", None)
-        try:
-            parsed = _MapFile.model_validate(content)
-        except ValidationError as error:
-            raise config_error(error, file) from error
-        missing = [role for role in ROLES if role not in parsed.roles]
-        if missing:
-            raise ConfigError(
-                "this key is missing", file=file, key=f"roles.{missing[0]}", allowed="body, names"
-            )
+        parsed = read_table(_MapFile, file, "the map of joints")
         return cls(
             {role: row.body for role, row in parsed.roles.items()},
             {role: row.names for role, row in parsed.roles.items()},

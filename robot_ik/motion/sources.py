@@ -40,7 +40,7 @@ class FixedGoal:
 
 
 class ManualSource:
-    """The goal that somebody set last; may be set from any thread.
+    """The goal that was set last; may be set from any thread.
 
     Setting only stores, so front ends and callbacks never wait for the loop.
 

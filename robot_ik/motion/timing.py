@@ -27,7 +27,7 @@ class Profile:
     """Progress from 0 to 1, at rest at both ends.
 
     Attributes:
-        duration: Shortest time in seconds that honours the bounds it was made for.
+        duration: Shortest time in seconds that keeps the bounds it was made for.
         progress: Phase (n,) in [0, 1] (time over duration) to progress (n,) in [0, 1].
     """
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError, UnsupportedJointError
 from robot_ik.goals import GOALS, Goal, PositionGoal
 from robot_ik.kernels import jit, workspace
-from robot_ik.kernels.bundle import address_of
+from robot_ik.kernels.bundle import address_of, named_row
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.problem import Budget, CompiledProblem, Problem
 from robot_ik.solution import STATUS_OF, Solution
@@ -87,7 +87,7 @@ class Solver(ABC):
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
         parts: Whether it also serves goals that ask for single coordinates or axes only.
-        capabilities: What else of a problem it heeds: ``couplings``, ``stiffness``, ``priorities``,
+        capabilities: What else of a problem it supports: ``couplings``, ``stiffness``, ``priorities``,
             ``soft`` goals.
     """
 
@@ -237,17 +237,16 @@ class IterativeSolver(Solver):
         """The compiled loop that this problem needs, where there are several."""
         return self.kernel()
 
-    @abstractmethod
-    def parameters(self) -> tuple[float, ...]:
-        """What the kernel takes as its options, in its order."""
-
     @cached_property
-    def _options(self) -> Array:
-        return np.array(self.parameters(), dtype=float)
+    def option_values(self) -> Array:
+        """What the kernel takes as its options: ``options_of`` gives them their names."""
+        values = [(item, getattr(self, item.name)) for item in fields(self)]
+        choices = [item.metadata["choices"].index(v) if isinstance(v, str) else v for item, v in values]
+        return np.array(choices, dtype=float)
 
     def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
         """What the kernel takes for a problem, in its order."""
-        return compiled.tree, compiled.goals, compiled.work, self._options
+        return compiled.tree, compiled.goals, compiled.work, self.option_values
 
     def load(self, problem: Problem) -> None:
         self._run_for(problem)
@@ -303,12 +302,27 @@ class IterativeSolver(Solver):
         return state, value
 
 
+def options_of(solver: type[IterativeSolver]) -> Callable[[Any], Any]:
+    """What a kernel opens its options with, as a global of its module: then they have their names.
+
+    Those with choices are the number of the choice.
+
+    Raises:
+        TypeError: A field is no float, int, bool or choice.
+    """
+    kinds: dict[str, type] = {"float": float, "int": int, "bool": bool, "str": int}
+    names = [(item.name, getattr(item.type, "__name__", item.type)) for item in fields(solver)]
+    if wrong := [f"{name}: {kind}" for name, kind in names if kind not in kinds]:
+        raise TypeError(f"options of {solver.__name__} must be {', '.join(kinds)}, not {', '.join(wrong)}")
+    return named_row(solver.__name__, tuple((name, kinds[str(kind)]) for name, kind in names))
+
+
 class Run:
     """A solver's compiled loop for one problem: made once, so that the hot loop only copies numbers.
 
     Attributes:
         solver, budget, seed: What ``fresh`` was made for.
-        entry: The compiled loop without numba's look at its arguments.
+        entry: The compiled loop without numba's inspection of its arguments.
         tables: What it works on; holds what ``arguments`` has addresses of.
         arguments: What it takes: the addresses of tables, and arrays.
         fresh: State and values that a solve begins with.
@@ -404,10 +418,6 @@ class JacobianSolver(IterativeSolver):
     )
     gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0))
     alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
-
-    def common(self) -> tuple[float, ...]:
-        """The shared options in the order of ``kernels/jacobian_step.py``."""
-        return (self.clamp, float(self.alternative), self.gain, self.max_step)
 
 
 # ------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import IterativeSolver, option
+from robot_ik.solvers.base import IterativeSolver, option, options_of
 
 ORDERS = ("tip_to_root", "root_to_tip")
 AXES = ("joint", "free")
@@ -60,8 +60,8 @@ class CyclicCoordinateDescent(IterativeSolver):
     def kernel(self) -> Callable[..., None]:
         return ccd
 
-    def parameters(self) -> tuple[float, ...]:
-        return (float(ORDERS.index(self.order)), float(AXES.index(self.axis)))
+
+open_options = options_of(CyclicCoordinateDescent)
 
 
 @outlined
@@ -225,9 +225,10 @@ def sweep(tree, goal, work, from_root, freely, one, old):
 
 @kernel
 def ccd(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: whether from the root, whether about free axes."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
-    from_root, freely = options[0] > 0.0, options[1] > 0.0
+    options = open_options(options)
+    from_root, freely = options.order > 0, options.axis > 0
     one, old = np.empty(1, dtype=np.int64), np.empty(12)
     begin(tree, goal, work)
     while proceed(tree, goal, work):

@@ -32,7 +32,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import DAMPING, PRESSED, open_work
-from robot_ik.solvers.base import JacobianSolver, option
+from robot_ik.solvers.base import JacobianSolver, option, options_of
 
 MODES = ("constant", "adaptive", "svd")
 CONSTANT, ADAPTIVE, SVD = range(3)
@@ -57,8 +57,8 @@ class DampedLeastSquares(JacobianSolver):
     def kernel(self) -> Callable[..., None]:
         return dls
 
-    def parameters(self) -> tuple[float, ...]:
-        return (*self.common(), self.damping, float(MODES.index(self.mode)), self.threshold)
+
+open_options = options_of(DampedLeastSquares)
 
 
 @outlined
@@ -104,20 +104,21 @@ def svd_damped(work, damping, adaptive, threshold):
 @outlined
 def dls_step(tree, goal, work, options):
     """work.step from the clamped residual; joints at a limit do not hold the others back."""
-    clamp, alternative, gain, max_step, damping = options[0], options[1], options[2], options[3], options[4]
-    mode = int(options[5])
+    clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
+    damping, mode = options.damping, options.mode
     prepare(tree, goal, work, clamp, alternative)
     if mode == CONSTANT:
         box_damped(goal, work, damping)
     else:
-        svd_damped(work, damping, mode == ADAPTIVE, options[6])
+        svd_damped(work, damping, mode == ADAPTIVE, options.threshold)
     cap(work, gain, max_step)
 
 
 @kernel
 def dls(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: the shared four, damping, mode, threshold."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         dls_step(tree, goal, work, options)

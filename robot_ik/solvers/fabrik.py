@@ -1,17 +1,17 @@
 """FABRIK: forward and backward reaching over joint positions, on trees of real joints.
 
-Reaching back, each goal pulls its bones from the tip towards the root: a joint's wish is the point at
-bone's length from the next joint's wish, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
+Reaching back, each goal pulls its bones from the tip towards the root: a joint's target is the point at
+bone's length from the next joint's target, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
 fast, iterative solver for the inverse kinematics problem, Graphical Models 73(5), 2011, algorithm 1); at a
-sub-base the wishes of its branches are averaged (section 4.2).  Reaching forward puts the root back and
+sub-base the targets of its branches are averaged (section 4.2).  Reaching forward puts the root back and
 lets the joints follow, root to tip, each turning about its real axis inside its limits to where its bone
-comes nearest to the wish; on a chain of unlimited balls that is the paper's second half to the letter.
+comes nearest to its target; on a chain of unlimited balls that is the paper's second half to the letter.
 
-A pose goal fixes the last node: its anchor's wish is where the wanted pose puts it, and the joints whose
+A pose goal fixes the last node: its anchor's target is where the goal's pose puts it, and the joints whose
 anchors meet there (a ball, a spherical wrist, the last hinge of a planar arm) take the orientation.
 
-A wish says nothing to a hinge of an error across its bone, and hinges whose axes are not parallel would wait
-for each other; so hinges also heed the goal itself a little (``pull``, ours), and so do balls where the last
+A target contains no error across a hinge's bone, and hinges whose axes are not parallel would wait
+for each other; so hinges also weigh the goal itself a little (``pull``, ours), and so do balls where the last
 joints cannot take the orientation by themselves.  Near the full reach of a chain progress is slow.
 """
 
@@ -53,7 +53,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import ALL_GOALS, SEARCH, TRY_STEPS, open_work
-from robot_ik.solvers.base import BoneSolver, option
+from robot_ik.solvers.base import BoneSolver, option, options_of
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6
@@ -73,7 +73,11 @@ class Fabrik(BoneSolver):
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     pull: float = option(
-        0.1, "how much hinges heed the goal itself beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+        0.1,
+        "hinges: weight of the goal beside the targets of points",
+        low=0.0,
+        high=10.0,
+        usual=(0.0, 1.0),
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
     kick: float = option(
@@ -95,13 +99,13 @@ class Fabrik(BoneSolver):
     def kernel(self) -> Callable[..., None]:
         return fabrik
 
-    def parameters(self) -> tuple[float, ...]:
-        return (self.sweeps, self.kick, self.pull)
+
+open_options = options_of(Fabrik)
 
 
 @pure
 def pulled(tree, goal, points, k, c, i):
-    """Coordinate ``i`` of where point ``c``, at its wish, pulls node ``k``."""
+    """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
     if tree.kind[k] == SLIDE:  # cannot turn: comes along as it is
         return points[c, WISH + i] + points[k, NOW + i] - points[c, NOW + i]
     gap = apart(points, k, NOW, c, WISH)
@@ -249,17 +253,18 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
             points[n + g, WISH + i] = goal.target[g, i]
     locate_all(tree, goal, work, links, points, one)
     sums[BALL_PULL] = sums[PULL] if lacks_wrist(tree, goal, links, points) else 0.0
-    too_far = bend(tree, goal, work, links, points, options[1])
+    too_far = bend(tree, goal, work, links, points, options.kick)
     reach_back(tree, goal, work, links, points)
     if too_far and goal.kind.shape[0] == 1 and work.state[TRY_STEPS] == 0:
         straighten(tree, links, points)
-    settle(tree, goal, work, links, points, one, sums, int(options[0]))
+    settle(tree, goal, work, links, points, one, sums, options.sweeps)
 
 
 @kernel
 def fabrik(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: sweeps, kick, pull."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
     links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
@@ -267,7 +272,7 @@ def fabrik(tree, goals, work, options):
     link_points(tree, goal, work.nodes, links, points)
     mark_hanging(goal, links)
     work.step[:] = 0.0
-    sums[PULL] = options[2]
+    sums[PULL] = options.pull
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         fabrik_step(tree, goal, work, links, points, one, sums, options)

@@ -18,7 +18,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import JacobianSolver, option
+from robot_ik.solvers.base import JacobianSolver, option, options_of
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,15 @@ class JacobianTranspose(JacobianSolver):
     def kernel(self) -> Callable[..., None]:
         return transpose
 
-    def parameters(self) -> tuple[float, ...]:
-        return (*self.common(), self.fixed_gain)
+
+open_options = options_of(JacobianTranspose)
 
 
 @outlined
 def transpose_step(tree, goal, work, options):
     """work.step = α Jᵀ e without the joints that stand at a bound and would leave it."""
-    clamp, alternative, gain, max_step, alpha = options[0], options[1], options[2], options[3], options[4]
-    prepare(tree, goal, work, clamp, alternative)
+    alpha = options.fixed_gain
+    prepare(tree, goal, work, options.clamp, options.alternative)
     pin_downhill(work)  # afterwards work.gradient is Jᵀ e of the joints that remain
     jacobian, gradient, step = work.jacobian, work.gradient, work.step
     if alpha == 0.0:
@@ -65,14 +65,15 @@ def transpose_step(tree, goal, work, options):
     for u in range(step.shape[0]):
         step[u] = alpha * gradient[u]
     keep_inside(work)
-    cap(work, gain, max_step)
+    cap(work, options.gain, options.max_step)
     shorten(work)
 
 
 @kernel
 def transpose(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: clamp, alternative, gain, max_step, fixed α."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         transpose_step(tree, goal, work, options)

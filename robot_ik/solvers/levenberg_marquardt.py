@@ -25,7 +25,7 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, step_bounds
-from robot_ik.kernels.priorities import lm_levels
+from robot_ik.kernels.priorities import run_levels
 from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, goal_jacobian, open_goals
 from robot_ik.kernels.rotations import curvature
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
@@ -49,7 +49,7 @@ from robot_ik.kernels.workspace import (
     open_work,
 )
 from robot_ik.problem import Budget, CompiledProblem, Problem
-from robot_ik.solvers.base import BatchResult, IterativeSolver, option
+from robot_ik.solvers.base import BatchResult, IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
 # What Gauss-Newton leaves out: how the Jacobian itself turns, weighed with the residual.
@@ -198,13 +198,9 @@ class LevenbergMarquardt(IterativeSolver):
             return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().beyond(problem)
 
-    def parameters(self) -> tuple[float, ...]:
-        plain = (self.floor, self.damping, self.increase, self.decrease, self.least, self.stride)
-        return (*plain, self.clamp, float(self.alternative), self.gain)
-
     def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
         tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work}
-        return (RUN.pack(tables | {"options": self._options}),)
+        return (RUN.pack(tables | {"options": self.option_values}),)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
@@ -221,6 +217,9 @@ class LevenbergMarquardt(IterativeSolver):
             address, fresh, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations, answers.restarts,
         )  # fmt: skip
+
+
+open_options = options_of(LevenbergMarquardt)
 
 
 @pure
@@ -272,7 +271,8 @@ def lm_step(tree, goal, work, points, wanted, options):
     """
     state, value, normal, damped = work.state, work.value, work.normal, work.damped
     jacobian, gradient, low, high, step = work.jacobian, work.gradient, work.low, work.high, work.step
-    floor, first, increase, decrease, least = options[0], options[1], options[2], options[3], options[4]
+    floor, first, least = options.floor, options.damping, options.least
+    increase, decrease = options.increase, options.decrease
     m, n = jacobian.shape
     exact = state[POLISHING] > 0 and has_second_order(tree, goal)
     if value[COST] < value[ACCEPTED]:
@@ -295,7 +295,7 @@ def lm_step(tree, goal, work, points, wanted, options):
         value[COST] = value[ACCEPTED]
         copy(work.accepted, work.q)
     damping = value[DAMPING] * value[COST] + floor
-    spare_room(tree, goal, work, options[5])
+    spare_room(tree, goal, work, options.stride)
     if exact:
         pressed = exact_step(work, damping)
     elif m < n:
@@ -345,7 +345,7 @@ def exact_step(work, damping):
 @outlined
 def guided_step(tree, goal, work, options):
     """``lm_step`` to a clamped residual, by the alternative Jacobian if asked, and a share of it."""
-    clamp, alternative, gain = options[6], options[7] > 0.0, options[8]
+    clamp, alternative, gain = options.clamp, options.alternative, options.gain
     last = work.state[POLISHING] > 0  # as in ``prepare`` of the other Jacobian methods
     if work.value[COST] < work.value[ACCEPTED]:
         clamp_residual(goal, work.residual, work.wanted, clamp, last)
@@ -357,24 +357,34 @@ def guided_step(tree, goal, work, options):
 
 @kernel
 def lm_guided(run):
-    """``lm`` with clamp, alternative, gain: the options after those of ``lm``."""
+    """``lm`` with clamp, alternative, gain."""
     run = open_run(run)
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    options = open_options(run.options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        guided_step(tree, goal, work, run.options)
+        guided_step(tree, goal, work, options)
         advance(tree, goal, work)
 
 
 @kernel
 def lm(run):
-    """Runs until ``proceed`` says stop; options: floor, start, increase, decrease, least, stride."""
+    """Runs until ``proceed`` says stop."""
     run = open_run(run)
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    options = open_options(run.options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        lm_step(tree, goal, work, work.frames, work.residual, run.options)
+        lm_step(tree, goal, work, work.frames, work.residual, options)
         advance(tree, goal, work)
+
+
+@kernel
+def lm_levels(run):
+    """``lm`` for goals of several priorities, and for soft ones."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run_levels(tree, goal, work, open_options(run.options))
 
 
 @kernel
@@ -385,6 +395,7 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
     """
     run = open_run(run)
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    options = open_options(run.options)
     target, start, state, now, best = goal.target, work.start, work.state, work.miss, work.best
     for row in range(targets.shape[0]):
         for i in range(12):
@@ -394,7 +405,7 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
         copy(fresh, state)
         begin(tree, goal, work)
         while proceed(tree, goal, work):
-            lm_step(tree, goal, work, work.frames, work.residual, run.options)
+            lm_step(tree, goal, work, work.frames, work.residual, options)
             advance(tree, goal, work)
         if state[STATUS] != CONVERGED:  # else it has just been measured
             copy(best, work.q)

@@ -21,10 +21,10 @@ from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.rotations import rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, TRY_STEPS, UPDATES, open_work
-from robot_ik.solvers.base import IterativeSolver, option
+from robot_ik.solvers.base import IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
-# Cones of balls as constraints of a variable metric (``metric.py``).
+# Cones of balls as constraints of a variable metric.
 #
 # A ball whose turn is as large as its cone allows would leave it along the axis n of that turn, body axes:
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
@@ -175,7 +175,7 @@ def carry(tree, goal, work):
 # n is a coordinate for hinges and slides; the cones of balls are below.
 
 
-# A joint with less room than this, rad or m, stands at its bound.
+# A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
 # Least cosine between a step and the change of slope along it for the metric to learn from them.
 _LEAST_CURVATURE = 1e-8
@@ -376,8 +376,8 @@ class Minimization(IterativeSolver):
     def kernel(self) -> Callable[..., None]:
         return bfgs
 
-    def parameters(self) -> tuple[float, ...]:
-        return (self.max_step, self.decrease, self.curvature)
+
+open_options = options_of(Minimization)
 
 
 @outlined
@@ -406,7 +406,7 @@ def search(tree, goal, work, options, slope):
     Returns whether a lower point was found: then work.q, work.step, work.gradient and work.moved are its own.
     A way that meets limits is bent along them, and searched for descent only.
     """
-    max_step, decrease, curvature = options[0], options[1], options[2]
+    max_step, decrease, curvature = options.max_step, options.decrease, options.curvature
     cost, way = work.value[COST], work.way
     longest = 0.0
     for u in range(way.shape[0]):
@@ -467,8 +467,9 @@ def bfgs_step(tree, goal, work, options):
 
 @kernel
 def bfgs(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: longest step, decrease, curvature."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         bfgs_step(tree, goal, work, options)

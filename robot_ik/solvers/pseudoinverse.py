@@ -33,7 +33,7 @@ from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.rotations import rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
-from robot_ik.solvers.base import JacobianSolver, option
+from robot_ik.solvers.base import JacobianSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
 # Secondary aims φ of the null space, and the part of them that leaves the goals alone.
@@ -216,9 +216,8 @@ class Pseudoinverse(JacobianSolver):
     def kernel(self) -> Callable[..., None]:
         return pseudoinverse
 
-    def parameters(self) -> tuple[float, ...]:
-        aim = float(AIMS.index(self.aim))
-        return (*self.common(), self.cutoff, aim, self.aim_gain, float(self.halvings), self.landing)
+
+open_options = options_of(Pseudoinverse)
 
 
 @outlined
@@ -227,8 +226,9 @@ def pseudo_step(tree, goal, work, options):
 
     Returns the share of the step that limits and caps have left.
     """
-    clamp, alternative, gain, max_step, cutoff = options[0], options[1], options[2], options[3], options[4]
-    set_aim(tree, goal, work, int(options[5]), options[6])
+    clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
+    cutoff = options.cutoff
+    set_aim(tree, goal, work, options.aim, options.aim_gain)
     prepare(tree, goal, work, clamp, alternative)
     extra = math.sqrt(extra_damping(work))
     if work.state[POLISHING] > 0:
@@ -281,10 +281,11 @@ def halve(tree, goal, work, share, halvings, landing):
 
 @kernel
 def pseudoinverse(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: the shared four, then as in ``parameters``."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     begin(tree, goal, work)
-    halvings, landing = int(options[7]), options[8]
+    halvings, landing = options.halvings, options.landing
     while proceed(tree, goal, work):
         share = pseudo_step(tree, goal, work, options)
         if halvings > 0:

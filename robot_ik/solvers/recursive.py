@@ -48,7 +48,7 @@ from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import BEST_COST, open_work
-from robot_ik.solvers.base import BoneSolver, option
+from robot_ik.solvers.base import BoneSolver, option, options_of
 
 # Lengths that agree to this share of the chain are equal.
 _EQUAL = 1e-10
@@ -72,13 +72,13 @@ class Recursive(BoneSolver):
     def kernel(self) -> Callable[..., None]:
         return recursive
 
-    def parameters(self) -> tuple[float, ...]:
-        return (float(self.guard), self.sweeps)
+
+open_options = options_of(Recursive)
 
 
 @pure
 def meet(points, e, b, p, radius):
-    """Wishes ``b`` on the circle of the spheres about wished ``e`` (its bone) and ``p`` (``radius``).
+    """Target of ``b`` on the circle of the spheres about that of ``e`` (its bone) and ``p`` (``radius``).
 
     Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
     """
@@ -111,7 +111,7 @@ def meet(points, e, b, p, radius):
 
 @pure
 def drag(points, e, b, root, low, high, guard):
-    """Wishes ``b`` at bone's length from wished ``e``, towards where it is, [low, high] from the root."""
+    """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
     length = points[e, LENGTH]
     x, y, z = (
         points[b, NOW] - points[e, WISH],
@@ -178,8 +178,8 @@ def recursive_step(tree, goal, work, links, points, one, sums, options):
     """One try; leaves q at the goal, or as it was and returns False."""
     copy(work.q, work.accepted)
     locate_all(tree, goal, work, links, points, one)
-    if pull_chain(tree, goal, links, points, options[0] > 0.5):
-        settle(tree, goal, work, links, points, one, sums, int(options[1]))
+    if pull_chain(tree, goal, links, points, options.guard):
+        settle(tree, goal, work, links, points, one, sums, options.sweeps)
         if measure(tree, goal, work):
             return True
     copy(work.accepted, work.q)
@@ -188,8 +188,9 @@ def recursive_step(tree, goal, work, links, points, one, sums, options):
 
 @kernel
 def recursive(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: guard, sweeps."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
     links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))

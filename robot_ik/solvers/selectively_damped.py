@@ -33,7 +33,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import JacobianSolver, option
+from robot_ik.solvers.base import JacobianSolver, option, options_of
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class SelectivelyDamped(JacobianSolver):
     def kernel(self) -> Callable[..., None]:
         return sdls
 
-    def parameters(self) -> tuple[float, ...]:
-        return self.common()
+
+open_options = options_of(SelectivelyDamped)
 
 
 @outlined
@@ -108,7 +108,7 @@ def selective_step(goal, work, max_step):
 @outlined
 def sdls_step(tree, goal, work, options):
     """One step of Buss & Kim; joints that stand at a bound and would leave it are taken out first."""
-    clamp, alternative, gain, max_step = options[0], options[1], options[2], options[3]
+    clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
     prepare(tree, goal, work, clamp, alternative)
     pin_downhill(work)
     for _ in range(work.step.shape[0] + 1):
@@ -123,8 +123,9 @@ def sdls_step(tree, goal, work, options):
 
 @kernel
 def sdls(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: clamp, alternative, gain, max_step."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         sdls_step(tree, goal, work, options)

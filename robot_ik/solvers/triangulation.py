@@ -48,7 +48,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import BoneSolver, option
+from robot_ik.solvers.base import BoneSolver, option, options_of
 
 # A bone shorter than this, metres, is none: its ends are one point.
 _NO_BONE = 1e-9
@@ -65,7 +65,11 @@ class Triangulation(BoneSolver):
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     improved: bool = option(True, "turn each bone no farther than the rest needs", low=0, high=1)
     pull: float = option(
-        0.1, "how much hinges heed the goal beside their wish", low=0.0, high=10.0, usual=(0.0, 1.0)
+        0.1,
+        "hinges: weight of the goal beside the targets of points",
+        low=0.0,
+        high=10.0,
+        usual=(0.0, 1.0),
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
 
@@ -76,8 +80,8 @@ class Triangulation(BoneSolver):
     def kernel(self) -> Callable[..., None]:
         return triangulation
 
-    def parameters(self) -> tuple[float, ...]:
-        return (float(self.improved), self.pull, self.sweeps)
+
+open_options = options_of(Triangulation)
 
 
 @outlined
@@ -152,7 +156,7 @@ def wish_bone(tree, work, goal, links, points, i, j, count, improved):
 @outlined
 def triangulation_step(tree, goal, work, links, points, one, sums, options):
     """One pass from the root to the tip; leaves q moved."""
-    improved, sweeps = options[0] > 0.5, int(options[2])
+    improved, sweeps = options.improved, options.sweeps
     locate_all(tree, goal, work, links, points, one)
     count = chain_path(tree, links)
     head = 0
@@ -174,8 +178,9 @@ def triangulation_step(tree, goal, work, links, points, one, sums, options):
 
 @kernel
 def triangulation(tree, goals, work, options):
-    """Runs until ``proceed`` says stop; options: improved, pull, sweeps."""
+    """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
     links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
@@ -184,7 +189,7 @@ def triangulation(tree, goals, work, options):
     mark_hanging(goal, links)
     work.step[:] = 0.0
     sums[BALL_PULL] = 0.0
-    sums[PULL] = options[1]
+    sums[PULL] = options.pull
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         triangulation_step(tree, goal, work, links, points, one, sums, options)

@@ -16,7 +16,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from robot_ik.errors import ConfigError, close_matches
-from robot_ik.files import config_error, parse_json, read_text, shown, write_atomically
+from robot_ik.files import parse_json, read_text, shown, write_atomically
+from robot_ik.tables import config_error
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Point = tuple[Number, Number, Number]

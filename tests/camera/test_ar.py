@@ -16,11 +16,12 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.painter import Layer
 from robot_ik.camera.drawing.renderers import (
     Artist,
+    BoxTable,
     DrawnRobot,
     PainterArtist,
     RayArtist,
-    load_phantoms,
-    phantom_boxes,
+    load_occluders,
+    occluder_boxes,
 )
 from robot_ik.camera.registration import BoardWatcher, Registrar, optical_motion
 from robot_ik.camera.sources import Frame
@@ -44,10 +45,10 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
-    box = {"position": [0.02, -0.12, 0.06], "size": [0.10, 0.04, 0.12], "yaw_deg": [15.0]}
+    box = BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12), yaw_deg=15.0)
     masks = {}
-    for phantoms in (None, phantom_boxes([box])):
-        figure, qpos = standing(phantoms=phantoms)
+    for occluders in (None, occluder_boxes([box])):
+        figure, qpos = standing(occluders=occluders)
         drawings = [artist.draw(figure, qpos, BENT, EYE) for artist in (PainterArtist(), RayArtist())]
         painted, cast = (d.robot.mask(640, 480) for d in drawings)
         assert overlap(painted > 127, cast > 127) > 0.985
@@ -57,12 +58,12 @@ def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
         inside = cv2.erode(((painted == 255) & (cast == 255)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
         apart = np.abs(both[0].astype(int) - both[1].astype(int)).max(axis=2)
         assert np.mean(apart[inside] > 12) < 0.05, "light and colours are alike"
-        masks[phantoms is None] = painted > 127
+        masks[occluders is None] = painted > 127
     hidden = masks[True] & ~masks[False]
-    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * box["size"]
+    corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * box.size
     turn = np.deg2rad(15.0)
     corners[:, :2] = corners[:, :2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
-    pixels = BENT.project(EYE.inverse().apply(corners + box["position"]))
+    pixels = BENT.project(EYE.inverse().apply(corners + box.position))
     outline = np.zeros((480, 640), np.uint8)
     cv2.fillConvexPoly(outline, cv2.convexHull(np.rint(pixels).astype(np.int32)), 1)
     assert hidden.sum() > 1500
@@ -183,32 +184,38 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "no boxes"),
-        ("[[box]]\nposition = [0, 0, 0]", "no box"),
-        ("[[box]]\nposition = [0, 0, 0]\nsize = [1, 1, 0]", "no size"),
+        ("", "box: this key is missing; allowed: \\[\\[box\\]\\] with position"),
+        ("[[box]]\nposition = [0, 0, 0]", r"box\[0\].size: this key is missing"),
+        (
+            "[[box]]\nposition = [0, 0, 0]\nsize = [1, 1, 0]",
+            r"box\[0\].size\[2\]: 0 is not right; allowed: greater than 0",
+        ),
         ("[[box]]\nposition = [0, 0, nan]\nsize = [1, 1, 1]", r"position\[2\]: nan is not right"),
-        ("[[box]]\nposition = [0, 0]\nsize = [1, 1, 1]", "no position"),
+        (
+            "[[box]]\nposition = [0, 0]\nsize = [1, 1, 1]",
+            r"box\[0\].position: \[0, 0\] is not right; allowed: 3 numbers",
+        ),
         ("x = ", "not valid TOML"),
     ],
 )
-def test_a_file_of_phantoms_that_is_none_is_refused(
+def test_a_file_of_occluders_that_is_none_is_refused(
     text: str, said: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    file = tmp_path_factory.mktemp("phantoms") / "things.toml"
+    file = tmp_path_factory.mktemp("occluders") / "things.toml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=said):
-        load_phantoms(file)
+        load_occluders(file)
 
 
-def test_phantoms_are_boxes_or_a_model(tmp_path_factory: pytest.TempPathFactory) -> None:
-    folder = tmp_path_factory.mktemp("phantoms")
+def test_occluders_are_boxes_or_a_model(tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("occluders")
     (folder / "t.toml").write_text("[[box]]\nposition = [0.1, 0, 0.05]\nsize = [0.1, 0.2, 0.1]\nyaw_deg = 90")
-    model = load_phantoms(folder / "t.toml")
+    model = load_occluders(folder / "t.toml")
     np.testing.assert_allclose(model.geom_size[0], [0.05, 0.1, 0.05])
     np.testing.assert_allclose(np.abs(model.geom_quat[0]), [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
     (folder / "t.xml").write_text("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")
-    assert load_phantoms(folder / "t.xml").ngeom == 1
+    assert load_occluders(folder / "t.xml").ngeom == 1
     (folder / "bad.xml").write_text("<mujoco><worldbody><geom/></worldbody></mujoco")
     for name in ("bad.xml", "none.toml"):
         with pytest.raises(ConfigError):
-            load_phantoms(folder / name)
+            load_occluders(folder / name)

@@ -197,21 +197,21 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("[[body]]", "[[bodies]]", r"bodies: unknown key 'bodies'; did you mean 'body'"),
-        (GOOD, "", "describes no body"),
+        ("[[body]]", "[[bodies]]", r"bodies: unknown key 'bodies'; allowed: body\ndid you mean body"),
+        (GOOD, "", "body: this key is missing; allowed: one table"),
         (GOOD, "x = ", "not valid TOML"),
-        ('name = "flag"\n', "", r"body\[1\].name: a body needs a name"),
+        ('name = "flag"\n', "", r"body\[1\].name: this key is missing"),
         ('name = "flag"', 'name = "cube"', r"two bodies are named 'cube'"),
         ("size = 0.05", "side = 0.05", r"markers\[0\].side: unknown key 'side'"),
         ("size = 0.05", "size = 50", r"body\[1\]: a marker size of 50.0 m"),
         ("id = 21", "id = 20", r"markers\[1\]: marker 20 comes twice"),
         ("id = 21", "id = 99", r"body\[0\]: the body 'cube' has marker 99"),
-        ("id = 3", "id = true", r"a marker needs its number"),
-        ("wxyz = [1, 0, 1, 0]", "wxyz = [1, 0]", r"markers\[1\].wxyz: is \[1, 0\]; allowed: 4 numbers"),
-        ("wxyz = [1, 0, 1, 0]", "wxyz = [0, 0, 0, 0]", r"markers\[1\]: a zero quaternion"),
+        ("id = 3", "id = true", r"markers\[0\].id: True is not right; allowed: a"),
+        ("wxyz = [1, 0, 1, 0]", "wxyz = [1, 0]", r"\[1\].wxyz: \[1, 0\] is not right; allowed: 4 numbers"),
+        ("wxyz = [1, 0, 1, 0]", "wxyz = [0, 0, 0, 0]", r"markers\[1\].wxyz: a quaternion of zeros"),
         ('dictionary = "DICT_5X5_50"', 'dictionary = "DICT_5X5"', r"unknown marker dictionary 'DICT_5X5'"),
         ('"flag"\n', '"flag"\ndictionary = "DICT_5X5_50"\n', None),
-        ('id = 3, size = 0.05}', 'id = 3, size = 0.05}, 7', r"markers\[1\]: is no table"),
+        ('id = 3, size = 0.05}', 'id = 3, size = 0.05}, 7', r"markers\[1\]: 7 is not right; allowed: "),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_the_file_is_told(tmp_path: Path, old: str, new: str, text: str | None) -> None:

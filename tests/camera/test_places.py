@@ -69,10 +69,10 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("parent = [", "not valid TOML"),
-        ("parent = 'world'", "lacks position, wxyz, covariance"),
+        ("parent = 'world'", "position: this key is missing"),
         (None, "cannot be read"),
-        ("wxyz", "toml: a zero quaternion"),
-        ("schema = 2", "schema 2"),
+        ("wxyz", "wxyz: a quaternion of zeros"),
+        ("schema = 2", "schema: 2 is not right; allowed: 1"),
         ("covariance", "covariance"),
     ],
 )

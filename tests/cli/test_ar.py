@@ -5,6 +5,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli import ar
 from robot_ik.cli.main import main
+from robot_ik.files import FORMER
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import output
 
@@ -76,7 +78,7 @@ def test_ctrl_c_before_the_first_picture(
         (["--backend", "vulkan"], "vulkan"),
         (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "none.yaml"),
         (["--board", "plate:3"], "plate:3"),
-        (["--phantoms", "none.toml"], "none.toml"),
+        (["--occluders", "none.toml"], "none.toml"),
         (["--robot", "puma56"], "puma560"),
         (["--motion", "gone.toml"], "the script or arm file cannot be read"),
         (["--motion", "brownout"], "brown_out"),
@@ -108,3 +110,12 @@ def test_the_self_test_judges(
     assert f"{rms:.3f}" in said.out and "no OpenGL here" in said.err
     assert main(["ar", "--self-test", "--json"]) == code
     assert json.loads(capsys.readouterr().out)["good"] is (code == 0)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--phantoms", "boxes.toml"), ("--phantom-geoms", "link1"), ("--place", "place.toml")]
+)
+def test_an_old_option_is_answered_with_its_new_name(robot_ik: Any, arguments: tuple[str, ...]) -> None:
+    run = robot_ik("ar", *arguments)
+    run.assert_one_screen_error()
+    assert f"{arguments[0]}: this option is called {FORMER[arguments[0]]} now" in run.err

@@ -84,7 +84,7 @@ def test_a_recording_is_refused_while_the_bus_stays_silent(
     CameraExtrinsics(
         Pose((0.5, 0.0, 0.8)), "world", 1e-6 * np.eye(6), 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
     ).save(place)
-    rest = ["--camera-place", place] if command == "verify" else []
+    rest = ["--camera-extrinsics", place] if command == "verify" else []
     run = robot_ik(
         "camera", command, "--robot", "tabletop_puma", "--bus", wire.port, "--camera", recordings[kind],
         "--intrinsics", lens, "--board", "marker:7:50", "--out", tmp_path / "result.json", *rest,

@@ -93,7 +93,7 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik
     replace(STANDARD_CAMERA, fx=810.0).save("other.yaml")
     run = robot_ik(*again, "--intrinsics", "other.yaml")
     run.assert_one_screen_error()
-    assert "found with another calibration" in run.err and "--camera-place" in run.err
+    assert "found with another calibration" in run.err and "--camera-extrinsics" in run.err
 
 
 def test_samples_of_something_else_are_told(robot_ik: Any, arm: Path) -> None:

@@ -117,7 +117,7 @@ def test_a_hand_that_does_not_hold_still(good_hand: Any, calibrate: Any, desk: A
         if text[0] == "2":
             from robot_ik.hardware.virtual.faults import Fault
 
-            bus.inject(Fault("turn", id=2, value=30.0, at=bus.clock.now() - bus.schedule.start + 0.05))
+            bus.inject(Fault("turn", id=2, value=30.0, at_s=0.05))
 
     failing(calibrate(restless), tmp_path, "joint2", "still")
 

@@ -16,7 +16,7 @@ from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import RATES, Fault
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.protocol import ErrorCode, Packet, Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
@@ -262,11 +262,14 @@ class Lab:
     def torque(self, arm: Arm) -> list[bool]:
         return [servo.torque for servo in arm.virtual_bus.servos]
 
-    def follows_a_bad_wire(self, cycles: int = 120, fresh: float = 0.9, **chances: float) -> Arm:
+    def follows_a_bad_wire(
+        self, cycles: int = 120, fresh: float = 0.9, *, echo: bool = False, **chances: float
+    ) -> Arm:
         """No value that is said is wrong, and no joint lags, whatever the wire does."""
         with self.arm() as arm:
             arm.enable()
             arm.virtual_bus.inject(*(Fault(kind, value=chance) for kind, chance in chances.items()))
+            arm.virtual_bus.inject(*([Fault("echo")] if echo else []))
             whole = 0
             for q in self.smooth(self.start, self.start + 0.4, cycles / 100):
                 self.stream(arm, [q])
@@ -275,8 +278,7 @@ class Lab:
                 assert np.abs(true - q).max() < 0.05
                 whole += arm.ages.max() == 0.0
             assert whole >= fresh * cycles and arm.state is ArmState.ENABLED
-            arm.virtual_bus.inject(*(Fault(kind, value=0.0) for kind in chances if kind in RATES))
-            arm.virtual_bus.change_wire(echo=False)
+            arm.virtual_bus.clear()
         assert arm.exit_report.ok
         return arm
 

@@ -10,7 +10,7 @@ import pytest
 from robot_ik.errors import BusDisconnectedError, BusTimeoutError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 
 
 def test_a_silent_servo_is_named_within_a_quarter_second_and_the_others_hold(arm, stream, smooth, start):
@@ -71,7 +71,7 @@ def test_one_lost_answer_is_no_fault(arm, stream, start):
 def test_all_silent_is_said_as_such(arm, arm_config, stream, start):
     arm.enable()
     stream(arm, [start] * 3)
-    arm.virtual_bus.set_faults(Faults(silent=frozenset(arm_config.ids)))
+    arm.virtual_bus.inject(Fault("silent"))
     with pytest.raises(BusTimeoutError, match="no servo answers"):
         stream(arm, [start] * 100)
     begin = arm.clock.now()

@@ -118,7 +118,7 @@ def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, strea
 
 def test_other_servos_behind_the_port_are_refused(arm, stream, start):
     arm.enable()
-    arm.virtual_bus.inject(Fault("port_unplugged", lasts=0.05))
+    arm.virtual_bus.inject(Fault("port_unplugged", for_s=0.05))
     with pytest.raises(BusDisconnectedError):
         stream(arm, [start] * 3)
     arm.virtual_bus.servo(3).memory.set("id", 33)

@@ -10,7 +10,8 @@ import pytest
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import RATES, Faults
+from robot_ik.hardware.virtual.faults import Fault
+from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import VirtualClock
 
 MARGIN = 1.05
@@ -23,7 +24,8 @@ def drive(config, start, cycles: int, rate: float = 1e-3) -> list[int]:
     memory, followed = [], 0
     with open_arm(config, "sim", virtual_bus=bus) as arm:
         arm.enable()
-        bus.set_faults(Faults(seed=5, **dict.fromkeys(RATES, rate)))
+        bus.reseed(5)
+        bus.inject(*(Fault(name, value=rate) for name in SPOILS))
         begin = clock.now()
         tracemalloc.start()
         for k in range(cycles):
@@ -45,7 +47,7 @@ def drive(config, start, cycles: int, rate: float = 1e-3) -> list[int]:
         assert counters.asked == counters.answered + counters.refused + counters.timeouts
         assert counters.corrupt > 0 and counters.late >= 0 and counters.retries > 0
         assert followed >= 0.9 * cycles
-        bus.set_faults(Faults())
+        bus.clear()
     assert arm.exit_report.ok
     return memory
 

@@ -22,7 +22,7 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.bus import shared_register
 from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import JointSink, JointSource, RealClock, VirtualClock
 
@@ -86,7 +86,7 @@ def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
 
 def test_nobody_there_points_at_power_and_baud_rate(arm_config):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
-    servos.set_faults(Faults(silent=frozenset(arm_config.ids)))
+    servos.inject(Fault("silent"))
     with pytest.raises(ServoMismatchError, match="power"):
         open_arm(arm_config, "sim", virtual_bus=servos).connect()
 

@@ -1,6 +1,6 @@
 """Arms that people own, with their servos as makers and other programs leave them: they work, and again.
 
-Registers are those of the sources in models/<arm>/README.md; nothing here was tried on metal.
+Registers are those of the sources in models/<arm>/README.md; nothing here was tried on real servos.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def run_once(name: str, servos: VirtualBus) -> None:
         )  # fmt: skip
         rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
         assert np.abs(arm.read().q - robot(name).home).max() < 0.01
-        finger = config.aside[0]
+        finger = config.auxiliary[0]
         for share in (0.9, 0.1):
             to = finger.lower + share * (finger.upper - finger.lower)
             (grip,) = arm.grip(to)
@@ -262,7 +262,7 @@ def test_a_shadow_whose_offset_fights_its_leader_gets_no_torque(name: str) -> No
 def test_a_gripper_that_cannot_close_does_not_overload_where_the_servo_knows_current() -> None:
     servos = servos_of("vx300s")
     config = arm_file("vx300s")
-    finger = config.aside[0]
+    finger = config.auxiliary[0]
     assert finger.current == 300.0 and finger.mode == OperatingMode.CURRENT_BASED_POSITION
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
@@ -280,7 +280,7 @@ def test_an_xl430_gripper_that_cannot_close_stops_the_arm_before_it_shuts_down()
         arm.enable()
         servos.servo(9).jam()
         with pytest.raises(MotorFaultError) as caught:
-            arm.grip(config.aside[0].lower)
+            arm.grip(config.auxiliary[0].lower)
             for _ in range(300):
                 arm.clock.sleep_until(arm.clock.now() + 0.01)
                 arm.send(rest("wx250s"), arm.clock.now())
@@ -294,7 +294,7 @@ def test_a_finger_outside_its_range_is_not_asked_for(name: str) -> None:
     with open_arm(config, "sim", virtual_bus=servos_of(name)) as arm:
         arm.enable()
         with pytest.raises(UnsafeCommandError):
-            arm.grip(config.aside[0].upper + 0.2)
+            arm.grip(config.auxiliary[0].upper + 0.2)
 
 
 # ------------------------------------------------------------------------------------ calibration, reach
@@ -422,7 +422,7 @@ def test_robot_ik_servo_on_a_pty(name: str, capsys: pytest.CaptureFixture[str]) 
     joint = arm_file(name).joints[0].name
     assert main(["servo", "move", f"{joint}=5", "--arm", name, "--bus", "pty"]) == 0
     assert main(["servo", "monitor", "--arm", name, "--bus", "pty", "--count", "1"]) == 0
-    assert arm_file(name).aside[0].name in capsys.readouterr().out
+    assert arm_file(name).auxiliary[0].name in capsys.readouterr().out
 
 
 # ------------------------------------------------------------------------------- two arms in one program

@@ -11,7 +11,7 @@ from robot_ik.hardware import BUSES, open_bus
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import RealClock, VirtualClock
 
 XM = CONTROL_TABLES["XM430-W350"]
@@ -69,7 +69,7 @@ def test_a_broadcast_write_reaches_all_and_waits_for_nobody(bus, arm_config):
 
 def test_a_silent_servo_times_out_and_does_not_hide_the_others(bus, servos, arm_config):
     bus.ping(3)
-    servos.set_faults(Faults(silent=frozenset({3})))
+    servos.inject(Fault("silent", 3))
     answers = bus.sync_read(arm_config.ids, XM["present_position"])
     assert [id for id, status in answers.items() if status.data is None] == [3]
     before = bus.counters.timeouts
@@ -79,7 +79,7 @@ def test_a_silent_servo_times_out_and_does_not_hide_the_others(bus, servos, arm_
     assert caught.value.id == 3 and caught.value.register == "present_position"
     assert caught.value.last_good is not None and caught.value.port == bus.port
     assert bus.counters.timeouts == before + 1
-    servos.set_faults(Faults())
+    servos.clear()
     assert bus.read(3, XM["present_position"]).data is not None
 
 
@@ -161,7 +161,8 @@ def test_threads_do_not_mix_their_answers(bus, arm_config):
 def test_on_a_bad_wire_no_value_is_ever_wrong(bus, servos, arm_config, fault):
     goals = {id: -1000 - 111 * id for id in arm_config.ids}
     bus.sync_write(XM["goal_position"], goals)
-    servos.set_faults(Faults(**{fault: 0.05}, seed=4))
+    servos.reseed(4)
+    servos.inject(Fault(fault, value=0.05))
     good = 0
     for _ in range(60):
         for id, status in bus.sync_read(arm_config.ids, XM["goal_position"]).items():
@@ -172,7 +173,7 @@ def test_on_a_bad_wire_no_value_is_ever_wrong(bus, servos, arm_config, fault):
 
 
 def test_local_echo_is_not_an_answer(bus, servos, arm_config):
-    servos.set_faults(Faults(echo=True))
+    servos.inject(Fault("echo"))
     assert bus.ping(4) == arm_config.joints[3].table.number
     assert all(s.data is not None for s in bus.sync_read(arm_config.ids, XM["present_position"]).values())
 

@@ -117,7 +117,7 @@ def test_an_arm_without_joints(arm_toml: str) -> None:
     with pytest.raises(ConfigError) as caught:
         ArmConfig.parse(arm_toml[: arm_toml.index("[[joints]]")])
     assert caught.value.key == "joints"
-    with pytest.raises(ConfigError, match="5e-324 is not right; allowed: list") as caught:
+    with pytest.raises(ConfigError, match="5e-324 is not right; allowed: at least one") as caught:
         ArmConfig.parse("joints = 5e-324\n" + arm_toml[: arm_toml.index("[[joints]]")])
     assert caught.value.key == "joints"
 

@@ -1,4 +1,4 @@
-"""Faults 14 to 26 of docs/safety.md, one test a row by its number."""
+"""Faults 14 to 26 of docs/reference/safety.md, one test a row by its number."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import RATES, Fault
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
+from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import RealClock
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals and signals")
@@ -70,7 +71,7 @@ def test_row_17(lab):
     """the cable pulled, and put back"""
     with lab.arm() as arm:
         begin = arm.clock.now()
-        lab.fault(arm, BusDisconnectedError, Fault("port_unplugged", lasts=0.05))
+        lab.fault(arm, BusDisconnectedError, Fault("port_unplugged", for_s=0.05))
         assert arm.clock.now() - begin < 0.045  # three cycles before, one in which it was noticed
         arm.virtual_bus.servo(2).memory.set("torque_enable", 0)
         arm.reconnect()
@@ -233,5 +234,5 @@ def test_row_25(lab, monkeypatch):
 
 def test_row_26(lab):
     """all of the wire at a low rate"""
-    counters = lab.follows_a_bad_wire(300, 0.8, **dict.fromkeys(RATES, 3e-3)).bus.counters
+    counters = lab.follows_a_bad_wire(300, 0.8, **dict.fromkeys(SPOILS, 3e-3)).bus.counters
     assert counters.asked == counters.answered + counters.refused + counters.timeouts

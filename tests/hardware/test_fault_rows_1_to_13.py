@@ -1,4 +1,4 @@
-"""Faults 1 to 13 of docs/safety.md, one test a row by its number; and that none of the 26 is without."""
+"""Faults 1 to 13 of docs/reference/safety.md, one test a row by its number; none of the 26 is without."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
-PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "safety.md"
 
 
 def test_every_fault_of_the_page_has_its_test():
@@ -44,7 +44,7 @@ def test_row_01(lab):
     with lab.arm() as arm:
         arm.enable()
         lab.drive(arm)
-        arm.virtual_bus.inject(Fault("silent", id=3, lasts=0.005))
+        arm.virtual_bus.inject(Fault("silent", id=3, for_s=0.005))
         lab.drive(arm, 1)
         lab.drive(arm, 5)
         assert arm.state is ArmState.ENABLED and arm.ages.max() == 0.0
@@ -87,8 +87,8 @@ def test_row_05(lab):
 
 
 def test_row_06(lab):
-    """bytes and packets of nobody, twice, out of order; an echo"""
-    lab.follows_a_bad_wire(garbage=0.02, duplicate=0.02, wrong_id=0.02, reorder=0.02, echo=1.0)
+    """foreign bytes and packets, doubled, out of order; an echo"""
+    lab.follows_a_bad_wire(garbage=0.02, duplicate=0.02, wrong_id=0.02, reorder=0.02, echo=True)
 
 
 def test_row_07(lab):

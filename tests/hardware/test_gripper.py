@@ -19,7 +19,7 @@ from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.health import read_states
 from robot_ik.hardware.joint_map import JointMap, SwingArm
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.world import Thing, World, model_with
+from robot_ik.hardware.virtual.world import World, WorldObject, model_with
 from robot_ik.ports import VirtualClock
 
 ID = 7
@@ -43,7 +43,7 @@ def desk_arm(desk: ArmConfig, robot: rik.Robot) -> Iterator[Arm]:
         yield arm
 
 
-def thing(arm: Arm, opening: float) -> None:
+def put_between(arm: Arm, opening: float) -> None:
     """Something between the fingers at which the pinion stops."""
     finger = arm.config.joint("finger_left")
     arm.virtual_bus.servo(ID).shaft.stops = (finger.to_ticks(opening), math.inf)
@@ -51,7 +51,7 @@ def thing(arm: Arm, opening: float) -> None:
 
 def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(desk: ArmConfig, robot: rik.Robot) -> None:
     finger = desk.joint("finger_left")
-    assert desk.names == robot.joints and len(desk.servos) == 7 and desk.aside == (finger,)
+    assert desk.names == robot.joints and len(desk.servos) == 7 and desk.auxiliary == (finger,)
     assert desk.whole.names == (*robot.joints, "finger_left") and desk.group("gripper") == (finger,)
     assert finger.to_ticks(0.009) - finger.to_ticks(0.004) == pytest.approx(5 * TICKS_PER_MM, abs=1)
     assert finger.to_radians(2048) == pytest.approx(0.009, abs=finger.resolution)
@@ -60,7 +60,7 @@ def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(desk: ArmConfi
     full = rik.load_robot("tabletop_puma", joints=desk.whole.names)
     assert (full.lower[6], full.upper[6]) == pytest.approx(finger.limits)
     again = ArmConfig.parse(desk.to_toml())
-    assert again.aside == desk.aside and again.joints == desk.joints
+    assert again.auxiliary == desk.auxiliary and again.joints == desk.joints
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_grip_stops_at_what_is_there_and_presses_as_hard_as_told(desk_arm: Arm
     assert not empty.held and empty.q == pytest.approx(0.0, abs=1e-4)
     (opened,) = desk_arm.grip({"finger_left": 0.018})
     assert not opened.held
-    thing(desk_arm, 0.010)
+    put_between(desk_arm, 0.010)
     begin = desk_arm.clock.now()
     (grip,) = desk_arm.grip(0.0, current=200.0)
     assert grip.held and grip.q == pytest.approx(0.010, abs=1e-4)
@@ -155,7 +155,7 @@ def test_all_joints_in_q_where_that_is_wanted(desk: ArmConfig) -> None:
         arm.park([*arm.read().q[:6], 0.012])
         assert arm.read().q[6] == pytest.approx(0.012, abs=3e-5)
         assert arm.virtual_bus.true_angles(desk.whole)[6] == pytest.approx(0.012, abs=3e-5)
-    with open_arm(dataclasses.replace(desk, aside=()), "sim") as arm:
+    with open_arm(dataclasses.replace(desk, auxiliary=()), "sim") as arm:
         arm.enable()
         with pytest.raises(UnsafeCommandError, match="an arm file with joints of the group gripper"):
             arm.grip(0.0)
@@ -170,8 +170,8 @@ BLOCK = 0.012
 def world_of(desk: ArmConfig, robot: rik.Robot) -> Callable[..., tuple[World, VirtualBus]]:
     def make(block: bool) -> tuple[World, VirtualBus]:
         place = tuple(robot.forward(robot.home).position)
-        things = [Thing("block", place, (BLOCK,) * 3, 0.05)] if block else []
-        model = model_with(robot.path, things)
+        objects = [WorldObject("block", place, (BLOCK,) * 3, 0.05)] if block else []
+        model = model_with(robot.path, objects)
         bus = VirtualBus.from_config(desk, VirtualClock(), robot.home)
         return World(model, desk, bus, contacts=block), bus
 

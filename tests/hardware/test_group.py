@@ -11,7 +11,7 @@ from robot_ik.hardware.control_table import CONTROL_TABLES, Register
 from robot_ik.hardware.dynamixel import FAST_PATIENCE, DynamixelBus
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock, VirtualClock
@@ -100,7 +100,8 @@ def values(read):
 @pytest.mark.parametrize("fast", [False, True])
 def test_on_a_bad_wire_no_value_is_wrong_few_are_missing_and_the_counters_add_up(sim, fault, fast):
     sim.use_fast_reads(IDS if fast else [])
-    sim.virtual_bus.set_faults(Faults(seed=1, **{fault: 0.1}))
+    sim.virtual_bus.reseed(1)
+    sim.virtual_bus.inject(Fault(fault, value=0.1))
     seen = [values(sim.sync_read(IDS, PRESENT)) for _ in range(200)]
     assert all(v in (None, right) for read in seen for v, right in zip(read, RIGHT, strict=True))
     c = sim.counters
@@ -112,7 +113,8 @@ def test_at_one_bad_checksum_in_a_thousand_nothing_is_missing(sim):
     """Ten seconds at 100 Hz: fewer cycles are repeated than one in ten, and all bring all values."""
     for fast in (IDS, []):
         sim.use_fast_reads(fast)
-        sim.virtual_bus.set_faults(Faults(corrupt=1e-3, seed=4))
+        sim.virtual_bus.reseed(4)
+        sim.virtual_bus.inject(Fault("corrupt", value=1e-3))
         before = sim.counters.retries
         assert all(values(sim.sync_read(IDS, PRESENT)) == RIGHT for _ in range(1000))
         assert 0 < sim.counters.retries - before < 100
@@ -158,7 +160,8 @@ def test_the_stuffed_bytes_of_a_fast_answer_are_not_trusted(sim):
 def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
     """Every servo is turned between two cycles: an answer of the cycle before would be another number."""
     sim.use_fast_reads(IDS if fast else [])
-    sim.virtual_bus.set_faults(Faults(late=0.1, seed=3))
+    sim.virtual_bus.reseed(3)
+    sim.virtual_bus.inject(Fault("late", value=0.1))
     taken = 0
     for k in range(300):
         for servo in sim.virtual_bus.servos:
@@ -174,7 +177,8 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
 def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
     """One servo a cycle, in turn, is asked for more (``feedback``): lengths differ by turn and by phase."""
     sim.use_fast_reads(IDS if fast else [])
-    sim.virtual_bus.set_faults(Faults(late=0.1, seed=4))
+    sim.virtual_bus.reseed(4)
+    sim.virtual_bus.inject(Fault("late", value=0.1))
     long = Register("current to temperature", 126, 21, "r", True, "", False, None, 0, 0)
     taken = 0
     for k in range(300):

@@ -13,7 +13,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]
@@ -73,7 +73,7 @@ def test_simbus_names_the_silent_and_the_refusing(
 ) -> None:
     sim.read(3, PRESENT)
     clock.sleep_until(2.5)
-    arm_bus.set_faults(Faults(silent=frozenset({3})))
+    arm_bus.inject(Fault("silent", 3))
     with pytest.raises(BusTimeoutError) as silent:
         sim.read(3, PRESENT)
     assert (silent.value.id, silent.value.register, silent.value.port) == (3, "present_position", "sim")
@@ -84,7 +84,7 @@ def test_simbus_names_the_silent_and_the_refusing(
 
 
 def test_simbus_sync_read_keeps_who_answered(sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig) -> None:
-    arm_bus.set_faults(Faults(silent=frozenset({2}), overload=frozenset({5})))
+    arm_bus.inject(Fault("silent", 2), Fault("overload", 5))
     read = sim.sync_read(arm_config.ids, PRESENT)
     assert list(read) == list(arm_config.ids)
     assert read[2] == Status(2, None)
@@ -101,7 +101,7 @@ def test_simbus_sync_read_carries_refusals(sim: SimBus) -> None:
 
 def test_simbus_reboot_clears_an_overload(sim: SimBus, arm_bus: VirtualBus) -> None:
     sim.write(5, CONTROL_TABLES["XL430-W250"]["torque_enable"], 1)
-    arm_bus.set_faults(Faults(overload=frozenset({5})))
+    arm_bus.inject(Fault("overload", 5))
     assert sim.read(5, TABLE["hardware_error_status"]) == Status(5, 32, 0, True)
     assert sim.read(5, TORQUE).data == 0
     sim.reboot(5)
@@ -113,7 +113,8 @@ def test_no_wrong_value_comes_through_a_bad_wire(
     sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig, fault: str
 ) -> None:
     right = {id: status.data for id, status in sim.sync_read(arm_config.ids, PRESENT).items()}
-    arm_bus.set_faults(Faults(seed=5, **{fault: 0.2}))  # type: ignore[arg-type]
+    arm_bus.reseed(5)
+    arm_bus.inject(Fault(fault, value=0.2))
     seen = [sim.sync_read(arm_config.ids, PRESENT) for _ in range(200)]
     values = [status.data for read in seen for status in read.values()]
     assert all(s.data in (None, right[id]) for read in seen for id, s in read.items())
@@ -131,6 +132,6 @@ def test_a_wire_that_spoils_everything_is_called_corrupt(sim: SimBus, arm_bus: V
 
 
 def test_local_echo_is_read_over(sim: SimBus, arm_bus: VirtualBus) -> None:
-    arm_bus.set_faults(Faults(echo=True))
+    arm_bus.inject(Fault("echo"))
     assert sim.read(1, PRESENT).data == 2048
     assert sim.broadcast_ping()[6] == 1020

@@ -18,7 +18,7 @@ from dynamixel_sdk import (
 
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.protocol import Instruction, build
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock, VirtualClock
@@ -111,10 +111,10 @@ def test_reg_write_waits_for_the_action(port: PortHandler, clock: VirtualClock) 
 
 def test_overload_is_seen_and_reboot_clears_it(port: PortHandler, arm_bus: VirtualBus) -> None:
     SDK.write1ByteTxRx(port, 3, TORQUE, 1)
-    arm_bus.set_faults(Faults(overload=frozenset({3})))
+    arm_bus.inject(Fault("overload", 3))
     assert SDK.read1ByteTxRx(port, 3, ERROR_STATUS) == (1 << 5, COMM_SUCCESS, 0x80)
     assert SDK.read1ByteTxRx(port, 3, TORQUE) == (0, COMM_SUCCESS, 0x80)
-    arm_bus.set_faults(Faults())
+    arm_bus.clear()
     assert SDK.reboot(port, 3)[0] == COMM_SUCCESS
     assert SDK.read1ByteTxRx(port, 3, ERROR_STATUS) == (0, COMM_SUCCESS, 0)
 

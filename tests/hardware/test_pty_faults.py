@@ -64,7 +64,7 @@ def test_a_booked_unplugging_happens_though_nobody_asks(arm_config: ArmConfig, t
     bus = VirtualBus.from_config(arm_config, RealClock())
     link = tmp_path / "arm"
     with PtyPort(bus, link):
-        bus.inject(Fault("port_unplugged", at=0.2, lasts=0.2))
+        bus.inject(Fault("port_unplugged", at_s=0.2, for_s=0.2))
         until(lambda: not os.path.lexists(link))
         until(lambda: os.path.lexists(link))
 
@@ -80,7 +80,7 @@ def test_two_servos_with_one_id_are_corrupt_to_the_sdk(pty: PtyPort, arm_bus: Vi
 
 def test_a_late_answer_comes_with_the_next_request(pty: PtyPort, arm_bus: VirtualBus) -> None:
     with opened(pty.path) as port:
-        arm_bus.inject(Fault("late", value=1.0, lasts_packets=1))
+        arm_bus.inject(Fault("late", value=1.0, for_packets=1))
         assert SDK.read4ByteTxRx(port, 1, PRESENT)[1] == COMM_RX_TIMEOUT
         # The SDK takes the first answer of that servo, which is the one to the question before.
         assert SDK.read2ByteTxRx(port, 2, 144) == (120, COMM_SUCCESS, 0)

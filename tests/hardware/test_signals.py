@@ -201,6 +201,13 @@ def test_a_signal_at_any_line_leaves_the_arm_as_promised(one_joint, start, polic
     assert signal_at_every_line(one_joint, start[:1], policy, styled, phase, LIFE_CYCLE) > 20
 
 
+@parametrized("park")
+def test_a_signal_at_any_line_of_the_arm_while_it_parks_leaves_it_as_promised(
+    one_joint, start, policy, styled, phase
+):
+    assert signal_at_every_line(one_joint, start[:1], policy, styled, phase, {"arm.py"}) > 10
+
+
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
 @parametrized("enable", "close", "send", "park")

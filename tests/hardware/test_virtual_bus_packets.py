@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.protocol import Instruction, Packet, build, build_status, crc16
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
@@ -123,16 +123,16 @@ def test_fast_sync_and_bulk_read(bus: VirtualBus) -> None:
 def test_a_fast_read_ends_before_the_first_that_is_missing(bus: VirtualBus) -> None:
     request = build(254, I.FAST_SYNC_READ, _word(132) + _word(4) + bytes([1, 2, 3]))
     whole = bus.handle(request)
-    bus.set_faults(Faults(silent=frozenset({2})))
+    bus.inject(Fault("silent", 2))
     assert bus.handle(request) == whole[:16]
-    bus.set_faults(Faults(silent=frozenset({1})))
+    bus.inject(Fault("silent", 1))
     assert bus.handle(request) == b""
 
 
 def test_a_sync_read_goes_on_behind_the_missing(
     bus: VirtualBus, parse: Callable[[bytes], list[Packet]]
 ) -> None:
-    bus.set_faults(Faults(silent=frozenset({2})))
+    bus.inject(Fault("silent", 2))
     request = build(254, I.SYNC_READ, _word(132) + _word(4) + bytes([1, 2, 3]))
     assert [a.id for a in parse(bus.handle(request))] == [1, 3]
 

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import RATES, Faults
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.protocol import Instruction, Packet, build, build_status
 from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import VirtualClock
 
 I = Instruction  # noqa: E741
@@ -84,7 +85,8 @@ def test_threads_do_not_mix_their_packets(bus: VirtualBus) -> None:
 def test_noise_moves_no_servo_and_a_spoiled_wire_brings_nothing_down(noise: list[bytes], seed: int) -> None:
     clock = VirtualClock()
     servos = [VirtualServo("XM430-W350", id, clock, position_ticks=100 * id) for id in (1, 2, 3)]
-    bus = VirtualBus(servos, clock, Faults(seed=seed, **dict.fromkeys(RATES, 0.2)))
+    bus = VirtualBus(servos, clock, seed)
+    bus.inject(*(Fault(name, value=0.2) for name in SPOILS))
     for data in noise:
         clock.sleep_until(clock.now() + 0.06)
         bus.handle(data)

@@ -11,8 +11,9 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import KINDS, RATES, Fault
+from robot_ik.hardware.virtual.faults import FAULTS, Fault
 from robot_ik.hardware.virtual.protocol import Instruction, Packet, build
+from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]
@@ -32,7 +33,7 @@ def who(sim: SimBus) -> list[int]:
 
 
 def test_silent_for_one_cycle_and_at_its_time(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
-    bus.inject(Fault("silent", 2, at=1.0, lasts=0.05))
+    bus.inject(Fault("silent", 2, at_s=1.0, for_s=0.05))
     seen = []
     for k in range(10):
         clock.sleep_until(0.93 + 0.02 * k)
@@ -41,15 +42,15 @@ def test_silent_for_one_cycle_and_at_its_time(bus: VirtualBus, sim: SimBus, cloc
 
 
 def test_by_number_of_packets(bus: VirtualBus, sim: SimBus) -> None:
-    bus.inject(Fault("silent", 1, at_packet=3, lasts_packets=2))
+    bus.inject(Fault("silent", 1, at_packet=3, for_packets=2))
     assert [len(who(sim)) for _ in range(6)] == [3, 3, 2, 2, 3, 3]
 
 
 def test_everybody_silent_and_power_lost(bus: VirtualBus, sim: SimBus) -> None:
-    bus.inject(Fault("silent", lasts_packets=1))
+    bus.inject(Fault("silent", for_packets=1))
     assert who(sim) == [] and who(sim) == [1, 2, 3]
     sim.write(1, TABLE["led"], 1)
-    bus.inject(Fault("supply", value=0.0, lasts_packets=1))
+    bus.inject(Fault("supply", value=0.0, for_packets=1))
     assert who(sim) == [] and who(sim) == [1, 2, 3]
     assert sim.read(1, TABLE["led"]).data == 0  # it has started anew
     assert sim.read(1, TABLE["present_input_voltage"]).data == 120
@@ -59,18 +60,54 @@ def test_each_servo_gets_its_own_supply_back_whichever_fault_of_it_ends_first(
     bus: VirtualBus, sim: SimBus, clock: VirtualClock
 ) -> None:
     bus.servo(2).set_supply(11.0)
-    bus.inject(Fault("supply", value=9.7, lasts=3.0), Fault("supply", value=10.0, at=1.0, lasts=1.0))
+    bus.inject(Fault("supply", value=9.7, for_s=3.0), Fault("supply", value=10.0, at_s=1.0, for_s=1.0))
     seen = {}
     for now in (0.5, 1.5, 2.5, 3.5):
         clock.sleep_until(now)
         seen[now] = [sim.read(id, TABLE["present_input_voltage"]).data for id in (1, 2, 3)]
     assert seen == {0.5: [97] * 3, 1.5: [100] * 3, 2.5: [97] * 3, 3.5: [120, 110, 120]}
-    bus.inject(Fault("supply", value=9.7, lasts=1.0), Fault("supply", value=0.0, lasts=2.0))
+    bus.inject(Fault("supply", value=9.7, for_s=1.0), Fault("supply", value=0.0, for_s=2.0))
     clock.sleep_until(5.0)  # the first has ended under the second
     assert who(sim) == []
     clock.sleep_until(6.0)
     assert who(sim) == [1, 2, 3]
     assert [bus.servo(id).shaft.volts for id in (1, 2, 3)] == [12.0, 11.0, 12.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "id", "low", "high", "read"),
+    [
+        ("drop", None, 0.2, 0.5, lambda bus: bus.wire.chance("drop")),
+        ("latency", None, 2.0, 5.0, lambda bus: bus.latency),
+        ("zero_offset", 1, 2.0, 5.0, lambda bus: bus.servo(1).zero_offset_ticks),
+        ("return_delay", 1, 2, 5, lambda bus: bus.servo(1).return_delay),
+        ("push", 1, 2.0, 5.0, lambda bus: bus.servo(1).shaft.load.push),
+    ],
+)
+def test_of_two_faults_the_later_one_counts_and_both_leave_nothing(
+    kind: str, id: int | None, low: float, high: float, read: Callable[[VirtualBus], float],
+    bus: VirtualBus, clock: VirtualClock,
+) -> None:  # fmt: skip
+    own, seen = read(bus), []
+    bus.inject(Fault(kind, id, low, for_s=1.0), Fault(kind, id, high, at_s=0.5, for_s=1.0))
+    for now in (0.2, 0.7, 1.2, 1.7):
+        clock.sleep_until(now)
+        bus.advance()
+        seen.append(read(bus))
+    assert len({own, *seen}) == 3 and seen[1] == seen[2] and seen[3] == own
+
+
+def test_faults_are_taken_back_by_kind_or_all(bus: VirtualBus, sim: SimBus) -> None:
+    bus.inject(
+        Fault("silent", 1), Fault("overload", 2), Fault("silent", 3, at_s=9.0), Fault("drop", value=1.0)
+    )
+    assert bus.clear("drop") == 1 and who(sim) == [2, 3]
+    assert bus.clear("silent") == 2 and who(sim) == [1, 2, 3]
+    assert sim.read(2, TABLE["hardware_error_status"]).data
+    assert bus.clear() == 1 and bus.clear() == 0
+    assert sim.read(2, TABLE["hardware_error_status"]).data == 0  # it has started anew
+    bus.clock.sleep_until(10.0)
+    assert who(sim) == [1, 2, 3]  # what was cleared before its time does not come
 
 
 def test_a_brown_out_of_one_servo(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
@@ -86,7 +123,7 @@ def test_a_brown_out_of_one_servo(bus: VirtualBus, sim: SimBus, clock: VirtualCl
 
 @pytest.mark.parametrize("name", ["overload", "overheating", "input_voltage", "electrical_shock"])
 def test_hardware_errors_stay_until_reboot(name: str, bus: VirtualBus, sim: SimBus) -> None:
-    bus.inject(Fault(name, 1, lasts_packets=1))
+    bus.inject(Fault(name, 1))
     for _ in range(3):
         status = sim.read(1, TABLE["hardware_error_status"])
         assert status.data and status.alert
@@ -102,7 +139,7 @@ def test_what_a_servo_says_of_itself(bus: VirtualBus, sim: SimBus) -> None:
     assert sim.ping(2) == 1020
     ask = build(3, Instruction.READ, b"\x84\x00\x04\x00")
     assert bus.answer(ask).delay == pytest.approx(200e-6)
-    bus.inject(Fault("latency", value=16.0, lasts_packets=1))
+    bus.inject(Fault("latency", value=16.0, for_packets=1))
     assert bus.answer(ask).delay == pytest.approx(16.2e-3)
     assert bus.answer(ask).delay == pytest.approx(0.2e-3)
     with pytest.raises(ValueError, match="999"):
@@ -110,7 +147,7 @@ def test_what_a_servo_says_of_itself(bus: VirtualBus, sim: SimBus) -> None:
 
 
 def test_a_baud_rate_of_its_own(bus: VirtualBus, parse: Callable[[bytes], list[Packet]]) -> None:
-    bus.inject(Fault("baud", 2, 57_600, lasts_packets=2))
+    bus.inject(Fault("baud", 2, 57_600, for_packets=2))
     ping = build(254, Instruction.PING)
     assert [p.id for p in parse(bus.handle(ping, 1_000_000))] == [1, 3]
     assert [p.id for p in parse(bus.handle(ping, 57_600))] == [2]
@@ -120,7 +157,7 @@ def test_a_baud_rate_of_its_own(bus: VirtualBus, parse: Callable[[bytes], list[P
 def test_two_servos_with_one_id_are_not_understood(bus: VirtualBus, sim: SimBus) -> None:
     """Equal answers too: they do not begin at the same instant."""
     bus.servo(1).turn_by_hand(1900.0)
-    bus.inject(Fault("id", 2, 1, lasts_packets=21))
+    bus.inject(Fault("id", 2, 1, for_packets=21))
     understood = 0
     for _ in range(20):
         try:
@@ -134,7 +171,7 @@ def test_two_servos_with_one_id_are_not_understood(bus: VirtualBus, sim: SimBus)
 
 
 def test_missing_and_extra(bus: VirtualBus, sim: SimBus) -> None:
-    bus.inject(Fault("extra", value=9, lasts_packets=1), Fault("unplugged", 2, lasts_packets=1))
+    bus.inject(Fault("extra", value=9, for_packets=1), Fault("unplugged", 2, for_packets=1))
     assert sorted(sim.broadcast_ping()) == [1, 3, 9]
     assert sorted(sim.broadcast_ping()) == [1, 2, 3]
 
@@ -163,7 +200,7 @@ def test_shafts(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
 
 
 def test_the_port_goes_away_in_process_too(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
-    bus.inject(Fault("port_unplugged", at=1.0, lasts=0.5))
+    bus.inject(Fault("port_unplugged", at_s=1.0, for_s=0.5))
     assert who(sim) == [1, 2, 3]
     clock.sleep_until(1.2)
     with pytest.raises(BusDisconnectedError):
@@ -173,28 +210,26 @@ def test_the_port_goes_away_in_process_too(bus: VirtualBus, sim: SimBus, clock: 
     assert who(sim) == [1, 2, 3]
 
 
-@pytest.mark.parametrize("rate", sorted({*RATES, "echo"}))
+@pytest.mark.parametrize("rate", sorted({*SPOILS, "echo"}))
 def test_no_fault_of_the_wire_ever_gives_a_wrong_value(rate: str, bus: VirtualBus) -> None:
     sim = SimBus(bus, retries=2)
     sim.open()
-    bus.inject(Fault(rate, value=0.3 if rate != "echo" else 0.0))
+    bus.inject(Fault(rate, value=0.3) if rate in SPOILS else Fault(rate))
     got = 0
     for _ in range(400 if rate == "wrong_id" else 60):
         for id, status in sim.sync_read(IDS, PRESENT).items():
             assert status.data in (None, 100 * id)
             got += status.data is not None
     assert got > 60
-    bus.inject(*(Fault(name, value=0.0) for name in RATES))
+    bus.inject(*(Fault(name, value=0.0) for name in SPOILS))
     sim.sync_read(IDS, PRESENT)
     assert [s.data for s in sim.sync_read(IDS, PRESENT).values()] == [100, 200, 300]
 
 
 def test_equal_seeds_give_equal_runs(arm_config: ArmConfig) -> None:
     def run(seed: int) -> list[bytes]:
-        from robot_ik.hardware.virtual.faults import Faults
-
-        bus = VirtualBus.from_config(arm_config, VirtualClock(), faults=Faults(seed=seed))
-        bus.inject(*(Fault(rate, value=0.1) for rate in RATES), Fault("id", 2, 1))
+        bus = VirtualBus.from_config(arm_config, VirtualClock(), seed=seed)
+        bus.inject(*(Fault(rate, value=0.1) for rate in SPOILS), Fault("id", 2, 1))
         return [bus.handle(build(254, Instruction.PING)) for _ in range(30)]
 
     assert run(1) == run(1) != run(2)
@@ -202,9 +237,9 @@ def test_equal_seeds_give_equal_runs(arm_config: ArmConfig) -> None:
 
 def test_every_kind_can_be_begun_and_ended(bus: VirtualBus, clock: VirtualClock) -> None:
     values = {"model": 1060.0, "baud": 57_600.0, "extra": 9.0}
-    for name, kind in KINDS.items():
-        value = values.get(name, kind.low or 0.0)
-        bus.inject(Fault(name, 1 if kind.servo else None, value, lasts=0.01))
+    for name, kind in FAULTS.items():
+        value = values.get(name, kind.low if kind.span else None)
+        bus.inject(Fault(name, 1 if kind.servo else None, value, for_s=0.01))
         clock.sleep_until(clock.now() + 0.02)
         bus.advance()
     assert sorted(s.id for s in bus.servos) == [1, 2, 3] and not bus.unplugged
@@ -214,6 +249,10 @@ def test_every_kind_can_be_begun_and_ended(bus: VirtualBus, clock: VirtualClock)
 def test_what_cannot_be_is_refused(bus: VirtualBus) -> None:
     with pytest.raises(ValueError, match="silent"):
         Fault("silnt")
+    with pytest.raises(ValueError, match="takes no value"):
+        Fault("silent", value=1.0)
+    with pytest.raises(ValueError, match="joint and id say the same"):
+        Fault("silent", 1, joint="joint1")
     with pytest.raises(ValueError, match=r"0\.\.1"):
         Fault("drop", value=2.0)
     with pytest.raises(KeyError):

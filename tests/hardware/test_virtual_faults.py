@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.errors import ConfigError, UnknownJointError
+from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import Faults
+from robot_ik.hardware.virtual.faults import Fault, joint_offset, make_fault
 from robot_ik.hardware.virtual.protocol import Instruction, build
 from robot_ik.ports import VirtualClock
 
@@ -69,30 +69,36 @@ def test_zero_offset_by_joint_moves_the_truth_only(
     honest = arm_bus.true_angles(arm_config)
     # joint2 is reversed, joint3 is geared: the offset is one of the joint all the same
     offsets = {"joint2": 2.0, "joint3": -1.0}
-    arm_bus.set_faults(Faults.for_joints(arm_config, zero_offset_deg=offsets))
+    arm_bus.inject(*(joint_offset(arm_config.joint(name), degrees) for name, degrees in offsets.items()))
     assert sim.sync_read(arm_config.ids, PRESENT) == before
     moved = np.degrees(arm_bus.true_angles(arm_config) - honest)
     assert moved == pytest.approx([0, 2, -1, 0, 0, 0], abs=1e-9)
-    arm_bus.set_faults(Faults())
+    arm_bus.clear()
     assert arm_bus.true_angles(arm_config) == pytest.approx(honest)
 
 
 def test_faults_name_what_exists(arm_config: ArmConfig, arm_bus: VirtualBus) -> None:
-    with pytest.raises(UnknownJointError, match="joint2"):
-        Faults.for_joints(arm_config, stuck=["join2"])
+    with pytest.raises(ConfigError, match="joint2"):
+        make_fault(arm_config, kind="stuck", joint="join2")
+    with pytest.raises(KeyError, match="join2"):
+        arm_bus.inject(Fault("stuck", joint="join2"))
     with pytest.raises(KeyError, match="99"):
-        arm_bus.set_faults(Faults(silent=frozenset({99})))
-    with pytest.raises(ValueError, match="probability"):
-        Faults(corrupt=1.5)
-    with pytest.raises(TypeError, match="corupt"):
-        Faults.for_joints(arm_config, corupt=0.1)
+        arm_bus.inject(Fault("silent", 99))
+    with pytest.raises(ValueError, match=r"0\.\.1"):
+        Fault("corrupt", value=1.5)
+    with pytest.raises(ConfigError, match="corrupt"):
+        make_fault(arm_config, kind="corupt", value=0.1)
+
+
+def test_a_fault_names_its_servo_by_id_or_joint(arm_config: ArmConfig, arm_bus: VirtualBus) -> None:
+    arm_bus.inject(Fault("silent", joint="joint2"), Fault("silent", arm_config.joint("joint4").id))
+    assert [servo.id for servo in arm_bus.servos if servo.silent] == [2, 4]
 
 
 def test_wire_faults_repeat_with_their_seed(arm_config: ArmConfig) -> None:
     def run(seed: int) -> list[bytes]:
-        bus = VirtualBus.from_config(
-            arm_config, VirtualClock(), faults=Faults(corrupt=0.3, drop=0.3, seed=seed)
-        )
+        bus = VirtualBus.from_config(arm_config, VirtualClock(), seed=seed)
+        bus.inject(Fault("corrupt", value=0.3), Fault("drop", value=0.3))
         return [bus.handle(build(254, Instruction.PING)) for _ in range(20)]
 
     assert run(1) == run(1) != run(2)

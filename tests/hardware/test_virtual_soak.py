@@ -11,7 +11,8 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.virtual.faults import RATES, Faults
+from robot_ik.hardware.virtual.faults import Fault
+from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]
@@ -22,8 +23,8 @@ def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     config = ArmConfig.generic("soak", [f"joint{k}" for k in range(6)], [-3] * 6, [3] * 6)
     clock = VirtualClock()
     # A late answer is a true one of the cycle before: whoever asks has to tell, so it is left out here.
-    rates = dict.fromkeys(set(RATES) - {"late"}, 0.001)
-    bus = VirtualBus.from_config(config, clock, faults=Faults(seed=3, **rates))
+    bus = VirtualBus.from_config(config, clock, seed=3)
+    bus.inject(*(Fault(name, value=0.001) for name in SPOILS if name != "late"))
     sim = SimBus(bus)
     sim.open()
     while not all(servo.torque for servo in bus.servos):

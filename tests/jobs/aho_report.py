@@ -1,6 +1,6 @@
 """Where A00's update loses the goal, and why.
 
-python tests/jobs/aho_report.py            the tables of docs/experiments.md
+python tests/jobs/aho_report.py            the tables of docs/theory/experiments.md
 python tests/jobs/aho_report.py FILE.png   and the picture (needs matplotlib)
 """
 

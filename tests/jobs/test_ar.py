@@ -234,7 +234,7 @@ def test_motions(request_for: ArRequest, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="elbow"):
         run_ar(replace(request_for, motion=str(tmp_path / "other.csv")))
     with pytest.raises(ConfigError, match="'link9'"):
-        run_ar(replace(request_for, phantom_geoms=("link9",)))
+        run_ar(replace(request_for, occluder_geoms=("link9",)))
 
 
 def test_the_synthetic_stage_and_a_marker_that_is_followed(tmp_path: Path) -> None:

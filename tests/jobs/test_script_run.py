@@ -219,7 +219,7 @@ joints_deg = { jaw = 35.0, waist = 90.0 }
 
 
 BLOCK = """physics = true
-[[things]]
+[[objects]]
 name = "block"
 position = [0.19, 0.05, 0.015]
 size_mm = [20.0, 20.0, 30.0]
@@ -232,7 +232,7 @@ def test_a_grip_tells_what_it_holds_and_fails_where_that_is_wrong(play: Run) -> 
     report = play('[[steps]]\ndo = "grip"\nwidth_mm = 25.0\n[[steps]]\ndo = "expect"\nwidth_mm = 20.0')
     assert [step.outcome for step in report.steps[:2]] == ["passed", "failed"]
     assert report.steps[1].numbers["width_off_mm"] == pytest.approx(5.0, abs=0.2)
-    look = '[[steps]]\ndo = "expect"\nthing = "block"\nposition = [0.19, 0.05, {z}]\ntolerance_mm = 1.0\n'
+    look = '[[steps]]\ndo = "expect"\nobject = "block"\nposition = [0.19, 0.05, {z}]\ntolerance_mm = 1.0\n'
     report = play(look.format(z=0.015) + look.format(z=0.055), head=BLOCK)
     assert [step.outcome for step in report.steps[:2]] == ["passed", "failed"]
     assert report.steps[1].numbers["off_mm"] == pytest.approx(40.0, abs=0.5)

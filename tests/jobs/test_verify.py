@@ -104,7 +104,9 @@ def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_
     )  # fmt: skip
     place.save(tmp_path / "place.toml")
     found = run_verify(
-        VerifyRequest("tabletop_puma", bus="sim", views=5, fit=True, seed=3, place=tmp_path / "place.toml")
+        VerifyRequest(
+            "tabletop_puma", bus="sim", views=5, fit=True, seed=3, extrinsics=tmp_path / "place.toml"
+        )
     )
     assert found.by_arm and found.fit is not None
     assert "joint1" in {one.joint for one in found.fit.mixtures} and "joint1" not in found.offsets()
@@ -112,7 +114,7 @@ def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_
     other = replace(place, intrinsics_hash="0" * 12)
     other.save(tmp_path / "other.toml")
     with pytest.raises(CalibrationError, match="another calibration"):
-        run_verify(VerifyRequest("tabletop_puma", views=4, place=tmp_path / "other.toml"))
+        run_verify(VerifyRequest("tabletop_puma", views=4, extrinsics=tmp_path / "other.toml"))
 
 
 def test_a_camera_of_ones_own_with_its_place_and_a_board(
@@ -135,7 +137,7 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     stage = handeye.stage_for(report.robot, "gripper")
     found = run_verify(
         VerifyRequest(
-            "tabletop_puma", camera="0", intrinsics=lens, place=place, views=4, frame=stage.cube_frame,
+            "tabletop_puma", camera="0", intrinsics=lens, extrinsics=place, views=4, frame=stage.cube_frame,
             board=MarkerBoard(dict(stage.cube), stage.dictionary), pose_frame_board=stage.cube_offset,
         )
     )  # fmt: skip

@@ -104,7 +104,7 @@ def test_a_shipped_arm_file_keeps_comments_line_ends_and_other_joints(tmp_path: 
     text = SHIPPED.read_text().replace("\n", "\r\n")
     path.write_bytes(text.encode())
     used = ArmConfig.load(path)
-    some = replace(used, joints=used.joints[:3], aside=())  # a program that used three of the joints
+    some = replace(used, joints=used.joints[:3], auxiliary=())  # a program that used three of the joints
     write_zeros(path, some, {"joint2": math.radians(1.5)})
     new = path.read_bytes().decode()
     assert new.count("\r\n") == text.count("\r\n") == new.count("\n")

@@ -35,6 +35,19 @@ def twice(x):
     return FACTOR * x
 """
 
+MINE = """
+from robot_ik.kernels.jit import cache_folder, kernel, outlined
+@outlined
+def twice(x):
+    return 2.0 * x
+@kernel
+def doubled(x):
+    return twice(x)
+@kernel
+def again(x):
+    return twice(twice(x))
+"""
+
 
 # An editable install has a finder of its own, which comes before sys.path.
 USE_COPY = """
@@ -127,16 +140,40 @@ def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(tmp_path:
     blocked.write_text("no folder can be made below a file, whoever asks")
     temporary = tmp_path / "tmp"
     temporary.mkdir()
-    done = run(
-        PRINT_FOLDER + "; from robot_ik.kernels.jit import kernel; import numpy as np"
-        "\nfrom robot_ik.kernels.kinematics import turn_quat; q = np.array([1.0, 0, 0, 0])"
-        "\nturn_quat(q, 0, 0.0, 0.0, 1.0); print(q[3])",
-        XDG_CACHE_HOME=blocked, TMPDIR=temporary,
-    )  # fmt: skip
+    (tmp_path / "mine.py").write_text(MINE)
+    code = "from mine import doubled, cache_folder; print(cache_folder('mine')); print(doubled(21.0))"
+    done = run(code, XDG_CACHE_HOME=blocked, TMPDIR=temporary, PYTHONPATH=tmp_path)
     assert done.returncode == 0, done.stderr
     folder, value = done.stdout.split()
-    assert Path(folder).is_relative_to(temporary) and float(value) == pytest.approx(0.479425538604203)
+    assert Path(folder).is_relative_to(temporary) and float(value) == 42.0
     assert any(Path(folder).rglob("*.nbi"))
+
+
+def test_inner_code_has_no_machine_code_of_its_own_and_serves_other_entry_points_from_the_cache(
+    tmp_path: Path,
+):
+    (tmp_path / "mine.py").write_text(MINE)
+    code = """
+import mine
+print(mine.ENTRY(10.0), dict(mine.twice.stats.cache_hits) != {})
+try:
+    mine.twice(1.0)
+except TypeError:
+    print("TypeError")
+"""
+    cache = tmp_path / "cache"
+    for entry, answer, cached in (("doubled", "20.0", "False"), ("again", "40.0", "True")):
+        done = run(code.replace("ENTRY", entry), XDG_CACHE_HOME=cache, PYTHONPATH=tmp_path)
+        assert done.stdout.split() == [answer, cached, "TypeError"], done.stderr
+    machine_code = {
+        name: [b"\x7fELF" in file.read_bytes() for file in cache.rglob(f"mine.{name}-*.nbc")]
+        for name in ("twice", "doubled", "again")
+    }
+    assert machine_code == {
+        "twice": [False],
+        "doubled": [sys.platform == "linux"],
+        "again": [sys.platform == "linux"],
+    }
 
 
 def test_a_first_compilation_is_said_once(tmp_path: Path, monkeypatch, caplog):
@@ -163,3 +200,12 @@ def test_importing_the_package_is_quick_work_and_loads_nothing_heavy():
         "import sys, robot_ik; print([m for m in ('numba', 'cv2', 'mujoco', 'numpy') if m in sys.modules])"
     )
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_scipy_is_loaded_only_by_code_that_asks_for_its_linear_algebra() -> None:
+    done = run(
+        "import sys, numpy as np, numba, robot_ik.kernels.kinematics; print('scipy.linalg' in sys.modules)"
+        "\n@numba.njit\ndef product(a): return a @ a"
+        "\nprint(product(2.0 * np.eye(2))[1, 1], 'scipy.linalg' in sys.modules)"
+    )
+    assert done.stdout.split() == ["False", "4.0", "True"], done.stderr

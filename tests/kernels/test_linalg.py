@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from numba import njit
 from scipy.optimize import lsq_linear
 
-from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step, solve_definite
+from robot_ik.kernels import linalg
+from robot_ik.kernels.linalg import normal_equations, row_products, row_step, solve_definite
+
+
+@njit
+def box_step(*arguments):
+    return linalg.box_step(*arguments)
 
 
 def solve(matrix, gradient, low, high):

@@ -182,7 +182,7 @@ def test_the_tool_looks_along_the_approach_and_the_fingers_open_along_y(arm: Own
     fingers = rik.load_robot(arm.name, joints="gripper")
     names = [n for n in ("left_finger_link", "finger_link1", "gripper_moving_finger") if n in fingers.frames]
     data, wide = (arm.posed(np.zeros(arm.robot.nq)) for _ in range(2))
-    joint = arm.config.aside[0]
+    joint = arm.config.auxiliary[0]
     low, high = sorted(joint.limits, key=lambda end: abs(end - joint.to_radians(2048)))
     for d, q in ((data, low), (wide, high)):
         d.joint(joint.name).qpos[:] = q
@@ -269,7 +269,7 @@ def test_its_own_actuators_hold_the_home_pose(arm: OwnedArm) -> None:
 @pytest.mark.parametrize("name", ["omx_f", "vx300s", "wx250s"])
 def test_the_second_finger_follows_the_first_the_other_way_round(name: str) -> None:
     fingers = rik.load_robot(name, joints="gripper")
-    low, high = ARMS[name].config.aside[0].limits
+    low, high = ARMS[name].config.auxiliary[0].limits
     wanted = 0.25 * low + 0.75 * high
     np.testing.assert_allclose(fingers.follow([wanted, 0.0]), [wanted, -wanted])
 

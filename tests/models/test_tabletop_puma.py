@@ -63,7 +63,7 @@ def dh_table() -> list[tuple[float, float, float, float, float]]:
 
 @cache
 def torques() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_torque_table", ROOT / "docs" / "make_torque_table.py")
+    spec = importlib.util.spec_from_file_location("torque_table", ROOT / "docs" / "make" / "torque_table.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
@@ -163,7 +163,7 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
 
 
 def test_the_torque_table_of_the_readme_is_up_to_date() -> None:
-    assert torques().filled(README) == README, "run: python docs/make_torque_table.py"
+    assert torques().filled(README) == README, "run: python docs/make/torque_table.py"
     assert "| `joint6` |" in README
 
 

@@ -215,10 +215,13 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
         ("schema = 1\n[poses.a]\njoint9 = 1.0", r"poses.a.joint9: unknown joint \(did you mean 'joint\d'"),
         ("schema = 1\n[poses.a]\njoint1 = true", "poses.a.joint1: True is not right; allowed: a number"),
         ("schema = 1\n[poses.a]\njoint1 = 99.0", "poses.a: .*'joint1' outside its limits"),
-        ("schema = 1\nposes = 3", "poses: is no table of tables"),
+        ("schema = 1\nposes = 3", "poses: 3 is not right; allowed: a table"),
         ("schema = 1\n[motions.m]\nposes = ['a', 'b']", "motions.m: there is no pose 'a'"),
-        ("schema = 1\n[motions.m]\nloop = 1", "motions.m.loop: 1 is not right; allowed: true or false"),
-        ("schema = 1\n[motions.m]\nloops = true", "motions.m.loops: unknown key; allowed: poses"),
+        (
+            "schema = 1\n[motions.m]\nposes = []\nloop = 1",
+            "motions.m.loop: 1 is not right; allowed: true or false",
+        ),
+        ("schema = 1\n[motions.m]\nloops = true", "motions.m.loops: unknown key 'loops'; allowed: poses"),
         ("schema = 1\n[poses.a]\njoint1 = nan", "nan is not right"),
     ],
 )

@@ -209,7 +209,7 @@ def test_changing_its_weight_needs_no_new_problem(humanoid: rik.Robot) -> None:
 def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
     docs = Path(__file__).parents[2] / "docs"
     found = json.loads((docs / "pose_prior.json").read_text(encoding="utf-8"))
-    page = (docs / "poses.md").read_text(encoding="utf-8")
+    page = (docs / "how-to" / "poses.md").read_text(encoding="utf-8")
     labels = {"goals alone": "goals alone", "with a posture goal": "with a soft posture (home)"}
     for name, row in found["rows"].items():
         degrees, inside, nearest, miss = (

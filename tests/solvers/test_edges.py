@@ -1,4 +1,4 @@
-"""Goals at the edges of what may be asked: refused in words, or defined; docs/goals.md tells which."""
+"""Goals at the edges of what may be asked: refused in words, or defined, as docs/reference/goals.md says."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Limits, sizes and joints at their edges: defined, told in docs/goals.md, the same for every method."""
+"""Limits, sizes and joints at their edges: defined in docs/reference/goals.md, the same for every method."""
 
 import numpy as np
 import pytest

@@ -117,7 +117,12 @@ def screen(require: Callable[..., str], tmp_path: Path) -> Iterator[Screen]:
 
 @pytest.fixture
 def viewer_process(screen: Screen) -> Iterator[subprocess.Popen[str]]:
-    environment = {**os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+    environment = {
+        **os.environ,
+        "DISPLAY": screen.display,
+        "LIBGL_ALWAYS_SOFTWARE": "1",
+        "LP_NUM_THREADS": "1",
+    }
     environment.pop("MUJOCO_GL", None)
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD],
@@ -227,7 +232,12 @@ print("closed", flush=True)
 
 @pytest.mark.parametrize("name", ["puma560", "panda"])
 def test_the_stage_is_there_and_the_window_stays_until_it_is_closed(name: str, screen: Screen) -> None:
-    environment = {**os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+    environment = {
+        **os.environ,
+        "DISPLAY": screen.display,
+        "LIBGL_ALWAYS_SOFTWARE": "1",
+        "LP_NUM_THREADS": "1",
+    }
     environment.pop("MUJOCO_GL", None)
     done = subprocess.run(
         [sys.executable, "-c", STAGE, name],

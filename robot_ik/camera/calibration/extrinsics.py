@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
@@ -27,12 +27,12 @@ from robot_ik.camera.calibration.handeye import (
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
-from robot_ik.files import config_error, read_toml, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.tables import Place, Table, Wxyz, read_table
 
 Array = NDArray[np.float64]
 
-_SCHEMA = 1
 _ROUNDS, _DONE = 30, 1e-10
 # The stated standard deviation of a pixel weighs as much as so many measured ones.
 _PRIOR = 6.0
@@ -116,11 +116,11 @@ class CameraExtrinsics:
         Raises:
             CalibrationError: Missing, no such file, a key is missing or wrong, or other intrinsics.
         """
+        made_by = "such files are made by: robot-ik camera locate, robot-ik camera handeye"
         try:
-            data = read_toml(Path(path), "the place of the camera", "make it with: robot-ik camera locate")
-            place = _from_data(data, Path(path))
+            place = read_table(_File, Path(path), "the place of the camera", made_by).extrinsics()
         except ConfigError as error:
-            raise CalibrationError(error.args[0], hint=error.hint) from error
+            raise CalibrationError(error.args[0], hint=error.hint or made_by) from error
         if intrinsics is not None:
             place.require_intrinsics(intrinsics)
         return place
@@ -235,7 +235,7 @@ def _text(place: CameraExtrinsics) -> str:
     return (
         "# Where a camera is.  Lengths in m, angles in rad, quaternions w x y z; camera axes are OpenCV's:\n"
         "# x right, y down, z forward.\n"
-        f"schema = {_SCHEMA}\n"
+        "schema = 1\n"
         f"parent = {_words(place.parent)}\n"
         f"position = {_numbers(pose.position)}\n"
         f"wxyz = {_numbers(pose.wxyz)}\n"
@@ -252,21 +252,17 @@ def _text(place: CameraExtrinsics) -> str:
     )
 
 
-_KEYS = (
-    "parent", "position", "wxyz", "covariance", "residual_px", "residual_mm", "date", "intrinsics",
-)  # fmt: skip
+_Six = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 
 
-_Six = Annotated[list[float], Field(min_length=6, max_length=6)]
-
-
-class _File(BaseModel):
-    model_config = ConfigDict(strict=True)
-
+class _File(Table):
+    version: Annotated[Literal[1], Field(alias="schema")] = 1
     parent: str
-    position: Annotated[list[float], Field(min_length=3, max_length=3)]
-    wxyz: Annotated[list[float], Field(min_length=4, max_length=4)]
-    covariance: Annotated[list[_Six], Field(min_length=6, max_length=6)]
+    position: Place
+    wxyz: Wxyz
+    covariance: Annotated[tuple[_Six, _Six, _Six, _Six, _Six, _Six], Field(strict=False)]
+    sigma_position: float | None = None  # what the covariance says, for people
+    sigma_angle: float | None = None
     residual_px: float
     residual_mm: float
     date: str
@@ -274,30 +270,16 @@ class _File(BaseModel):
     method: str = ""
     views: int = 1
 
-
-def _from_data(data: Mapping[str, Any], path: Path) -> CameraExtrinsics:
-    missing = [key for key in _KEYS if key not in data]
-    if missing:
-        raise CalibrationError(
-            f"{path} is no place of a camera: it lacks {', '.join(missing)}",
-            hint="such files are made by: robot-ik camera locate, robot-ik camera handeye",
-        )
-    if data.get("schema", _SCHEMA) != _SCHEMA:
-        raise CalibrationError(f"{path} is of schema {data['schema']}; this version reads {_SCHEMA}")
-    try:
-        found = _File.model_validate(data)
+    def extrinsics(self) -> CameraExtrinsics:
+        """What the file says."""
         return CameraExtrinsics(
-            Pose(found.position, found.wxyz),
-            found.parent,
-            np.array(found.covariance, dtype=float),
-            found.residual_px,
-            found.residual_mm,
-            found.date,
-            found.intrinsics,
-            method=found.method,
-            views=found.views,
+            Pose(self.position, self.wxyz),
+            self.parent,
+            np.array(self.covariance),
+            self.residual_px,
+            self.residual_mm,
+            self.date,
+            self.intrinsics,
+            method=self.method,
+            views=self.views,
         )
-    except ValidationError as error:
-        raise config_error(error, path) from error
-    except (CalibrationError, ValueError) as error:
-        raise CalibrationError(f"{path}: {error.args[0]}") from error

@@ -203,15 +203,15 @@ class GlArtist:
     def _render(
         self, figure: DrawnRobot, qpos: ArrayLike, pinhole: CameraIntrinsics, pose_board_camera: Pose
     ) -> tuple[Image, Image]:
-        """Colour (h, w, 3) BGR and mask (h, w) of the robot through a pinhole, phantoms taken away."""
+        """Colour (h, w, 3) BGR and mask (h, w) of the robot through a pinhole, occluders taken away."""
         camera = figure.camera(pose_board_camera)
         pictures = self._pictures(figure.model, qpos, pinhole, camera)
         colour, geom, depth = pictures
         hidden = geom < 0
-        if figure.phantom_geoms is not None:
-            hidden |= (geom >= 0) & figure.phantom_geoms[geom]
-        if figure.phantoms is not None:
-            things = figure.phantoms
+        if figure.occluder_geoms is not None:
+            hidden |= (geom >= 0) & figure.occluder_geoms[geom]
+        if figure.occluders is not None:
+            things = figure.occluders
             _, other, before = self._pictures(things, things.qpos0, pinhole, pose_board_camera)
             hidden |= (other >= 0) & (before < depth * figure.scale)
         return colour, np.where(hidden, 0, 255).astype(np.uint8)

@@ -290,12 +290,12 @@ class Samples:
         self._owner = np.full(1, -1)
         self._extent = np.tile(np.array([width, 0]), (shape[0], 1))
 
-    def fill(self, faces: Faces, *, phantoms: Mask | bool = False) -> None:
-        """Adds faces; ``phantoms`` (ngeom,) or all: they hide what is behind them and are not drawn.
+    def fill(self, faces: Faces, *, occluders: Mask | bool = False) -> None:
+        """Adds faces; ``occluders`` (ngeom,) or all: they hide what is behind them and are not drawn.
 
-        Only one model may be there that is not all phantoms: the last.
+        Only one model may be there that is not all occluders: the last.
         """
-        hidden = phantoms[faces.geom] if isinstance(phantoms, np.ndarray) else phantoms
+        hidden = occluders[faces.geom] if isinstance(occluders, np.ndarray) else occluders
         before = len(self._owner) - 1
         self._owner = np.concatenate([self._owner, np.where(hidden, -1, faces.geom)])
         light = np.empty((len(faces.faces) + 1, 12), dtype=np.float32)
@@ -319,7 +319,7 @@ class Samples:
         return self._pixels(self._depth)
 
     def geoms(self) -> Index:
-        """Geom id at each sample (h, w, n); -1 where nothing is, or a phantom."""
+        """Geom id at each sample (h, w, n); -1 where nothing is, or an occluder."""
         return self._owner[self._pixels(self._whose)]
 
     def layer(self, base: Array) -> Layer:

@@ -5,24 +5,25 @@ All of them give the same sheets for the same robot, camera and light, and none 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Protocol
 
 import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from robot_ik.camera.drawing import painter
 from robot_ik.camera.drawing.painter import EMPTY, Box, Layer
 from robot_ik.camera.drawing.raycast import Caster, ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError
-from robot_ik.files import read_toml, shown
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.model import read_model
+from robot_ik.tables import Place, Several, Table, read_table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -42,8 +43,8 @@ class DrawnRobot:
         model: The robot.
         pose_board_base: Where its world frame is, seen from the board (x right, y up, z out of the print).
         scale: Drawn size over true size.
-        phantoms: Real things, their world is the board's frame; drawn to depth only.
-        phantom_geoms: (ngeom,) geoms of the robot's own model that are such things.
+        occluders: Real things, their world is the board's frame; drawn to depth only.
+        occluder_geoms: (ngeom,) geoms of the robot's own model that are such things.
         tint: One colour for all of it, BGR 0..255.
         shadow: Whether it throws a shadow on the board's plane.
     """
@@ -51,8 +52,8 @@ class DrawnRobot:
     model: mujoco.MjModel
     pose_board_base: Pose = field(default_factory=Pose)
     scale: float = 1.0
-    phantoms: mujoco.MjModel | None = None
-    phantom_geoms: Mask | None = None
+    occluders: mujoco.MjModel | None = None
+    occluder_geoms: Mask | None = None
     tint: tuple[float, float, float] | None = None
     shadow: bool = True
 
@@ -99,13 +100,13 @@ class Artist(Protocol):
 def seen_faces(
     figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
 ) -> tuple[painter.Faces, painter.Faces | None, Box]:
-    """Faces of robot and phantoms with depths of one scale, and the pixels the robot touches."""
+    """Faces of robot and occluders with depths of one scale, and the pixels the robot touches."""
     faces = painter.faces_in_picture(figure.model, qpos, intrinsics, figure.camera(pose_board_camera))
     faces = replace(faces, inverse=faces.inverse / figure.scale, points=faces.points * figure.scale)
     box = painter.bounding_box(faces, *intrinsics.size)
     things = None
-    if figure.phantoms is not None and box != EMPTY:
-        model = figure.phantoms
+    if figure.occluders is not None and box != EMPTY:
+        model = figure.occluders
         things = painter.faces_in_picture(model, model.qpos0, intrinsics, pose_board_camera, planes=True)
     return faces, things, box
 
@@ -113,7 +114,7 @@ def seen_faces(
 def shadow_sheet(
     faces: painter.Faces, things: painter.Faces | None, intrinsics: CameraIntrinsics, pose_board_camera: Pose
 ) -> tuple[Layer, float]:
-    """The shadow that ``faces`` throw on the board's plane, and its strength; phantoms hide it."""
+    """The shadow that ``faces`` throw on the board's plane, and its strength; occluders hide it."""
     inverse = pose_board_camera.inverse()
     normal, origin = inverse.rotation[:, 2], inverse.position
     fall = -painter.LIGHT
@@ -186,8 +187,8 @@ class PainterArtist:
             return Drawing()
         samples = painter.Samples(box, self._samples)
         if things is not None:
-            samples.fill(things, phantoms=True)
-        samples.fill(faces, phantoms=False if figure.phantom_geoms is None else figure.phantom_geoms)
+            samples.fill(things, occluders=True)
+        samples.fill(faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)
         robot = (samples.layer(painter.base_colours(figure.model, figure.tint)), 1.0)
         if not figure.shadow:
             return Drawing((robot,))
@@ -201,7 +202,7 @@ class RayPicture:
     Attributes:
         box: The pixels, half open; ``depth`` (h, w) metres along the optical axis, inf where nothing is.
         depth: See ``box``.
-        geom: (h, w) geom of the robot that is seen; -1 for none, a phantom among them.
+        geom: (h, w) geom of the robot that is seen; -1 for none, an occluder among them.
     """
 
     box: Box
@@ -275,11 +276,11 @@ class RayArtist:
         camera = figure.camera(pose_board_camera)
         hits = caster.cast(camera.position, rays @ camera.rotation.T)
         geom, depth = hits.geom.copy(), hits.depth * figure.scale
-        if figure.phantom_geoms is not None:
-            geom[(geom >= 0) & figure.phantom_geoms[geom]] = -1
-        if figure.phantoms is not None:
-            real = self._caster(figure.phantoms)
-            real.place(figure.phantoms.qpos0)
+        if figure.occluder_geoms is not None:
+            geom[(geom >= 0) & figure.occluder_geoms[geom]] = -1
+        if figure.occluders is not None:
+            real = self._caster(figure.occluders)
+            real.place(figure.occluders.qpos0)
             before = real.cast(
                 pose_board_camera.position, rays @ pose_board_camera.rotation.T, normals=False
             ).depth
@@ -293,7 +294,7 @@ ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": Ray
 
 
 # ------------------------------------------------------------------------------------------
-# Real things that hide the drawn robot: geoms that are drawn to depth only.
+# Real objects that hide the drawn robot: geoms that are drawn to depth only.
 #
 # They come from a MuJoCo model, or from a TOML file of boxes::
 #
@@ -303,10 +304,24 @@ ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": Ray
 #     yaw_deg = 20.0                  # about the vertical, 0 when not given
 
 
-_KEYS = {"position": 3, "size": 3, "yaw_deg": 1}
+_Edge = Annotated[float, Field(gt=0.0)]
 
 
-def load_phantoms(path: Path | str) -> mujoco.MjModel:
+class BoxTable(Table):
+    """A box: its middle and its edges in metres, turned about the vertical."""
+
+    position: Place
+    size: Annotated[
+        tuple[_Edge, _Edge, _Edge], Field(strict=False, description="three edges above 0, metres")
+    ]
+    yaw_deg: float = 0.0
+
+
+class _BoxesFile(Table):
+    box: Annotated[Several[BoxTable], Field(min_length=1, description="[[box]] with position and size")]
+
+
+def load_occluders(path: Path | str) -> mujoco.MjModel:
     """The things in a file, as a model whose world is the frame of the board.
 
     Raises:
@@ -320,39 +335,17 @@ def load_phantoms(path: Path | str) -> mujoco.MjModel:
             return read_model(file, file)[0]
         except ModelError as error:
             raise ConfigError(f"is not a MuJoCo model: {error.reason or error}", file=file) from error
-    data = read_toml(file, "the file of boxes")
-    boxes = data.get("box")
-    if not isinstance(boxes, list) or not boxes or set(data) != {"box"}:
-        raise ConfigError("holds no boxes", file=file, key="box", allowed="[[box]] with position and size")
-    return phantom_boxes([_box(box, file, k) for k, box in enumerate(boxes)])
+    return occluder_boxes(read_table(_BoxesFile, file, "the file of boxes").box)
 
 
-def phantom_boxes(boxes: list[dict[str, list[float]]]) -> mujoco.MjModel:
-    """A model of boxes, each with ``position``, ``size`` and ``yaw_deg`` as in the file."""
+def occluder_boxes(boxes: Iterable[BoxTable]) -> mujoco.MjModel:
+    """A model of boxes."""
     spec = mujoco.MjSpec()
     for box in boxes:
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=box["position"],
-            size=[0.5 * edge for edge in box["size"]],
-            quat=rotation_exp([0.0, 0.0, np.deg2rad(box.get("yaw_deg", [0.0])[0])]).tolist(),
+            pos=box.position,
+            size=[0.5 * edge for edge in box.size],
+            quat=rotation_exp([0.0, 0.0, np.deg2rad(box.yaw_deg)]).tolist(),
         )
     return spec.compile()
-
-
-def _box(box: Any, file: Path, number: int) -> dict[str, list[float]]:
-    key = f"box {number + 1}"
-    if not isinstance(box, Mapping) or not {"position", "size"} <= set(box) <= set(_KEYS):
-        raise ConfigError("is no box", file=file, key=key, allowed=", ".join(_KEYS))
-    found = {}
-    for name, value in box.items():
-        numbers = value if isinstance(value, list) else [value]
-        good = all(isinstance(v, (int, float)) and np.isfinite(v) for v in numbers)
-        if not good or len(numbers) != _KEYS[name]:
-            raise ConfigError(
-                f"{shown(value)} is no {name}", file=file, key=key, allowed=f"{_KEYS[name]} finite numbers"
-            )
-        found[name] = [float(v) for v in numbers]
-    if min(found["size"]) <= 0:
-        raise ConfigError(f"{found['size']} is no size", file=file, key=key, allowed="edges above 0, metres")
-    return found

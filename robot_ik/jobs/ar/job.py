@@ -16,7 +16,7 @@ from robot_ik.camera.boards.board import MarkerBoard, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.painter import project, surface_points
-from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_phantoms
+from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen, Shown
 from robot_ik.camera.sources import Frame, FrameSource
@@ -56,15 +56,15 @@ class ArRequest:
         intrinsics: Calibration of a real camera.
         board: See ``parse_board``; ``dictionary`` of its markers.
         dictionary: See ``board``.
-        place: Of a camera that stands still, instead of a board.
+        extrinsics: Of a camera that stands still, instead of a board.
         base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
             of the board (x right, y up, z out of the print), or in the world of ``place``.
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
         backend: ``painter``, ``ray`` or ``gl``.
-        phantoms: File of real things that hide the robot; ``phantom_geoms`` names of the model's own.
-        phantom_geoms: See ``phantoms``.
+        occluders: File of real things that hide the robot; ``occluder_geoms`` names of the model's own.
+        occluder_geoms: See ``occluders``.
         latency_options: What is done about delay.
         delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
         alpha: 1 hides what is behind the robot.
@@ -81,14 +81,14 @@ class ArRequest:
     intrinsics: Path | None = None
     board: str = BOARD
     dictionary: str = ""
-    place: Path | None = None
+    extrinsics: Path | None = None
     base: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     scale: float = 0.0
     motion: str = "wave"
     marker: tuple[int, float] = FOLLOWED
     backend: str = "painter"
-    phantoms: Path | None = None
-    phantom_geoms: tuple[str, ...] = ()
+    occluders: Path | None = None
+    occluder_geoms: tuple[str, ...] = ()
     latency_options: LatencyOptions = field(default_factory=LatencyOptions)
     delay: float = 0.0
     alpha: float = 1.0
@@ -281,9 +281,14 @@ def _figure(request: ArRequest, robot: Robot, scale: float) -> DrawnRobot:
     low, _ = heights(robot)
     # its lowest point stands on the board
     base = Pose((x, y, z - scale * low), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
-    phantoms = None if request.phantoms is None else load_phantoms(request.phantoms)
+    occluders = None if request.occluders is None else load_occluders(request.occluders)
     return DrawnRobot(
-        robot.model, base, scale, phantoms, _named_geoms(robot, request.phantom_geoms), shadow=request.shadow
+        robot.model,
+        base,
+        scale,
+        occluders,
+        _named_geoms(robot, request.occluder_geoms),
+        shadow=request.shadow,
     )
 
 
@@ -298,7 +303,7 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     for name in names:
         if name not in known:
             raise ConfigError(
-                f"{robot.name} has no geom {name!r}", file="command line", key="--phantom-geoms",
+                f"{robot.name} has no geom {name!r}", file="command line", key="--occluder-geoms",
                 allowed=", ".join(sorted(filter(None, known))) or "none: its geoms have no names",
             )  # fmt: skip
     return np.array([name in names for name in known]) if names else None
@@ -310,7 +315,7 @@ def _open(
     """Frames, their optics, how many there will be (0: nobody knows), and the made-up stage, if it is one."""
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
-        things = None if request.phantoms is None else load_phantoms(request.phantoms)
+        things = None if request.occluders is None else load_occluders(request.occluders)
         still = None if things is None else AT_REST
         made_up, clock = synthetic_stage(
             width, height, rate_hz=_RATE_HZ, motion=still, things=things,
@@ -366,8 +371,8 @@ def _pairs(frames: Iterator[Frame], request: ArRequest) -> Iterator[tuple[Frame,
 def _registrar(
     request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
 ) -> Registrar:
-    if request.place is not None:
-        place = CameraExtrinsics.load(request.place, intrinsics)
+    if request.extrinsics is not None:
+        place = CameraExtrinsics.load(request.extrinsics, intrinsics)
         place.require_parent("world")
         return Registrar(
             None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),

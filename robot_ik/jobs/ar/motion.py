@@ -142,8 +142,8 @@ class Waving:
         robot = self.robot
         if robot.nq != robot.nv:
             return robot.home
-        room = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
-        swing = np.clip(np.nan_to_num(_WAVE_SHARE * room, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
+        margin = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
+        swing = np.clip(np.nan_to_num(_WAVE_SHARE * margin, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
         phase = 2.0 * np.pi * time / _WAVE_PERIOD
         return np.asarray(robot.home + swing * np.sin(phase * (1.0 + 0.5 * (np.arange(robot.nq) % 2))))
 

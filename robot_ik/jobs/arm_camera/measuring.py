@@ -20,13 +20,14 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError, ConfigError, RobotIkError
 from robot_ik.execution import execute
-from robot_ik.files import config_error, parse_json, plain, read_text, shown, write_atomically
+from robot_ik.files import parse_json, plain, read_text, shown, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, Rehearsal
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.robot import Robot, load_robot
+from robot_ik.tables import config_error
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def visit_stops(
     """Goes to each stop in turn; a generator, so that what was seen before an interruption is kept.
 
     Args:
-        setup: Connected and energised (``limbs.connected()``, ``limbs.energise()``).
+        setup: Connected and energised (``setup.connected()``, ``setup.energise()``).
         stops: (nq,) each, inside the limits; see ``plan_views``.
         take: Takes a picture.
         speed: Share of the joints' speed limits.

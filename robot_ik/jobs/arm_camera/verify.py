@@ -103,7 +103,7 @@ class VerifyRequest(ArmCameraRequest):
     """An arm that carries a board before a standing camera.
 
     Attributes:
-        place: File of the camera's place; needed for a real camera, the simulated one is located first.
+        extrinsics: File of the camera's place; needed for a real camera, the simulated one is located first.
         pose_frame_board: Where the board is on ``frame``; None: the simulated one, or its frame.
         board_sigma: How well that is known, each axis: metres, rad.
         fit: Whether to estimate the joints' zero offsets.
@@ -111,7 +111,7 @@ class VerifyRequest(ArmCameraRequest):
     """
 
     views: int = 30
-    place: Path | None = None
+    extrinsics: Path | None = None
     pose_frame_board: Pose | None = None
     board_sigma: tuple[float, float] = BOARD_SIGMA
     fit: bool = False
@@ -263,10 +263,10 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
     if request.intrinsics is not None:
         lens = CameraIntrinsics.load(request.intrinsics)
         lens.require_size(*samples.intrinsics.size)
-        if lens.digest != samples.intrinsics.digest and request.place is None:
+        if lens.digest != samples.intrinsics.digest and request.extrinsics is None:
             raise CalibrationError(
                 "the camera's place on file was found with another calibration",
-                hint="give the place that was found with this one: --camera-place FILE",
+                hint="give the place that was found with this one: --camera-extrinsics FILE",
             )
         samples = replace(samples, intrinsics=lens)
         known = replace(known, samples=samples)
@@ -318,18 +318,18 @@ def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
 
 
 def _scene_request(request: VerifyRequest) -> HandEyeRequest:
-    if request.camera != "synthetic" and request.place is None:
+    if request.camera != "synthetic" and request.extrinsics is None:
         raise CalibrationError(
             f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
-            hint="lay a board on the table and find it: robot-ik camera locate; then give --camera-place",
+            hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
         )
     return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
 
 
 def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
-    if request.place is None:
+    if request.extrinsics is None:
         return None
-    place = CameraExtrinsics.load(request.place, intrinsics)
+    place = CameraExtrinsics.load(request.extrinsics, intrinsics)
     place.require_parent("world")
     return place
 
@@ -343,7 +343,7 @@ def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
     if not seen:
         raise MarkerNotFoundError(
             "the marker on the table is hidden, so the simulated camera does not know where it stands",
-            hint="give its place: --camera-place FILE",
+            hint="give where it is: --camera-extrinsics FILE",
         )
     return locate_camera(seen, stage.pose_world_marker, scene.task.intrinsics)
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,36 +15,21 @@ from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import RobotIkError, apart
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
-from robot_ik.hardware.virtual.faults import Faults, ScriptFaults, fault_for
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.reach import ReachRequest
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import stage_for
-from robot_ik.jobs.script.check import check_script, looks
+from robot_ik.jobs.script.file import ObjectTable
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
-from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
-from robot_ik.jobs.script.steps import (
-    Action,
-    AnyStep,
-    ClearStep,
-    ExpectStep,
-    FollowStep,
-    HoldStep,
-    InjectStep,
-    ThingTable,
-    WaitStep,
-    expect,
-    follow_goal,
-    go,
-    grip,
-    recover,
-)
+from robot_ik.jobs.script.state import Context, RunState, Script, StepFailed, error_classes
+from robot_ik.jobs.script.steps import Action, Step
 from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
+from robot_ik.tables import WrongKey
 
 # ------------------------------------------------------------------------------------------
-# The world of a script: its synthetic camera, and things that lie about.
+# The world of a script: its synthetic camera, and objects that lie about.
 
 
 SMALLER = 2
@@ -54,7 +37,7 @@ SMALLER = 2
 
 
 def open_camera(
-    setup: RobotSetup, marker_at: list[float] | None, seed: int, stack: contextlib.ExitStack
+    setup: RobotSetup, marker_at: Sequence[float] | None, seed: int, stack: contextlib.ExitStack
 ) -> Vision:
     """The camera of the robot's stage, ready: the first picture, which takes longest, has been taken.
 
@@ -90,17 +73,37 @@ def open_camera(
     return vision
 
 
-def with_things(robot: Robot, things: Sequence[ThingTable]) -> mujoco.MjModel:
-    """The robot's model with things on the plane z = 0."""
-    from robot_ik.hardware.virtual.world import Thing, model_with
+def with_objects(robot: Robot, objects: Sequence[ObjectTable]) -> mujoco.MjModel:
+    """The robot's model with objects on the plane z = 0."""
+    from robot_ik.hardware.virtual.world import WorldObject, model_with
 
     boxes = []
-    for thing in things:
-        (x, y, z), half = thing.position, 0.5 * float(np.radians(thing.yaw_deg))
-        wide, deep, high = (1e-3 * edge for edge in thing.size_mm)
-        turn = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
-        boxes.append(Thing(thing.name, (x, y, z), (wide, deep, high), 1e-3 * thing.mass_g, turn))
+    for one in objects:
+        (x, y, z), half = one.position, 0.5 * float(np.radians(one.yaw_deg))
+        wide, deep, high = (1e-3 * edge for edge in one.size_mm)
+        wxyz = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        boxes.append(WorldObject(one.name, (x, y, z), (wide, deep, high), 1e-3 * one.mass_g, wxyz))
     return model_with(robot.path, boxes, floor=0.0)
+
+
+def check_script(script: Script, setup: RobotSetup) -> None:
+    """Whether robot, arm and bus can do every step, before anything is opened or moves.
+
+    Raises:
+        ConfigError: With the key of the first step that cannot be run here.
+    """
+    assert setup.config is not None
+    simulated = setup.arm is not None and setup.arm.virtual_bus is not None
+    if script.content.physics and not simulated:
+        raise script.wrong(
+            "servos on a real port move by themselves", "physics", "false, or --bus sim or pty"
+        )
+    context = Context(setup.robot, setup.config, simulated)
+    for k, step in enumerate(script.steps):
+        try:
+            step.check(context)
+        except WrongKey as wrong:
+            raise wrong.within(("steps", k)).in_file(script.file) from None
 
 
 Progress = Callable[[str, float], None]
@@ -160,7 +163,7 @@ class ScriptRun:
         self._request = ReachRequest(robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed)
         self.setup = prepare_robot(self._request)
         check_script(script, self.setup)
-        rows = [StepResult(step.name or describe(step), step.do) for step in script.steps]
+        rows = [StepResult(step.title, step.do) for step in script.steps]
         virtual = request.bus == "sim"
         self.report = ScriptReport(
             script.name, script.file, self.setup.robot.name, request.bus, self._seed, virtual,
@@ -191,7 +194,7 @@ class ScriptRun:
                 finally:
                     report.seconds = now.now()
         finally:
-            _tell_leaving(now, report.steps[-1])
+            _report_leaving(now, report.steps[-1])
         return report
 
     def _prepare(self, now: RunState, stack: contextlib.ExitStack, progress: Progress) -> None:
@@ -199,19 +202,18 @@ class ScriptRun:
         setup, robot = now.setup, now.robot
         servos = now.arm.virtual_bus
         if servos is not None:
-            servos.set_faults(Faults(seed=self._seed))
-            now.script_faults = ScriptFaults(servos)
+            servos.reseed(self._seed)
             if self._script.content.physics:
                 from robot_ik.hardware.virtual.world import World
 
-                things = self._script.content.things
-                model = with_things(robot, things) if things else robot.model
-                World(model, now.config, servos, contacts=bool(things))
+                objects = self._script.content.objects
+                model = with_objects(robot, objects) if objects else robot.model
+                World(model, now.config, servos, contacts=bool(objects))
         progress("getting ready", 0.0)
         solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=now.solver)
-        if any(looks(step) for step in self._script.steps):
+        if any(step.looks for step in self._script.steps):
             now.vision = open_camera(setup, self._script.content.marker_at, self._seed, stack)
-            if any(isinstance(step, FollowStep) for step in self._script.steps):
+            if any(step.do == "follow" for step in self._script.steps):
                 now.vision.get_ready_to_follow()
 
     def _steps(self, now: RunState, progress: Progress) -> None:
@@ -226,7 +228,7 @@ class ScriptRun:
                 return
 
 
-def _tell_leaving(now: RunState, row: StepResult) -> None:
+def _report_leaving(now: RunState, row: StepResult) -> None:
     left = now.arm.exit_report
     if left is None:  # it was never connected
         return
@@ -236,14 +238,14 @@ def _tell_leaving(now: RunState, row: StepResult) -> None:
         row.found += f"; {left.doubt}"
 
 
-def run_step(now: RunState, step: AnyStep, result: StepResult) -> None:
+def run_step(now: RunState, step: Step, result: StepResult) -> None:
     """One step; how it went is in ``result``."""
     begin = now.setup.clock.now()
     wanted = step.raises if isinstance(step, Action) else None
     result.outcome, result.found = FAILED, "interrupted"
     try:
         result.found = ""
-        DO[step.do](now, step, result)
+        step.run(now, result)
         result.outcome = PASSED
         if wanted is not None:
             result.outcome, result.found = FAILED, f"no error came; {wanted} was expected"
@@ -274,80 +276,6 @@ def _take_time(now: RunState, step: Action, result: StepResult) -> None:
         result.outcome = FAILED
         took, most = apart(result.seconds, step.time_limit_s or 0.0, digits=2)
         result.found = "; ".join(filter(None, (f"took {took} s, allowed {most} s", result.found)))
-
-
-def _wait(now: RunState, step: WaitStep, result: StepResult) -> None:
-    if now.movable:
-        now.repeat(step.seconds)
-    else:
-        now.setup.clock.sleep_until(now.setup.clock.now() + step.seconds)
-
-
-def _hold(now: RunState, step: HoldStep, result: StepResult) -> None:
-    now.arm.hold()
-    now.stand()
-
-
-def _inject(now: RunState, step: InjectStep, result: StepResult) -> None:
-    assert now.script_faults is not None
-    fault = fault_for(now.config, step.kind, joint=step.joint, id=step.id, value=step.value)
-    now.script_faults.inject(fault, step.in_s, step.for_s)
-
-
-def _clear(now: RunState, step: ClearStep, result: StepResult) -> None:
-    assert now.script_faults is not None
-    result.numbers["cleared"] = now.script_faults.clear(step.kind)
-
-
-def _expect(now: RunState, step: ExpectStep, result: StepResult) -> None:
-    expect(now, step, result)
-
-
-def _follow(now: RunState, step: FollowStep, result: StepResult) -> None:
-    follow_goal(now, step, result)
-
-
-DO: Mapping[str, Callable[[RunState, Any, StepResult], None]] = MappingProxyType(
-    {
-        **dict.fromkeys(("pose", "position", "line", "joints", "keyframe", "marker"), go),
-        "grip": grip,
-        "follow": _follow,
-        "wait": _wait,
-        "hold": _hold,
-        "inject": _inject,
-        "clear": _clear,
-        "recover": recover,
-        "expect": _expect,
-    }
-)
-"""What does each kind of step; as many as there are in ``STEPS``."""
-
-
-def describe(step: AnyStep) -> str:
-    """What a step without a name is called: its kind and its first word or numbers."""
-    words: list[str] = [step.do]
-    for key in (
-        "keyframe",
-        "path",
-        "kind",
-        "joint",
-        "position",
-        "by",
-        "joints_deg",
-        "joints_mm",
-        "seconds",
-        "opening",
-        "width_mm",
-    ):
-        value = getattr(step, key, None)
-        if isinstance(value, dict):
-            unit = " mm" if key == "joints_mm" else "°"
-            words += [f"{joint} {number:g}{unit}" for joint, number in value.items()]
-        elif isinstance(value, list):
-            words += [f"{number:g}" for number in value]
-        elif value is not None:
-            words.append(f"{value:g} s" if key == "seconds" else str(value))
-    return " ".join(words)
 
 
 def seen_from(script: Script, name: str) -> str:

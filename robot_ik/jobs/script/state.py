@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_ik import errors
-from robot_ik.errors import ConfigError, apart, close_matches
+from robot_ik.errors import ConfigError, apart
 from robot_ik.execution import START_TOLERANCE, execute
-from robot_ik.files import shown
 from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.robot_setup import LastCommand, RobotSetup
 from robot_ik.jobs.script.report import StepResult
@@ -22,8 +21,9 @@ if TYPE_CHECKING:
     from robot_ik.errors import RobotIkError
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.virtual.faults import ScriptFaults
-    from robot_ik.jobs.script.steps import AnyStep, ScriptFile
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.jobs.script.file import ScriptFile
+    from robot_ik.jobs.script.steps import Step
     from robot_ik.jobs.vision import Vision
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
@@ -37,12 +37,6 @@ STATES_OF_MOTION = (ArmState.ENABLED, ArmState.HOLD)
 
 class StepFailed(Exception):
     """A step did not do what it should; the message says what was found."""
-
-
-def did_you_mean(name: str, known: list[str]) -> str:
-    """A hint with the names that are close, or nothing."""
-    close = close_matches(name, known)
-    return f"did you mean {' or '.join(close)}?" if close else ""
 
 
 def error_classes() -> Mapping[str, type[RobotIkError]]:
@@ -74,19 +68,28 @@ class Script:
         return self.content.name
 
     @property
-    def steps(self) -> list[AnyStep]:
+    def steps(self) -> tuple[Step, ...]:
         """In order."""
         return self.content.steps
 
-    def wrong(self, problem: str, key: str, allowed: str = "", hint: str = "") -> ConfigError:
+    def wrong(self, problem: str, key: str, allowed: str = "") -> ConfigError:
         """The error for something in this script."""
-        return ConfigError(problem, file=self.file, key=key, allowed=allowed, hint=hint)
+        return ConfigError(problem, file=self.file, key=key, allowed=allowed)
 
-    def unknown(self, what: str, name: str, known: list[str], key: str) -> ConfigError:
-        """The error for a name that does not exist; the close ones are named."""
-        return self.wrong(
-            f"no {what} is called {shown(name)}", key, ", ".join(known), did_you_mean(name, known)
-        )
+
+@dataclass(frozen=True)
+class Context:
+    """What a step is checked against.
+
+    Attributes:
+        robot: Inside the limits of model and arm file together.
+        config: The arm.
+        simulated: Its servos are; else they are behind a real port.
+    """
+
+    robot: Robot
+    config: ArmConfig
+    simulated: bool
 
 
 @dataclass
@@ -98,7 +101,6 @@ class RunState:
         solver: Name of a method.
         seed: Of restarts.
         vision: None where no step looks.
-        script_faults: None on a real port.
         error: The last error of a step; ``status``: of the last solve; ``seconds``: of the last action.
         begin: When the run began, on its clock.
     """
@@ -108,7 +110,6 @@ class RunState:
     solver: str
     seed: int
     vision: Vision | None = None
-    script_faults: ScriptFaults | None = None
     error: RobotIkError | None = None
     status: str = ""
     seconds: float = 0.0
@@ -128,6 +129,12 @@ class RunState:
         """The servos; a script never runs without."""
         assert self.setup.arm is not None
         return self.setup.arm
+
+    @property
+    def servos(self) -> VirtualBus:
+        """The simulated servos; no step that wants them runs on a real port."""
+        assert self.arm.virtual_bus is not None
+        return self.arm.virtual_bus
 
     @property
     def config(self) -> ArmConfig:

@@ -322,7 +322,7 @@ class Prepared:
         tables: What the kernels work on: tree, goals, work space, form; holds what ``addresses`` are of.
         addresses: What the kernels take first.
         family: The form's number.
-        run: What solves one problem, without numba's look at its arguments.
+        run: What solves one problem, without numba's inspection of its arguments.
         batch: What solves many.
         prove: What proves that no joint angles will do, if anything can.
     """

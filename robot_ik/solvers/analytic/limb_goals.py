@@ -193,7 +193,7 @@ _DAMPING = 1e-6
 _ASTRAY = 2.0
 # Least motion (squared, rad) up to which the start counts as near, so that an answer must be near too.
 _NEAR = 0.3
-# The least motion is believed for so many rad.
+# The linear model of the least motion holds for so many rad.
 _BELIEVED = 1.0
 # Places on the way to a limit at which another joint is tried; from there halves, down to this share of the
 # distance to the start.

@@ -186,7 +186,7 @@ def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, lis
 
 
 def size_of(axes: Array, tool: Pose) -> float:
-    """Metres that tell what is near, for an arm of these axes."""
+    """The length, m, below which points count as near, for an arm of these axes."""
     return float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())
 
 
@@ -219,7 +219,7 @@ def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> b
 
 
 # ------------------------------------------------------------------------------------------
-# Recognises limbs that shall bring a point of the hand to a place, or aim an axis of the hand.
+# Limbs that bring a point of the hand to a place, or aim an axis of the hand.
 #
 # Neither asks for a whole pose, so more is free than the elbow's swivel, and less is asked of the wrist: any
 # hinges will do there.  The closed form moves some joints and keeps the rest; see ``limb_goals.py``.

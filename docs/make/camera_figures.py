@@ -1,0 +1,160 @@
+"""Writes what was measured of the camera into the pages.
+
+    robot-ik bench camera --json FILE
+    python docs/make/camera_figures.py FILE    # FILE -> docs/camera.json -> the pages
+    python docs/make/camera_figures.py         # docs/camera.json, docs/performance.json -> the pages
+
+Rows of FILE take the place of those that were there; several files may be given.  A table stands between
+`<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from robot_ik.bench.camera import Figure
+from robot_ik.bench.camera.accuracy import remedy_errors
+from robot_ik.bench.camera.arm import compare_filters
+from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
+
+DOCS = Path(__file__).resolve().parents[1]
+DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
+PAGES = (
+    DOCS / "reference" / "camera_accuracy.md",
+    DOCS / "theory" / "registration.md",
+    DOCS.parent / "README.md",
+)
+PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+Data = dict[str, Any]
+
+#: Azuma's remedies as the page names them, with their options.
+_REMEDIES = {
+    "nothing": "`--sync latest`",
+    "less delay (half)": "search only near the last find, newest picture",
+    "image shifting": "`--shift`",
+    "prediction": "`--predict`",
+    "prediction and shifting": "`--predict --shift`",
+    "delayed video": "`--sync tracked`",
+}
+
+
+def collect(data: Data, files: Sequence[Data]) -> Data:
+    """What the pages need: each row with its machine, and what is computed without a clock."""
+    rows = dict(data.get("rows", {}))
+    for facts in files:
+        machine = {key: facts["machine"][key] for key in ("processor", "cores", "load", "when")}
+        for name, row in facts["rows"].items():
+            rows[name] = {"machine": machine, "seed": facts["seed"], **row}
+    moving, _ = compare_filters(hands=6)
+    return {
+        "rows": {row.name: rows[row.name] for row in ALL_ROWS if row.name in rows},
+        "prediction": [[row.delay, row.hold, row.predicted, row.calmed] for row in moving],
+        "remedies": {name: [miss.rms, miss.worst] for name, miss in remedy_errors().items()},
+    }
+
+
+def figures(row: Data) -> list[Figure]:
+    """Of a row of the data."""
+    return [Figure(**{k: v for k, v in facts.items() if k != "passed"}) for facts in row["figures"]]
+
+
+def camera(data: Data, others: Data) -> str:
+    """Quantity, value and wanted of every figure under what it is of; then where and when."""
+    lines, places = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"], {}
+    for row in ALL_ROWS:
+        if row.name not in data["rows"]:
+            lines.append(f"| **{row.about}** | not measured | |")
+            continue
+        lines.append(f"| **{row.about}** | | |")
+        facts = data["rows"][row.name]
+        places.setdefault(json.dumps(facts["machine"]), []).append(row.name)
+        if facts.get("unmeasured"):
+            lines.append(f"| not measured: {facts['unmeasured']} | | |")
+        for one in figures(facts):
+            missed = " (missed)" if one.passed is False else ""
+            lines.append(f"| {one.quantity} | {measured(one)}{missed} | {wanted(one)} |")
+    for where, names in places.items():
+        m = json.loads(where)
+        place = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
+        lines += ["", f"{', '.join(f'`{name}`' for name in names)}: {place}."]
+    return "\n".join([*lines, ""])
+
+
+def prediction(data: Data, others: Data) -> str:
+    """Errors of a waving hand by the age of its picture."""
+    lines = ["| age | as it was seen | predicted | 1 € filter |", "| ---: | ---: | ---: | ---: |"]
+    for delay, *values in data["prediction"]:
+        lines.append(f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |")
+    return "\n".join([*lines, ""])
+
+
+def latency_options(data: Data, others: Data) -> str:
+    """What is left of a delay of 66 ms, by remedy."""
+    lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
+    for name, (rms, worst) in data["remedies"].items():
+        lines.append(f"| {name} | {_REMEDIES[name]} | {rms:.1f} | {worst:.1f} |")
+    return "\n".join([*lines, ""])
+
+
+def headlines(data: Data, others: Data) -> str:
+    """A few figures for the front page, each from the table that its command makes."""
+
+    def of(row: str, start: str) -> str:
+        found = [one for one in figures(data["rows"][row]) if one.quantity.startswith(start)]
+        return " / ".join(f"{one.value:.2f}" for one in found) + f" {found[0].unit}"
+
+    cells = {(c["solver"], c["set"]): c for c in others["methods"] if c["robot"] == "puma560"}
+    cold, warm = cells["auto", "cold"], cells["lm", "warm"]
+    bench, pictures = (
+        "[`robot-ik bench`](docs/reference/performance.md)",
+        "[`robot-ik bench camera`](docs/reference/camera_accuracy.md)",
+    )
+    spread = f"{cold['median']:.0f} µs median, {cold['mean']:.0f} µs mean"
+    rows = [
+        ("a PUMA's pose from home (`auto`)", f"{100 * cold['rate']:.0f} % solved; {spread}", bench),
+        ("tracking a pose in small steps (`lm`)", f"{warm['median']:.1f} µs median", bench),
+        ("a 50 mm marker at 0.3 / 0.6 / 1.0 m, RMS", of("marker", "position"), pictures),
+        ("a robot drawn on a 2×2 board at 0.7 / 1.0 m, RMS", _rms(data), pictures),
+    ]  # fmt: skip
+    lines = ["| what | measured | command |", "| --- | --- | --- |"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows), ""])
+
+
+def _rms(data: Data) -> str:
+    found = [one.value for one in figures(data["rows"]["overlay"]) if one.quantity.endswith("RMS")]
+    return " / ".join(f"{value:.2f}" for value in found) + " px"
+
+
+TABLES: dict[str, Callable[[Data, Data], str]] = {
+    make.__name__: make for make in (camera, prediction, latency_options, headlines)
+}
+
+
+def filled(text: str) -> str:
+    """A page with every table as the data have it."""
+    data, others = (json.loads(path.read_text(encoding="utf-8")) for path in (DATA, OTHERS))
+    return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data, others) + m[4], text)
+
+
+def main(names: Sequence[str]) -> None:
+    """Fills the pages."""
+    if names:
+        data = json.loads(DATA.read_text(encoding="utf-8")) if DATA.exists() else {}
+        found = collect(data, [json.loads(Path(name).read_text(encoding="utf-8")) for name in names])
+        DATA.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    for page in PAGES:
+        before = page.read_text(encoding="utf-8")
+        after = filled(before)
+        if after != before:
+            page.write_text(after, encoding="utf-8")
+            sys.stdout.write(f"wrote {page}\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,61 @@
+"""How long the first use of a method compiles, and how long later processes take to load it.
+
+Usage: python docs/make/measure_first_compile.py [METHOD ...]
+
+Each method solves one goal in a process of its own with an empty cache, then in another one.  Seconds of the
+clock and of the processor; the first includes all that the method needs, as on a fresh machine.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+
+CASES = {
+    "auto": ("puma560", "solver='auto'"),
+    "lm": ("puma560", "solver='lm'"),
+    "lm, two priorities": ("puma560", "solver='lm'"),
+    "dls": ("puma560", "solver='dls'"),
+    "sdls": ("puma560", "solver='sdls'"),
+    "bfgs": ("puma560", "solver='bfgs'"),
+    "ccd": ("puma560", "solver='ccd'"),
+    "fabrik": ("puma560", "solver='fabrik'"),
+    "triangulation": ("puma560", "solver='triangulation'"),
+    "recursive": ("puma560", "solver='recursive'"),
+}
+
+CHILD = """
+import time
+import robot_ik as rik
+robot = rik.load_robot({robot!r})
+goals = [rik.PositionGoal(None, robot.forward(robot.home).position + [0.05, 0.05, -0.05])]
+if {two}:
+    goals.append(rik.PositionGoal(robot.frames[0], goals[0].position, priority=1))
+before = time.perf_counter(), time.process_time()
+rik.solve(robot, goals, {options})
+print(time.perf_counter() - before[0], time.process_time() - before[1])
+"""
+
+
+def main() -> None:
+    """Prints the table."""
+    print("| method | first use, s | processor, s | later processes, s |")
+    print("| --- | ---: | ---: | ---: |")
+    for name in sys.argv[1:] or CASES:
+        robot, options = CASES[name]
+        code = CHILD.format(robot=robot, options=options, two="two" in name)
+        with tempfile.TemporaryDirectory() as cache:
+            environment = os.environ | {"XDG_CACHE_HOME": cache}
+            times = [
+                [float(word) for word in subprocess.check_output(
+                    [sys.executable, "-c", code], env=environment, text=True
+                ).split()]
+                for _ in range(2)
+            ]  # fmt: skip
+        print(f"| {name} | {times[0][0]:.1f} | {times[0][1]:.1f} | {times[1][0]:.2f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

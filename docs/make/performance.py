@@ -1,0 +1,298 @@
+"""Makes the tables and pictures of performance.md and comparison.md in docs/reference.
+
+From what docs/make/measure_performance.py measured:
+
+    python docs/make/performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the pages
+    python docs/make/performance.py            # docs/performance.json -> the pages
+
+Of RESULTS that lack a folder (``peers``, ``methods``, ``kernels``, ``batch``) the rest is taken: what was
+measured before stays.
+A table stands between `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parents[1]
+PAGES = [DOCS / "reference" / name for name in ("performance.md", "comparison.md")]
+DATA, IMAGES = DOCS / "performance.json", DOCS / "images"
+PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
+BENCHES = ("methods", "kernels", "batch")
+PICTURES = {
+    "methods/success-puma560.png": "performance-success.png",
+    "methods/convergence-puma560.png": "performance-convergence.png",
+    "kernels/growth.png": "performance-growth.png",
+}
+
+# ------------------------------------------------------------------------------------------ collect
+
+
+def collect(results: Path) -> dict[str, Any]:
+    """What the page needs of a folder of results; also puts the pictures into docs/images."""
+    from robot_ik.bench.methods.results import Cell, read_results
+
+    def summary(cell: Cell) -> dict[str, Any]:
+        times = {str(k): round(cell.microsecond(k), 2) for k in ("median", "mean")} if cell.count else {}
+        about = {key: getattr(cell, key) for key in ("solver", "robot", "set", "goal", "count")}
+        return about | {"rate": round(cell.rate, 4), **times}
+
+    data: dict[str, Any] = {}
+    if (results / "peers").is_dir():
+        found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
+        comparison = {key: found[key] for key in ("count", "rounds", "seconds", "seed")} | {
+            "when": found["machine"]["when"], "missing": sorted({**found["missing"], **found["failed"]}),
+        }  # fmt: skip
+        data |= {"comparison": comparison, "peers": collect_peers(found)}
+        data["four_goals"] = collect_four_goals(found)
+    runs = {
+        name: read_results(results / name / "bench.json") for name in BENCHES if (results / name).is_dir()
+    }
+    if "methods" in runs:
+        data["machine"] = runs["methods"].machine.model_dump()
+        data["methods"] = [summary(cell) for cell in runs["methods"].cells]
+    if "kernels" in runs:
+        data["kernels"] = runs["kernels"].machine.model_dump()
+        data["floors"] = [one.model_dump() for one in runs["kernels"].floors]
+        data["growth"] = [one.model_dump() for one in runs["kernels"].growth]
+    if "batch" in runs:
+        data["batches"] = [one.model_dump() for one in runs["batch"].batches]
+    for source, name in PICTURES.items():
+        if (results / source).is_file():
+            shutil.copy(results / source, IMAGES / name)
+    return data
+
+
+def collect_peers(found: dict[str, Any]) -> dict[str, Any]:
+    """Contestant -> robot -> kind of problem, of what `robot_ik.bench.peers` has written."""
+    peers: dict[str, Any] = {}
+    for name, one in found["libraries"].items():
+        peers[name] = {"versions": one["versions"], "calibration_us": one["calibration_us"]}
+        for robot, cells in one["robots"].items():
+            if robot in ROBOTS:
+                peers[name][robot] = {kind: cells[kind] for kind in ("cold", "warm", "unreachable")}
+            if {"wrist", "elbow"} <= set(cells):
+                singular = [cells["wrist"], cells["elbow"]]
+                peers[name][robot]["singular"] = {
+                    "by_kind": {"wrist": singular[0]["success"], "elbow": singular[1]["success"]},
+                    "median_us": max(one["median_us"] for one in singular),
+                }
+    return peers
+
+
+def collect_four_goals(found: dict[str, Any]) -> dict[str, Any]:
+    """Contestant -> cold or warm: ours by `lm`, which `auto` is here as well, and placo."""
+    figures = {name: one["robots"].get("humanoid") for name, one in found["libraries"].items()}
+    return {name: figures[name] for name in ("robot_ik", "placo") if figures.get(name)}
+
+
+Data = dict[str, Any]
+
+
+def table(head: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table; all columns but the first are numbers."""
+    first = [str(cell) for cell in head]
+    lines = [first, ["---", *["---:"] * (len(first) - 1)], *([str(cell) for cell in row] for row in rows)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+
+def us(value: float) -> str:
+    """Microseconds with the figures that mean something."""
+    return f"{value:.2f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+
+
+def machine(data: Data) -> str:
+    """One line: where, when, with what."""
+    m, peers = data["machine"], data["peers"]
+    versions = {k: v for one in peers.values() for k, v in one["versions"].items()} | m["versions"]
+    named = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
+    speeds = [x for one in peers.values() for x in one["calibration_us"]]
+    return (
+        f"{m['processor']}, {m['cores']} cores, {m['system']}, Python {m['python']}; {named}; {m['when']}.\n"
+        f"A loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs between the contestants: "
+        "so much did the machine's speed vary.\n"
+    )
+
+
+def peers_cold(data: Data) -> str:
+    """Cold poses, all contestants."""
+    return peers_table(data, "cold", ("median_us", "mean_us", "p99_us"))
+
+
+def peers_warm(data: Data) -> str:
+    """Tracking, all contestants."""
+    return peers_table(data, "warm", ("median_us", "mean_us", "p99_us"))
+
+
+def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
+    """Contestants × robots for one kind of problem."""
+
+    def cell(one: Data, robot: str) -> str:
+        row = one.get(robot, {}).get(mode)
+        if row is None:
+            return "-"
+        jumps = f", {row['jumps']} jumps" if row["jumps"] else ""
+        return f"{100 * row['exact']:.1f} / " + " / ".join(us(row[key]) for key in keys) + jumps
+
+    rows = [(f"`{name}`", *(cell(one, robot) for robot in ROBOTS)) for name, one in data["peers"].items()]
+    return table(("contestant", *ROBOTS.values()), rows)
+
+
+def peers_edge(data: Data) -> str:
+    """Exactly singular targets, and targets out of reach, on the PUMA."""
+
+    def row(name: str, one: Data) -> tuple[str, ...]:
+        singular, far = one["puma560"]["singular"], one["puma560"]["unreachable"]
+        kinds = [f"{100 * share:.0f}" for share in singular["by_kind"].values()]
+        return (f"`{name}`", *kinds, us(singular["median_us"]), us(far["median_us"]))
+
+    head = ("contestant", "wrist, %", "elbow, %", "median µs", "out of reach: median µs until it gives up")
+    return table(head, [row(name, one) for name, one in data["peers"].items()])
+
+
+def ratios(data: Data) -> str:
+    """Ours against the best of the others in the same run."""
+    peers, four = data["peers"], data["four_goals"]
+
+    def line(case: str, other: str, theirs: float, mine: float, ours: str = "robot_ik") -> tuple[str, ...]:
+        return case, f"`{other}` {us(theirs)}", f"`{ours}` {us(mine)}", f"{mine / theirs:.2f}"
+
+    rows = []
+    for robot in ("puma560", "ur5e"):
+        mine, theirs = peers["robot_ik"][robot]["cold"], peers["eaik"][robot]["cold"]
+        rows.append(
+            line(f"cold {ROBOTS[robot]}, any method: mean", "eaik", theirs["mean_us"], mine["mean_us"])
+        )
+    for robot, title in ROBOTS.items():
+        mine, theirs = peers["robot_ik_lm"][robot]["cold"], peers["rtb_lm"][robot]["cold"]
+        for key, word in (("mean_us", "mean"), ("p99_us", "p99")):
+            case = f"cold {title}, numeric: {word}"
+            rows.append(line(case, "rtb_lm", theirs[key], mine[key], "robot_ik_lm"))
+    for robot, title in ROBOTS.items():
+        warm = {name: peers[name][robot]["warm"]["median_us"] for name in peers if robot in peers[name]}
+        best = min(("rtb_lm", "placo"), key=lambda name: warm[name])
+        ours = min(("robot_ik", "robot_ik_lm"), key=lambda name: warm[name])
+        rows.append(line(f"warm {title}: median", best, warm[best], warm[ours], ours))
+    far = {name: peers[name]["puma560"]["unreachable"]["median_us"] for name in peers}
+    proof = "robot_ik_analytic"
+    rows.append(line("out of reach, proof: median", "eaik", far["eaik"], far[proof], proof))
+    rows.append(line("out of reach, nearest answer: median", "placo", far["placo"], far["robot_ik"]))
+    for mode in ("cold", "warm"):
+        mine, theirs = four["robot_ik"][mode], four["placo"][mode]
+        rows.append(
+            line(f"four goals, humanoid, {mode}: median", "placo", theirs["median_us"], mine["median_us"])
+        )
+    return table(("case, µs", "best of the others", "ours", "ratio"), rows)
+
+
+def goals4(data: Data) -> str:
+    """Four position goals on the humanoid."""
+    rows = []
+    for name, modes in data["four_goals"].items():
+        cells = []
+        for mode in ("cold", "warm"):
+            m = modes[mode]
+            times = " / ".join(us(m[key]) for key in ("median_us", "mean_us", "p99_us"))
+            cells += [f"{100 * m['success']:.1f}", times]
+        rows.append((f"`{name}`", *cells))
+    shape = ("%", "median / mean / p99 µs")
+    return table(("contestant", *(f"{mode}: {word}" for mode in ("cold", "warm") for word in shape)), rows)
+
+
+def comparison(data: Data) -> str:
+    """With what the comparison was made."""
+    asked = data["comparison"]
+    lacking = f" Not there: {', '.join(asked['missing'])}." if asked["missing"] else ""
+    return (
+        f"Measured {asked['when']}: seed {asked['seed']}, {asked['count']} problems of a kind, "
+        f"{asked['rounds']} rounds.{lacking} {asked.get('note', '')}".strip()
+        + "\n"
+    )
+
+
+def batch(data: Data) -> str:
+    """Solves per second."""
+    rows = [
+        (f"`{b['solver']}`", b["poses"], b["threads"], f"{b['per_second']:.0f}", f"{100 * b['success']:.2f}")
+        for b in data["batches"]
+    ]
+    return table(("method", "poses", "cores", "solves/s", "solved %"), rows)
+
+
+def floors(data: Data) -> str:
+    """Kinematics alone."""
+    rows = [
+        (ROBOTS[f["robot"]], f["joints"], us(f["forward_us"]), us(f["jacobian_us"])) for f in data["floors"]
+    ]
+    return table(("robot", "joints", "forward, µs", "forward + Jacobian, µs"), rows)
+
+
+def kernels(data: Data) -> str:
+    """When and on what kinematics and growth were measured; they can be measured by themselves."""
+    m = data["kernels"]
+    return f"{m['processor']}, {m['cores']} cores, {m['when']}; load {m['load']:.1f} before.\n"
+
+
+def growth(data: Data, across: str) -> str:
+    """Methods × sizes."""
+    points = [point for point in data["growth"] if point["across"] == across]
+    sizes = sorted({point["size"] for point in points})
+    rows = []
+    for solver in dict.fromkeys(point["solver"] for point in points):
+        mine = {p["size"]: p["step_us"] for p in points if p["solver"] == solver}
+        rows.append((f"`{solver}`", *(us(mine[n]) if n in mine else "-" for n in sizes)))
+    return table((f"µs a step, {across}:", *sizes), rows)
+
+
+def methods(data: Data) -> str:
+    """Every method on the PUMA."""
+    sets = ("cold", "warm", "singular", "limits")
+    cells = {(c["solver"], c["set"]): c for c in data["methods"] if c["robot"] == "puma560"}
+    rows = []
+    for solver in dict.fromkeys(c["solver"] for c in data["methods"]):
+        mine = [cells.get((solver, name)) for name in sets]
+        cell = "{:.1f} / {} / {}".format
+        shown = [
+            cell(100 * c["rate"], us(c["median"]), us(c["mean"])) if c and c["count"] else "-" for c in mine
+        ]
+        goal = mine[0]["goal"] if mine[0] else ""
+        rows.append((f"`{solver}`" + (" (position)" if goal == "position" else ""), *shown))
+    return table(("method", *sets), rows)
+
+
+TABLES: dict[str, Callable[[Data], str]] = {
+    make.__name__: make for make in (
+        machine, comparison, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, kernels,
+        methods,
+    )
+}  # fmt: skip
+TABLES["growth_joints"] = lambda data: growth(data, "joints")
+TABLES["growth_goals"] = lambda data: growth(data, "goals")
+
+
+def filled(text: str, data: Data) -> str:
+    """The page with every table as the data have it."""
+    return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data) + m[4], text)
+
+
+def write_pages() -> None:
+    """docs/performance.json -> the pages."""
+    data = json.loads(DATA.read_text(encoding="utf-8"))
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8"), data), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        data = json.loads(DATA.read_text(encoding="utf-8")) | collect(Path(sys.argv[1]))
+        lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in data.items()]
+        DATA.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_pages()

@@ -1,0 +1,206 @@
+"""Draws the pictures of these pages: `python docs/make/pictures.py [NAME …]`.
+
+docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the answer of the
+example of that name, with its ball.  calibration.png: what is printed, shown to the camera, still missing.
+No OpenGL, nothing random: the same program draws the same picture.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_ik as rik
+from robot_ik.camera.boards.board import parse_board
+from robot_ik.camera.boards.patterns import CharucoPattern
+from robot_ik.camera.calibration.coverage import cover, coverage_picture
+from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.registration import BoardWatcher, Registrar
+from robot_ik.camera.sheets.page import rasterize
+from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
+from robot_ik.geometry import rotation_exp
+from robot_ik.jobs.ar.job import heights
+from robot_ik.jobs.ar.scene import BOARD, Motion, synthetic_stage
+from robot_ik.jobs.arm_camera.error_picture import error_picture
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+
+Image = NDArray[np.uint8]
+
+DOCS = Path(__file__).resolve().parents[1]
+# Of one picture of the two, pixels.
+SIZE = (560, 560)
+_BALL_RADIUS, _BALL_COLOUR = 0.045, (0.93, 0.42, 0.10, 1.0)
+# Of a picture's width, left free on both sides of what is to be seen.
+_AIR = 0.06
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One picture.
+
+    Attributes:
+        example: File in examples/ that says who, what is wanted, and where the ball is.
+        robot: Who.
+        view_deg: From where it is seen: azimuth and elevation.
+    """
+
+    example: str
+    robot: str
+    view_deg: tuple[float, float]
+
+
+SCENES = {
+    "whole_body": Scene("04_whole_body.py", "humanoid", (-62.0, 7.0)),
+    "lion": Scene("05_lion.py", "lion", (-50.0, 12.0)),
+}
+
+
+def example(name: str) -> ModuleType:
+    """A program of examples/."""
+    spec = importlib.util.spec_from_file_location(Path(name).stem, DOCS.parent / "examples" / name)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def answer(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
+    """What the example solves, and its ball."""
+    program, robot = example(scene.example), rik.load_robot(scene.robot)
+    return rik.solve(robot, list(program.goals(robot).values())), program.BALL
+
+
+def with_ball(path: Path, place: tuple[float, ...]) -> mujoco.MjModel:
+    """The model with a ball that touches nothing."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.worldbody.add_geom(
+        name="ball", type=mujoco.mjtGeom.mjGEOM_SPDOCS, size=[_BALL_RADIUS, 0, 0], pos=list(place),
+        rgba=list(_BALL_COLOUR), contype=0, conaffinity=0,
+    )  # fmt: skip
+    return spec.compile()
+
+
+def draw(scene: Scene) -> Image:
+    """Home and answer beside each other, BGR."""
+    found, ball = answer(scene)
+    robot = found.robot
+    model, optics = with_ball(robot.path, ball), lens(*SIZE)
+    poses = [robot.qpos(robot.home), robot.qpos(found.q)]
+    shapes = [surface(model, qpos) for qpos in poses]
+    floor = float(surface(robot.model, poses[0])[:, 2].min())
+    camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
+    photos = [photograph(model, qpos, camera, optics, floor) for qpos in poses]
+    columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)
+    air = round(_AIR * SIZE[0])
+    seen = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)
+    return np.concatenate([photo.image[:, seen] for photo in photos], axis=1)
+
+
+def calibration() -> Image:
+    """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
+    board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
+    shown = list(pattern_set(board, camera, 20, seed=2, look=SensorModel(noise=1.0)))
+    found = [view for view in (board.find(v.image) for v in shown) if view is not None]
+    tiles = [rasterize(make_sheet_page(SheetRequest("charuco")), 60.0)]
+    tiles += [cv2.cvtColor(v.image, cv2.COLOR_GRAY2BGR) for v in shown[1:3]]
+    for tile, corners in zip(tiles[1:], found[1:3], strict=True):
+        for x, y in corners.pixels:
+            cv2.circle(tile, (round(16 * x), round(16 * y)), 72, (40, 110, 250), 2, cv2.LINE_AA, 4)
+    rows = [np.concatenate([_tile(tile, 400, 300) for tile in tiles], axis=1)]
+    rotations = [view.pose.rotation for view in shown]
+    parts = [cover(found[:n], rotations[:n], camera.size) for n in (3, 20)]
+    rows.append(np.concatenate([coverage_picture(part, 600) for part in parts], axis=1))
+    return np.concatenate(rows)
+
+
+def _tile(image: Image, width: int, height: int) -> Image:
+    """The picture in the middle of white, as large as it goes."""
+    bgr = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    scale = min((width - 16) / bgr.shape[1], (height - 16) / bgr.shape[0])
+    small = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    tile = np.full((height, width, 3), 255, np.uint8)
+    y, x = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
+    tile[y : y + small.shape[0], x : x + small.shape[1]] = small
+    return tile
+
+
+def robot_in_the_picture() -> Image:
+    """Robots that are not there, on a board in photographs of a table; one stands behind real things."""
+    things = mujoco.MjSpec()
+    for kind, place, size, colour in (
+        (mujoco.mjtGeom.mjGEOM_BOX, [0.075, -0.12, 0.055], [0.040, 0.03, 0.055], [0.70, 0.22, 0.16, 1]),
+        (mujoco.mjtGeom.mjGEOM_CYLINDER, [-0.15, -0.02, 0.08], [0.04, 0.08, 0], [0.16, 0.42, 0.46, 1]),
+    ):
+        things.worldbody.add_geom(type=kind, pos=place, size=size, rgba=colour)
+    real = things.compile()
+    tiles = [
+        _table_with("puma560", None, 0.37, 25.0),
+        _table_with("puma560", real, 0.37, 60.0),
+        _table_with("humanoid", None, 0.38, -80.0),
+        _table_with("lion", None, 0.30, -35.0),
+    ]
+    whole = np.concatenate([np.concatenate(tiles[k : k + 2], axis=1) for k in (0, 2)])
+    return np.asarray(cv2.resize(whole, (960, 630), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: float) -> Image:
+    """A photograph of the table with a drawn robot of this height in metres, turned by degrees."""
+    still = Motion((0.0, 0.0), np.radians(20.0) if things is None else 0.0, middle=(0.0, 0.0))
+    source, clock = synthetic_stage(
+        640,
+        420,
+        motion=still,
+        things=things,
+        quality="full",
+        noise=0.3,
+        eye=(0.12, -0.66, 0.46),
+        look=(0.0, 0.05, 0.13),
+    )
+    clock.ticks = 30
+    frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
+    low, high = heights(robot)
+    scale = height / (high - low)
+    base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
+    watcher = BoardWatcher(parse_board(BOARD), optics)
+    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, things), optics)
+    return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
+
+
+def error_map() -> Image:
+    """A simulated arm with a slipped horn on joint 2: where it is off, and with the zeros that were found."""
+    report = run_verify(VerifyRequest("tabletop_puma", fit=True, zero_offset_deg={"joint2": 1.5}))
+    drawn = cv2.imdecode(np.frombuffer(error_picture(report), np.uint8), cv2.IMREAD_COLOR)
+    return np.asarray(drawn, dtype=np.uint8)
+
+
+# One row a picture; its function stands above.
+PICTURES: dict[str, Callable[[], Image]] = {
+    **{name: partial(draw, scene) for name, scene in SCENES.items()},
+    "calibration": calibration,
+    "robot_in_the_picture": robot_in_the_picture,
+    "error_map": error_map,
+}
+
+
+def main(names: list[str]) -> None:
+    """Draws the pictures of those names, by default all."""
+    for name in names or list(PICTURES):
+        path = DOCS / "images" / f"{name}.png"
+        cv2.imwrite(str(path), PICTURES[name](), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        print(path.name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,141 @@
+"""Writes the tables of the documentation that come from the program: `python docs/make/tables.py`.
+
+A table stands between `<!-- table: NAME -->` and `<!-- end -->`; some are of one method, and have its name
+after theirs: `<!-- table: options lm -->`.  The tests fail where one is out of date.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+PLACE = re.compile(r"(<!-- table: (\w+)(?: (\w+))? -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+
+def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table."""
+    lines = [list(head), *([str(cell) for cell in row] for row in rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
+
+
+def solvers() -> str:
+    """One row for each method."""
+    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.solvers import SOLVERS
+
+    facts = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
+    return markdown(
+        ("name", "method", "goals", "source"),
+        (
+            (
+                f"[`{f['name']}`](solvers/{f['name']}.md)",
+                f["title"],
+                goals_text(f),
+                f["source"],
+            )
+            for f in facts
+        ),
+    )
+
+
+def method(name: str) -> str:
+    """What one method is: title, goals, source."""
+    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.solvers import SOLVERS
+
+    facts = solver_facts(name, SOLVERS[name])
+    goals = goals_text(facts)
+    return markdown(("method", "goals", "source"), [(facts["title"], goals, facts["source"])])
+
+
+def options(name: str) -> str:
+    """All options of one method."""
+    from robot_ik.cli.listing import solver_facts
+    from robot_ik.solvers import SOLVERS
+
+    rows = []
+    for option in solver_facts(name, SOLVERS[name])["options"]:
+        bounded = option["low"] is not None and not isinstance(option["default"], bool)
+        span = f"{option['low']:g} … {option['high']:g} {option['unit']}" if bounded else ""
+        span = span or ", ".join(option["choices"])
+        default = f"{option['default']:.4g}" if isinstance(option["default"], float) else option["default"]
+        rows.append((f"`{option['name']}`", default, span.strip(), option["help"]))
+    return markdown(("option", "default", "range", "meaning"), rows) if rows else "It has no options.\n\n"
+
+
+def floors(name: str) -> str:
+    """The solve rates below which the tests fail, of one method."""
+    with (ROOT / "tests" / "solvers" / "floors.toml").open("rb") as stream:
+        table: dict[str, Any] = tomllib.load(stream).get(name, {})
+    kinds = [k for k in ("position", "orientation", "pose") if any(k in row for row in table.values())]
+    rows = []
+    for robot, row in table.items():
+        shares = [f"{100 * row[kind]:.0f} %" if kind in row else "" for kind in kinds]
+        rows.append((f"`{robot}`", *shares, row.get("reason", "")))
+    reasons = any(row[-1] for row in rows)
+    head = ("robot", *kinds, "why") if reasons else ("robot", *kinds)
+    return markdown(head, rows if reasons else [row[:-1] for row in rows])
+
+
+def buses() -> str:
+    """One row for each way to reach servos."""
+    from robot_ik.hardware import BUSES
+
+    kinds = {True: "simulated", False: "real"}
+    return markdown(
+        ("`--bus`", "what it is", "servos"),
+        ((f"`{bus.name}`", bus.title, kinds[bus.virtual]) for bus in BUSES.values()),
+    )
+
+
+def servos() -> str:
+    """One row for each servo model."""
+    from robot_ik.hardware.control_table import CONTROL_TABLES
+
+    return markdown(
+        ("model", "number", "modes"),
+        (
+            (f"`{name}`", table.number, ", ".join(mode.name.lower() for mode in table.modes))
+            for name, table in CONTROL_TABLES.items()
+        ),
+    )
+
+
+def commands() -> str:
+    """One row for each command of `robot-ik`."""
+    from robot_ik.cli.main import COMMANDS
+
+    return markdown(("command", "what it does"), ((f"`{n}`", c.about) for n, c in COMMANDS.items()))
+
+
+def keys() -> str:
+    """One row for each key of the testbed."""
+    from robot_ik.testbed.keymap import KEYMAP
+
+    rows = ((key.about, *(f"`{k}`" if k else "" for k in (key.browser, key.window))) for key in KEYMAP)
+    return markdown(("what it does", "browser", "window"), rows)
+
+
+TABLES: dict[str, Callable[..., str]] = {
+    make.__name__: make for make in (solvers, method, options, floors, buses, servos, commands, keys)
+}
+
+
+def filled(text: str) -> str:
+    """``text`` with every table as the program has it now."""
+    return PLACE.sub(lambda m: m[1] + TABLES[m[2]](*filter(None, [m[3]])) + m[5], text)
+
+
+if __name__ == "__main__":
+    for page in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]:
+        before = page.read_text(encoding="utf-8")
+        after = filled(before)
+        if after != before:
+            page.write_text(after, encoding="utf-8")
+            sys.stdout.write(f"wrote {page}\n")

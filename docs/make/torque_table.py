@@ -1,0 +1,145 @@
+"""Writes the torque table of models/tabletop_puma/README.md: `python docs/make/torque_table.py`.
+
+What the joints of the desk arm have to bear, by MuJoCo's inverse dynamics at random poses (seeded) all over
+the joint ranges with a payload between the fingers, beside what its servos can give.  Two loads: standing
+still, and all joints at the speed and acceleration of robot.toml [motion], each with a random sign, friction
+included.  The tests fail where the README is out of date.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_ik as rik
+from robot_ik.hardware.config import ArmConfig
+
+Array = NDArray[np.float64]
+
+README = Path(__file__).resolve().parents[2] / "models" / "tabletop_puma" / "README.md"
+ROBOT = "tabletop_puma"
+POSES, SEED = 4000, 0
+PAYLOAD = 0.1
+"""kg at the site `gripper`."""
+CONTINUOUS_SHARE = 0.2
+"""Of the stall torque; ROBOTIS, Torque Ratings, 7 May 2020."""
+_PLACE = re.compile(r"(<!-- torque -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+_NO_CONSTRAINT_BUT_FRICTION = (
+    mujoco.mjtDisableBit.mjDSBL_CONTACT
+    | mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+)
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Torques at the joints of the arm, N m, absolute.
+
+    Attributes:
+        still: (poses, n) that hold it.
+        moving: (poses, n) at full speed and acceleration.
+    """
+
+    still: Array
+    moving: Array
+
+
+def loaded_model(robot: rik.Robot, payload: float = PAYLOAD) -> mujoco.MjModel:
+    """The robot's model with ``payload`` kg between the fingers; nothing touches, no joint has an end."""
+    spec = mujoco.MjSpec.from_file(str(robot.path))
+    site = spec.site("gripper")
+    site.parent.add_geom(
+        name="payload", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.012, 0, 0], pos=site.pos, mass=payload,
+        contype=0, conaffinity=0,
+    )  # fmt: skip
+    model = spec.compile()
+    model.opt.disableflags |= _NO_CONSTRAINT_BUT_FRICTION
+    return model
+
+
+def loads(robot: rik.Robot, model: mujoco.MjModel, poses: int = POSES, seed: int = SEED) -> Loads:
+    """Loads at random poses inside the joint limits."""
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
+    still, moving = np.empty((poses, robot.nv)), np.empty((poses, robot.nv))
+    for k in range(poses):
+        data.qpos[:] = robot.qpos(robot.sample(rng))
+        signs = rng.choice([-1.0, 1.0], size=(2, robot.nv))
+        for share, row in ((0.0, still), (1.0, moving)):
+            data.qvel[dofs] = share * signs[0] * robot.velocity
+            data.qacc[dofs] = share * signs[1] * robot.acceleration
+            mujoco.mj_inverse(model, data)
+            row[k] = np.abs(data.qfrc_inverse[dofs])
+    return Loads(still, moving)
+
+
+@dataclass(frozen=True)
+class Strength:
+    """What the servos give at the joints, (n,) N m, belts without losses.
+
+    Attributes:
+        stall: Standing, for a moment; ``continuous``: for as long as one likes.
+        at_speed: At the speeds of [motion]: the stall torque less its share of the no-load speed.
+    """
+
+    stall: Array
+    continuous: Array
+    at_speed: Array
+
+
+def strength(robot: rik.Robot, arm: ArmConfig) -> Strength:
+    """By the manual's figures at its recommended voltages."""
+    stall = np.array([joint.table.motor.stall_torque * joint.ratio for joint in arm.joints])
+    free = np.array([joint.table.motor.no_load_speed / joint.ratio for joint in arm.joints])
+    return Strength(stall, CONTINUOUS_SHARE * stall, stall * (1.0 - robot.velocity / free))
+
+
+def _times(number: float) -> str:
+    return "> 99" if number > 99.0 else f"{number:.1f}"
+
+
+def table(poses: int = POSES, seed: int = SEED) -> str:
+    """The table as Markdown."""
+    robot = rik.load_robot(ROBOT)
+    assert robot.arm_file is not None
+    arm = ArmConfig.load(robot.arm_file)
+    load, can = loads(robot, loaded_model(robot), poses, seed), strength(robot, arm)
+    head = (
+        "joint", "servo", "stall", "continuous", "still: worst", "99 %", "stall / worst",
+        "continuous / worst", "moving: worst", "99 %", "at that speed", "at that speed / worst",
+    )  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for k, joint in enumerate(arm.joints):
+        worst, usual = load.still[:, k].max(), np.percentile(load.still[:, k], 99)
+        hardest, hard = load.moving[:, k].max(), np.percentile(load.moving[:, k], 99)
+        belt = "" if joint.ratio == 1.0 else f" × {joint.ratio:g}"
+        bare = max(float(worst), 1e-9)
+        cells = (
+            f"`{joint.name}`", joint.model + belt, f"{can.stall[k]:.2f}", f"{can.continuous[k]:.2f}",
+            f"{worst:.2f}", f"{usual:.2f}", _times(can.stall[k] / bare), _times(can.continuous[k] / bare),
+            f"{hardest:.2f}", f"{hard:.2f}", f"{can.at_speed[k]:.2f}", _times(can.at_speed[k] / hardest),
+        )  # fmt: skip
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def filled(text: str) -> str:
+    """``text`` of the README with the table as it is now."""
+    return _PLACE.sub(lambda found: found[1] + table() + found[3], text)
+
+
+if __name__ == "__main__":
+    before = README.read_text(encoding="utf-8")
+    after = filled(before)
+    sys.stdout.write(table())
+    if after != before:
+        README.write_text(after, encoding="utf-8")
+        sys.stdout.write(f"wrote {README}\n")
