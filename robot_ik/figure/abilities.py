@@ -27,8 +27,8 @@ from robot_ik.kernels.jit import cache_folder
 Array = NDArray[np.float64]
 
 _GRID = 0.15  # m
-# So far aside of the palm may the ball be of a jump, which leans a little, m (docs/figure.md); and the least
-# rise of the centre of mass, m.
+# So far aside of the palm may the ball be of a jump, which leans a little, m (docs/theory/figure.md); and the
+# least rise of the centre of mass, m.
 ASIDE, _HOP = 0.05, 0.01
 _VERSION = 3
 ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
