@@ -32,6 +32,7 @@ from robot_ik.figure.gait import (
     walk_prints,
 )
 from robot_ik.figure.jump import jump
+from robot_ik.figure.session import FigureSession, SetBall
 
 Array = NDArray[np.float64]
 
@@ -245,7 +246,7 @@ def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeas
     curves = {joint: np.mean(rows, axis=0) for joint, rows in strides.items()}
     norm = {joint: np.array(values) for joint, values in NORM_DEG.items()}
     middle = (times >= strikes[2]) & (times <= strikes[min(4, len(strikes) - 2)])
-    pelvis = np.array([figure.pose(row, figure.pelvis)[0] for row in q[middle]])
+    pelvis, _ = figure.poses(q[middle], figure.pelvis)
     center = np.array([figure.center(row) for row in q[middle]])
     prints = np.array([(p.x, p.y) for p in walk.prints])
     return GaitMeasure(
@@ -397,7 +398,7 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Figur
 
 
 def measure_times(abilities: Abilities) -> Iterator[FigureRow]:
-    """Processor time of a frame of the walk's rows, and of a decision."""
+    """Processor time of a frame of the walk's rows, of a decision, and of a frame of a session."""
     figure = abilities.figure
     prints = walk_prints(figure, prints_of(figure, figure.home), np.array([4.0, 0.0, 0.0]))
     walk(figure, figure.home, prints)
@@ -415,6 +416,23 @@ def measure_times(abilities: Abilities) -> Iterator[FigureRow]:
     yield FigureRow(
         "time", "a decision with its solve", 1e3 * (time.thread_time() - began) / len(near), "ms", most=3.0
     )
+    yield from _session_times(abilities)
+
+
+def _session_times(abilities: Abilities) -> Iterator[FigureRow]:
+    """Of a walk to a ball 5 m away and the reach there: frames that plan, and those that do not."""
+    session = FigureSession(abilities)
+    session.send(SetBall((5.0, 0.5, 1.2)))
+    planned, played = [], []
+    while session.busy and len(planned) + len(played) < 1200:
+        planning = session.planning
+        began = time.thread_time()
+        frame = session.step()
+        spent = 1e3 * (time.thread_time() - began)
+        plans = planning or session.planning or frame.phase < 2.0 / 60.0
+        (planned if plans else played).append(spent)
+    yield FigureRow("time", "a frame that is played, p99", float(np.quantile(played, 0.99)), "ms", most=1.0)
+    yield FigureRow("time", "a frame that plans, longest", max(planned), "ms", most=1000.0 / RATE)
 
 
 def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iterator[FigureRow]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
@@ -17,9 +18,13 @@ from robot_ik.files import claimed, write_atomically
 
 if TYPE_CHECKING:
     from robot_ik.figure.abilities import Abilities
+    from robot_ik.figure.lion import Lion
     from robot_ik.figure.session import FigureFrame
+    from robot_ik.jobs.ar.job import ArRequest
     from robot_ik.jobs.figure import FigureReport, FigureRequest
+    from robot_ik.robot import Robot
 
+_LION_BALLS = (0.9, -0.2, 0.6), (0.7, 0.4, 0.5)
 _SHOWN = (0.45, -0.25, 1.45), (0.5, -0.2, 0.2), (2.2, 0.8, 1.2), (2.6, 0.9, 2.35)
 
 
@@ -32,6 +37,7 @@ class FigureOptions:
 
         robot-ik figure --ball 0.5 -0.2 0.2 --record bend.mp4
         robot-ik figure --balls balls.csv > decisions.jsonl
+        robot-ik figure --ar --camera 0 --intrinsics camera.yaml
 
     Exit code 0: every hand came to its ball within 5 mm. 1: one did not. 2: wrong input or environment.
     """
@@ -40,16 +46,35 @@ class FigureOptions:
     """Where the ball is, metres."""
     balls: Annotated[Path | None, arg(metavar="FILE.csv", help_behavior_hint="")] = None
     """Balls, x, y, z in each row: prints one decision a line as JSON, without moving."""
-    path: Annotated[Literal["", "circle", "random"], arg(metavar="circle|random", help_behavior_hint="")] = ""
-    """A ball that moves."""
+    path: Annotated[
+        Literal["", "circle", "random", "marker"], arg(metavar="circle|random|marker", help_behavior_hint="")
+    ] = ""
+    """A ball that moves; or a printed marker in the pictures of --camera."""
     seconds: float = 12.0
     """How long it moves."""
+    camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL", help_behavior_hint="")] = ""
+    """Where the marker is seen, above a printed board on which the figure stands."""
+    intrinsics: Annotated[
+        Path | None, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")
+    ] = None
+    """Calibration of a real camera: OpenCV or ROS YAML."""
+    board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
+    """The board, as for robot-ik ar."""
+    marker: int = 9
+    """Id of the marker that is the ball."""
+    marker_size: float = 0.05
+    """Side of its black square, metres."""
+    scale: Annotated[float, arg(help_behavior_hint="(default: 1; what fits the synthetic table)")] = 0.0
+    """Size of the figure over life size."""
+    ar: bool = False
+    """Draw the figure into the pictures of the camera; written to --record (default: ar.mp4, or the folder
+    ar)."""
     place: Annotated[tuple[float, float, float], arg(metavar="X Y HEADING")] = (0.0, 0.0, 0.0)
     """Where the figure stands at first: metres, metres, degrees."""
     mode: Annotated[Literal["active", "passive"], arg(metavar="active|passive")] = "active"
     """Active follows the ball; passive acts on the ball as it was at the start."""
     model: Annotated[str, arg(metavar="NAME|PATH")] = "humanoid"
-    """A model whose robot.toml has a table [figure]."""
+    """A model whose robot.toml has a table [figure], or a lion: four paws and a gaze."""
     record: Annotated[Path | None, arg(metavar="OUT", help_behavior_hint="(default: none)")] = None
     """A film (.mp4, .gif), a picture, or a folder of pictures."""
     frames: Annotated[Path | None, arg(metavar="OUT.csv", help_behavior_hint="(default: none)")] = None
@@ -69,30 +94,93 @@ class FigureOptions:
 def run(options: FigureOptions) -> int:
     """Runs the figure."""
     import_mujoco()
-    asked = [name for name in ("ball", "balls", "path", "tour") if getattr(options, name)]
-    if len(asked) > 1:
-        raise wrong(f"--{asked[1]}", f"--{asked[0]} is given, too", "one of --ball, --balls, --path, --tour")
-    abilities = _abilities(options.model)
+    options = _checked(options)
+    from robot_ik.figure.lion import Lion, is_lion
+    from robot_ik.robot import load_robot
+
+    robot = load_robot(options.model)
+    if robot.file.figure is None and is_lion(robot):
+        return _lion(Lion(robot), options)
+    abilities = _abilities(robot)
     if options.balls is not None:
         return _decisions(abilities, options)
     if options.tour is not None:
         return _tour(abilities, options.tour)
+    figure = abilities.figure
     with claimed(options.frames, overwrite=options.overwrite):
-        report = _watch(abilities, options)
+        frames = _on_camera(abilities, options) if options.ar else _frames(abilities, options)
+        report = _watch(robot, figure.hands, frames, options)
         if options.frames is not None:
             from robot_ik.jobs.figure import frames_table
 
-            write_atomically(options.frames, frames_table(abilities.figure, report.frames, options.seed))
-    if options.record is not None:
+            write_atomically(options.frames, frames_table(figure, report.frames, options.seed))
+    return _finish(robot, report, options)
+
+
+def _checked(options: FigureOptions) -> FigureOptions:
+    """The options, with what they imply.
+
+    Raises:
+        ConfigError: Some contradict each other, or are no numbers.
+    """
+    if (options.camera or options.ar) and not options.path:
+        options = replace(options, path="marker")
+    if options.path == "marker" and not options.camera:
+        options = replace(options, camera="synthetic")
+    asked = [name for name in ("ball", "balls", "path", "tour") if getattr(options, name)]
+    if len(asked) > 1:
+        raise wrong(f"--{asked[1]}", f"--{asked[0]} is given, too", "one of --ball, --balls, --path, --tour")
+    if options.camera and options.path != "marker":
+        raise wrong(
+            "--camera", f"--path is {options.path}", "--path marker: the ball is a marker that it sees"
+        )
+    if not np.isfinite(options.place).all():
+        raise wrong("--place", f"{options.place}", "three finite numbers: metres, metres, degrees")
+    if not 0.0 < options.seconds < np.inf:
+        raise wrong("--seconds", f"{options.seconds:g}", "more than 0")
+    if not 0.0 <= options.scale < np.inf:
+        raise wrong("--scale", f"{options.scale:g}", "0 or more")
+    if options.ar and options.viewer:
+        raise wrong("--viewer", "--ar draws into the camera's pictures", "one of both")
+    return options
+
+
+def _lion(lion: Lion, options: FigureOptions) -> int:
+    from robot_ik.jobs.figure import read_balls, run_lion
+
+    if options.path or options.tour is not None or options.mode != "active":
+        raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
+    if options.balls is not None:
+        import json
+
+        for ball in read_balls(options.balls):
+            row = {"ball": ball, **asdict(lion.decide(ball))}
+            console.out().file.write(json.dumps(row) + "\n")
+        return console.DONE
+    balls = (options.ball,) if options.ball is not None else _LION_BALLS
+    with claimed(options.frames, overwrite=options.overwrite):
+        frames = run_lion(lion, balls)
+        report = _watch(lion.robot, {paw: paw for paw in lion.paws}, frames, options)
+        if options.frames is not None:
+            from robot_ik.motion.keyframes import Keyframes
+
+            q = [frame.q for frame in report.frames]
+            Keyframes(lion.robot, np.arange(len(q)) / 60.0, q).save_csv(options.frames)
+    return _finish(lion.robot, report, options)
+
+
+def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
+    """Film, printout and exit code."""
+    if options.record is not None and not options.ar:
         from robot_ik.jobs.figure import record
 
         with console.busy(f"painting {options.record}"):
-            record(abilities.figure, report.frames, options.record, (), overwrite=options.overwrite)
+            record(robot, report.frames, options.record, (), overwrite=options.overwrite)
     _print(report, options)
     return console.DONE if report.worst <= 0.005 else console.NOT_ACHIEVED
 
 
-def _abilities(model: str) -> Abilities:
+def _abilities(robot: Robot) -> Abilities:
     from robot_ik.figure.abilities import load_abilities
     from robot_ik.figure.figure import load_figure
 
@@ -102,7 +190,7 @@ def _abilities(model: str) -> Abilities:
         def progress(done: int, whole: int) -> None:
             bar.update(task, completed=done, total=whole, visible=True)
 
-        return load_abilities(load_figure(model), progress=progress)
+        return load_abilities(load_figure(robot), progress=progress)
 
 
 def _place(options: FigureOptions) -> tuple[float, float, float]:
@@ -115,9 +203,8 @@ def _request(options: FigureOptions) -> FigureRequest:
     from robot_ik.jobs.figure import FigureRequest
 
     balls = (options.ball,) if options.ball is not None else () if options.path else _SHOWN
-    return FigureRequest(
-        balls, options.path, options.seconds, _place(options), options.mode, seed=options.seed
-    )
+    path = "" if options.path == "marker" else options.path
+    return FigureRequest(balls, path, options.seconds, _place(options), options.mode, seed=options.seed)
 
 
 def _decisions(abilities: Abilities, options: FigureOptions) -> int:
@@ -141,30 +228,67 @@ def _tour(abilities: Abilities, folder: Path) -> int:
     return console.DONE
 
 
-def _watch(abilities: Abilities, options: FigureOptions) -> FigureReport:
-    from robot_ik.jobs.figure import run_figure, watch
+def _camera(options: FigureOptions) -> ArRequest:
+    from robot_ik.jobs.ar.job import ArRequest
+    from robot_ik.jobs.ar.output import films_can_be_written
 
-    frames: Iterator[FigureFrame] = run_figure(abilities, _request(options))
+    default = Path("ar.mp4" if films_can_be_written() else "ar")
+    return ArRequest(
+        robot=options.model, camera=options.camera, intrinsics=options.intrinsics, board=options.board,
+        scale=options.scale, motion="follow", marker=(options.marker, options.marker_size),
+        out=options.record or default, overwrite=options.overwrite, seconds=options.seconds,
+        seed=options.seed,
+    )  # fmt: skip
+
+
+def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
+    from robot_ik.jobs.figure import marker_places, run_figure, run_marker
+
+    if options.path != "marker":
+        return run_figure(abilities, _request(options))
+    return run_marker(abilities, _request(options), marker_places(_camera(options), abilities.figure.robot))
+
+
+def _on_camera(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
+    """Frames of a figure that was drawn into the camera's pictures."""
+    from robot_ik.jobs.figure import draw_on_camera
+
+    with console.progress() as bar:
+        task = bar.add_task("drawing", total=None, note="")
+
+        def progress(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total or None, note=f"{done} pictures")
+
+        report, frames = draw_on_camera(abilities, _request(options), _camera(options), progress)
+    if report.notice:
+        console.say(report.notice, style="yellow")
+    console.say(f"{report.pictures} pictures, the figure in {report.drawn}: {report.file}")
+    return iter(frames)
+
+
+def _watch(
+    robot: Robot, hands: Mapping[str, str], frames: Iterator[FigureFrame], options: FigureOptions
+) -> FigureReport:
+    from robot_ik.jobs.figure import watch
+
     if not options.viewer:
-        return watch(abilities, frames, lambda frame: None)
+        return watch(robot, hands, frames, lambda frame: None)
     from robot_ik.testbed.frontends.window import WindowSink
 
-    with WindowSink(abilities.figure.robot) as window:
+    with WindowSink(robot) as window:
         began = time.monotonic()
 
         def show(frame: FigureFrame) -> None:
             time.sleep(max(0.0, began + frame.t - time.monotonic()))
             window.send(frame.q, frame.t)
 
-        report = watch(abilities, frames, show)
+        report = watch(robot, hands, frames, show)
         window.wait()
     return report
 
 
 def _print(report: FigureReport, options: FigureOptions) -> None:
     if options.json:
-        from dataclasses import asdict
-
         console.print_json(
             {
                 "schema": 1,

@@ -27,8 +27,9 @@ from robot_ik.kernels.jit import cache_folder
 Array = NDArray[np.float64]
 
 _GRID = 0.15  # m
-# No jump for a ball farther behind the centre of mass, m: the arm does not go there in the air.
-_BEHIND = -0.1
+# So far aside of the palm may the ball be of a jump, which leans a little, m (docs/theory/figure.md); and the
+# least rise of the centre of mass, m.
+ASIDE, _HOP = 0.05, 0.01
 _VERSION = 3
 ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
@@ -73,10 +74,9 @@ class Map:
         inside = self.miss == 0.0
         for axis in (0, 1):
             inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
-        k = int(np.rint((z - self.origin[2]) / _GRID))
-        if not 0 <= k < inside.shape[2]:
-            return np.zeros((0, 2))
-        return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, k]) * _GRID)
+        k = (z - self.origin[2]) / _GRID
+        levels = [level for level in {int(np.floor(k)), int(np.ceil(k))} if 0 <= level < inside.shape[2]]
+        return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, levels].any(axis=2)) * _GRID)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Abilities:
         maps: ``(kind, arm)`` to its map.
         ahead: How far before its middle the centre of mass takes off, m.
         raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a
-            straight arm.
+            stretched arm.
     """
 
     figure: Figure
@@ -101,6 +101,10 @@ class Abilities:
         """(3,) of each arm at home."""
         return {arm: shoulder_of(self.figure, arm) for arm in self.figure.hands}
 
+    def under(self, arm: str) -> Array:
+        """(2,) where a ball is highest that a jump reaches: over the shoulder at take-off."""
+        return np.asarray(self.raised[arm][0][:2] + np.array([self.ahead, 0.0]))
+
     def can(self, kind: str, ball: Array, arm: str) -> Pose | None:
         """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
         if self.maps[kind, arm].surely_out(ball):
@@ -111,17 +115,24 @@ class Abilities:
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
 
-        None where no jump does, or needs to.
+        None where no jump does.  The trunk upright, the palm over the centre of mass as high as it comes, or
+        lower for a ball that needs hardly a jump; confirmed by a solve.
         """
         shoulder, length = self.raised[arm]
-        if ball[0] - self.ahead < _BEHIND:
+        over = ball - [self.ahead, 0.0, highest_take_off(self.figure)]
+        least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
+        aside = float(np.linalg.norm(over[:2] - shoulder[:2]))
+        if aside > length + 2 * ASIDE or least > shoulder[2] + length + ASIDE or over[2] <= 0.0:
             return None
-        aside = float(np.linalg.norm(ball[:2] - [self.ahead, 0.0] - shoulder[:2]))
-        if aside >= length:
-            return None
-        height = shoulder[2] + float(np.sqrt(length**2 - aside**2))
-        squared = 2 * GRAVITY * (ball[2] - height - highest_take_off(self.figure))
-        return float(np.sqrt(squared)) if 0.0 < squared <= TAKE_OFF**2 else None
+        palm = palm_over_center(self.figure, arm, over[:2], None)
+        if palm[2] >= over[2] - _HOP:  # no jump would do; a small one does
+            palm = palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP)
+        elif palm[2] < least:
+            palm = palm_over_center(self.figure, arm, over[:2], least, 0.05)
+        rise = float(np.clip(over[2] - palm[2], _HOP, over[2] - least))
+        aside = float(np.linalg.norm(palm[:2] - over[:2]))
+        reached = aside <= ASIDE and palm[2] >= least - 1e-3
+        return float(np.sqrt(2 * GRAVITY * rise)) if reached else None
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
@@ -151,20 +162,41 @@ def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
 
 def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
     """The shoulder beside the centre of mass with the arm stretched up, and the length of the arm."""
-    steps = 16
-    start, s = figure.posture({f"{arm}_shoulder_pitch": 2.6}), np.linspace(1 / steps, 1.0, steps)
-    rows = Rows(figure, steps)
-    center, shoulder = figure.center(start), shoulder_of(figure, arm)
+    shoulder = shoulder_of(figure, arm) - figure.center_at_home
+    q = _lifted(figure, arm, shoulder[:2], None)
+    palm, at = figure.pose(q, figure.hands[arm])[0], _shoulder_at(figure, q, arm)
+    return at - figure.center(q), float(np.linalg.norm(palm - at))
+
+
+def palm_over_center(figure: Figure, arm: str, xy: Array, z: float | None, aside: float = 1.0) -> Array:
+    """(3,) where the palm comes, seen from the centre of mass, the trunk upright and the legs as at home.
+
+    Args:
+        figure: Who.
+        arm: Which hand.
+        xy: (2,) where it shall be, m.
+        z: At which height; None: as high as it comes.
+        aside: How much less the place counts than the height.
+    """
+    q = _lifted(figure, arm, xy, z, aside)
+    return np.asarray(figure.pose(q, figure.hands[arm])[0] - figure.center(q))
+
+
+def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, aside: float = 1.0) -> Array:
+    steps = 10
+    s = np.minimum(1.0, np.arange(1, steps + 1) / (0.7 * steps))[:, None]
+    start = figure.posture({f"{arm}_shoulder_pitch": 2.0, f"{arm}_elbow_pitch": 0.4})
+    rows, center = Rows(figure, steps), figure.center(start)
     hand = figure.pose(start, figure.hands[arm])[0]
-    top = np.array([center[0], shoulder[1], hand[2] + 0.6])
-    rows.position(figure.hands[arm], hand + (top - hand) * s[:, None], 100.0)
+    goal = center + np.array([xy[0], xy[1], 1.6 if z is None else z])
+    rows.position(figure.hands[arm], hand + (goal - hand) * s, 1e3 * aside, axes="xy")
+    rows.position(figure.hands[arm], hand + (goal - hand) * s, 1.0 if z is None else 1e3, axes="z")
     rows.center(center)
     rows.turned(figure.trunk, np.eye(3))
-    stiff = figure.stiffnesses({"*": 0.01, "*hip*": 1.0, "*knee*": 1.0, "*ankle*": 1.0})
-    q = rows.solve(start, stiff, start, speeds=None, steps=20).q[-1]
-    palm, at = figure.pose(q, figure.hands[arm])[0], _shoulder_at(figure, q, arm)
-    # Not quite straight and not quite up: a stretched arm has nowhere to go.
-    return at - figure.center(q) - [0.0, 0.0, 0.03], 0.95 * float(np.linalg.norm(palm - at))
+    stiff = figure.stiffnesses(
+        {"*": 0.01, "*hip*": 1e3, "*knee*": 1e3, "*ankle*": 1e3, "torso*": 1e3, "pelvis*": 1e3}
+    )
+    return rows.solve(start, stiff, start, speeds=None, steps=6).q[-1]
 
 
 def load_abilities(

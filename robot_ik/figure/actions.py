@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, minimum_jerk, rotation
-from robot_ik.figure.gait import FLAT, WALK, Gait, Print, Walk, walk
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, Slices, minimum_jerk, rotation
+from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
 from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
 # Fastest glance, rad/s (head turns of 3 to 6, a usual value).
 _GLANCE = 2.5
+# Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
+_UPRIGHT = 0.966
 # A zero-moment point off its plan by less than this, m, is let be.
 _STEADY = 0.015
 # A motion that is left decays into the next in this time, s.
@@ -189,40 +191,38 @@ def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: floa
     ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
     end = find_pose(figure, ball, arm, kind).q
+    # A hand that is led along a line while the trunk leans far straightens elbow and knees on the way.
+    upright = kind == REACH and figure.pose(end, figure.trunk)[1][2, 2] > _UPRIGHT
     way = figure.robot.difference(start, end)[6:]
-    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if kind == REACH else 3.0)
+    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
     slowest = 1.875 * float((np.abs(way) / limit).max())
     duration = max(
-        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if kind == REACH else _BEND_SPEED), slowest
+        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if upright else _BEND_SPEED), slowest
     )
     t = _times(duration, hold, dt)
     s = minimum_jerk(t / duration)
     here, there = figure.center(start)[:2], figure.center(end)[:2]
     turns = _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s)
-    stiff = figure.stiffnesses(STIFF if kind == REACH else STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
+    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
     def solve(center: Array) -> Frames:
         rows = Rows(figure, len(t))
         pinned(figure, start, rows)
         rows.center(_flat(center), axes="xy")
-        rows.turned(figure.trunk, turns, 20.0 if kind == REACH else 3.0)
-        if kind == REACH:
+        rows.turned(figure.trunk, turns, 20.0 if upright else 3.0)
+        if upright:
             rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-        _look(figure, rows, start, ball, t, within=0.6 if kind == REACH else 0.7 * duration)
+        _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
         return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
 
     frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 
 
-def walk_motion(
-    figure: Figure, q: Array, prints: list[Print], gait: Gait = WALK, *, look: Array | None = None,
-    dt: float = 1.0 / RATE,
-) -> tuple[Motion, Walk]:  # fmt: skip
+def walk_motion(figure: Figure, found: Walk, dt: float = 1.0 / RATE) -> Motion:
     """A walk as a motion; it may be left when both feet stand flat."""
-    found = walk(figure, q, prints, gait, look=look, dt=dt)
     done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
-    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done), found
+    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done)
 
 
 def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
@@ -265,22 +265,23 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
         return motion
     t = np.arange(n, dtype=np.float64) * dt
     offset = decay(gap, speed - own, BLEND)(t)
+    for foot in figure.feet.values():  # toes on the floor: what little they are off would press them into it
+        if foot.toes is not None and abs(gap[foot.toes[1]]) < 0.1:
+            offset[:, foot.toes[1]] = 0.0
     wanted = np.array(
         [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
     )
     rows = Rows(figure, n)
-    poses = {s: [figure.pose(row, f.frame) for row in motion.q[:n]] for s, f in figure.feet.items()}
-    rows.feet(
-        {s: np.array([p for p, _ in found]) for s, found in poses.items()},
-        {s: np.array([r for _, r in found]) for s, found in poses.items()},
-    )  # fmt: skip
+    feet = {s: figure.poses(motion.q[:n], f.frame) for s, f in figure.feet.items()}
+    rows.feet({s: p for s, (p, _) in feet.items()}, {s: r for s, (_, r) in feet.items()})
     center = np.array([figure.center(row) for row in motion.q[:n]])
     was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
     shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
     rows.center(center + shift, axes="xy")
-    rows.turned(figure.trunk, np.array([figure.pose(row, figure.trunk)[1] for row in wanted]), 1.0)
-    stiff = np.concatenate([np.zeros(6), np.ones(figure.robot.nv - 6)])
-    frames = rows.solve(wanted, stiff, first, second, speeds=motion.speeds, dt=dt)
+    rows.turned(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
+    frames = rows.solve(
+        wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds, dt=dt
+    )
     q, miss = motion.q.copy(), motion.miss.copy()
     q[:n], miss[:n] = frames.q, frames.miss
     return replace(motion, q=q, miss=miss)
@@ -288,18 +289,17 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
 
 def stop_walk(
     figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE
-) -> tuple[Motion, Walk]:
-    """The rest of a walk that ends with the step in hand, a short one and the closing one.
+) -> Slices[Walk]:
+    """A walk that begins as another and ends with the step in hand, a short one and the closing one.
 
-    The feet move as they did until then, so that the walk may be left at any frame: only the centre of
-    mass goes
-    over into its new plan (``join``).
+    The feet move as they did until the step in hand is over, so that the other walk may be left at any frame
+    until then: only the centre of mass goes over into its new plan (``join``).
 
     Args:
         figure: Who walks.
         start: (nq,) where the walk began.
         found: The walk.
-        frame: The last frame that was shown.
+        frame: The last frame that is shown of it.
         gait: How it walks.
         dt: Time between frames, s.
     """
@@ -318,10 +318,7 @@ def stop_walk(
             short.y - sign * 2 * half * np.cos(short.yaw), short.yaw,
         )  # fmt: skip
         prints = [*prints[:keep], short, beside]
-    walked = walk(figure, start, prints, gait, dt=dt)
-    done = np.arange(1, len(walked.frames.q) + 1) * dt > walked.strikes[-1] + 0.5
-    whole = Motion("walk", walked.frames.q, walked.contact, walked.frames.miss, walked.zmp, done)
-    return rest_of(whole, frame + 1), walked
+    return (yield from walk_slices(figure, start, prints, gait, dt=dt))
 
 
 def between_prints(a: Print, b: Print, share: float) -> tuple[float, float, float]:

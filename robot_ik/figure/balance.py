@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import Figure
+from robot_ik.figure.figure import SLICE, Figure, Slices
 
 Array = NDArray[np.float64]
 
@@ -130,6 +130,18 @@ def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Arra
     return points, force
 
 
+def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Array, Array]]:
+    """``zero_moment_points`` some frames at a time: the same numbers."""
+    points, force = np.empty((len(q), 2)), np.empty(len(q))
+    for a in range(0, len(q), SLICE):
+        first, last = max(0, a - 1), min(len(q), a + SLICE + 1)
+        found, pushed = zero_moment_points(figure, q[first:last], dt)
+        some = slice(a, min(len(q), a + SLICE))
+        points[some], force[some] = found[a - first :][:SLICE], pushed[a - first :][:SLICE]
+        yield
+    return points, force
+
+
 def compensate(error: Array, omega2: Array, dt: float) -> Array:
     """(n, 2) shift s of the centre of mass that takes an error (n, 2) off the zero-moment point.
 
@@ -150,22 +162,22 @@ def compensate(error: Array, omega2: Array, dt: float) -> Array:
 
 def hull(points: Array) -> Array:
     """(h, 2) corners of the convex hull of (n, 2) points, counter-clockwise (Andrew's monotone chain)."""
-    points = np.unique(points, axis=0)
-    if len(points) < 3:
-        return points
+    ordered = sorted(set(map(tuple, points.tolist())))
+    if len(ordered) < 3:
+        return np.array(ordered).reshape(-1, 2)
 
-    def half(ordered: Array) -> list[Array]:
-        out: list[Array] = []
-        for p in ordered:
+    def half(ordered: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        out: list[tuple[float, ...]] = []
+        for x, y in ordered:
             while len(out) > 1:
-                a, b = out[-1] - out[-2], p - out[-2]
-                if a[0] * b[1] - a[1] * b[0] > 1e-12:
+                (ax, ay), (bx, by) = out[-2], out[-1]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 1e-12:
                     break
                 out.pop()
-            out.append(p)
+            out.append((x, y))
         return out[:-1]
 
-    return np.array(half(points) + half(points[::-1]))
+    return np.array(half(ordered) + half(ordered[::-1]))
 
 
 def hull_margin(points: Array, z: Array) -> float:
@@ -173,12 +185,25 @@ def hull_margin(points: Array, z: Array) -> float:
     corners = hull(points)
     if len(corners) == 1:
         return -float(np.linalg.norm(z - corners[0]))
-    edge = np.roll(corners, -1, axis=0) - corners
+    edge = np.concatenate([corners[1:], corners[:1]]) - corners
     away = z - corners
     t = np.clip((away * edge).sum(1) / (edge * edge).sum(1), 0.0, 1.0)
-    distance = float(np.linalg.norm(away - t[:, None] * edge, axis=1).min())
+    distance = float(np.sqrt(((away - t[:, None] * edge) ** 2).sum(1).min()))
     inside = len(corners) > 2 and bool((edge[:, 0] * away[:, 1] - edge[:, 1] * away[:, 0] >= 0).all())
     return distance if inside else -distance
+
+
+def inset(corners: Array, point: Array, margin: float) -> Array:
+    """The point (2,), moved until it is ``margin`` inside all edges of a hull (h, 2), counter-clockwise."""
+    edge = np.concatenate([corners[1:], corners[:1]]) - corners
+    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+    for _ in range(20):
+        short = margin - ((point - corners) * normal).sum(axis=1)
+        worst = int(short.argmax())
+        if short[worst] <= 1e-6:
+            break
+        point = point + short[worst] * normal[worst]
+    return np.asarray(point)
 
 
 def smooth(values: Array, sigma: float) -> Array:

@@ -42,8 +42,6 @@ _RADIUS, _PER_RADIAN, _TALL = 0.35, 0.35, 1.9
 _CELL = 0.1
 # How many of the best stand points are tried by a solve.
 _TRIES = 6
-# Where a ball for a jump lies before the middle of the feet and to the side of the arm, m.
-_JUMP_AT = (0.2, 0.2)
 
 
 @dataclass(frozen=True)
@@ -238,8 +236,7 @@ class Decider:
         stands, balls, names = [], [], []
         for arm in self.figure.hands:
             if kind == "jump":
-                side = 1.0 if arm == "left" else -1.0
-                cells = np.array([[_JUMP_AT[0], side * _JUMP_AT[1]]])
+                cells = self.abilities.under(arm)[None]
             else:
                 cells = self.abilities.maps[kind, arm].comfortable(float(ball[2]))
             if not len(cells):

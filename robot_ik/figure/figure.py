@@ -8,11 +8,11 @@ there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import mujoco
 import numpy as np
@@ -33,6 +33,22 @@ RATE = 60.0
 
 _PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
 _GEOM = mujoco.mjtGeom
+
+
+# Work that is done a little at a time yields between its parts and returns its result.
+_Result = TypeVar("_Result")
+Slices = Generator[None, None, _Result]
+SLICE = 60
+"""Frames solved between two yields: some 3 ms."""
+
+
+def finished(slices: Slices[_Result]) -> _Result:
+    """The result of work in slices, done at once."""
+    while True:
+        try:
+            next(slices)
+        except StopIteration as end:
+            return cast(_Result, end.value)
 
 
 def rotation(axis: str, angle: ArrayLike) -> Array:
@@ -210,9 +226,20 @@ class Figure:
         return np.asarray(known)
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
-        """(3,) place and (3, 3) rotation of a frame."""
-        at = self.robot.forward(q, frame)
-        return np.asarray(at.position), np.asarray(at.rotation)
+        """(3,) place and (3, 3) rotation of a frame, by MuJoCo."""
+        places, turns = self.poses(q[None], frame)
+        return places[0], turns[0]
+
+    def poses(self, q: Array, frame: str) -> tuple[Array, Array]:
+        """(n, 3) places and (n, 3, 3) rotations of a frame in frames (n, nq)."""
+        at, data = self.robot.frame(frame), self.data
+        place, turn = np.empty((len(q), 3)), np.empty((len(q), 9))
+        for i, row in enumerate(q):
+            data.qpos[:] = row
+            mujoco.mj_kinematics(self.model, data)
+            place[i], turn[i] = data.xpos[at.body], data.xmat[at.body]
+        turns = turn.reshape(-1, 3, 3)
+        return place + turns @ at.local.position, turns @ at.local.rotation
 
     @cached_property
     def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
@@ -451,7 +478,21 @@ class Rows:
             rest: A step shorter than this (rad, m) was the last …
             close: … if hard rows are this close.
         """
+        return finished(
+            self.slices(
+                posture, stiffness, start, second, limits=limits, speeds=speeds, dt=dt, steps=steps,
+                rest=rest, close=close,
+            )
+        )  # fmt: skip
+
+    def slices(
+        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+    ) -> Slices[Frames]:  # fmt: skip
+        """As ``solve``, some frames at a time: the same bits."""
         figure, n = self.figure, self.frames
+        groups = len(self._kind)
         target = np.ascontiguousarray(np.stack(self._target, axis=1).reshape(-1, 12))
         weight = np.ascontiguousarray(np.stack(self._weight, axis=1))
         postures = np.ascontiguousarray(np.broadcast_to(posture, (n, figure.robot.nq)))
@@ -459,11 +500,16 @@ class Rows:
         body = self._table(
             stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits
         )
-        before = start if second is None else second
-        whole_body.solve_frames(
-            figure.robot.tree.handle, body, target, weight, postures, q, start.copy(), before.copy(),
-            steps, rest, close, miss, used,
-        )  # fmt: skip
+        before, here = (start if second is None else second).copy(), start.copy()
+        for a in range(0, n, SLICE):
+            b = min(n, a + SLICE)
+            whole_body.solve_frames(
+                figure.robot.tree.handle, body, target[a * groups : b * groups], weight[a:b], postures[a:b],
+                q[a:b], here, before, steps, rest, close, miss[a:b], used[a:b],
+            )  # fmt: skip
+            if b < n:
+                before, here = (q[b - 2] if b > a + 1 else here).copy(), q[b - 1].copy()
+                yield
         return Frames(q, miss, used)
 
     def _table(

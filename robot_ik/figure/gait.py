@@ -23,9 +23,20 @@ from robot_ik.figure.balance import (
     monotone_curve,
     plan_center,
     smooth,
-    zero_moment_points,
+    zero_moment_slices,
 )
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.figure import (
+    GRAVITY,
+    RATE,
+    SIDES,
+    Figure,
+    Frames,
+    Rows,
+    Slices,
+    finished,
+    minimum_jerk,
+    rotation,
+)
 
 Array = NDArray[np.float64]
 
@@ -48,46 +59,56 @@ class Gait:
         strike_deg, off_deg: Sole's pitch at heel strike (toes up) and at toe off.
         peak: Largest pitch as a multiple of that at toe off.
         flat, rise: When the sole is flat, and when the heel leaves the floor.
-        lift: Clearance of the lowest point in mid swing.
+        leveled: When in the swing the sole is all but level, and its pitch then as a share of that at toe
+            off.
+        lift, arch: Clearance of the lowest point in mid swing; the less the second, the longer it lasts.
         gap: Least distance of the swinging foot from the line of the standing one.
         knee_deg: Least bend of the knees.
         toe_out_deg: Toes outwards.
         pressure: Zero-moment point under the foot, from and to, before the ankle.
-        dip, bob: When the pelvis is lowest after a strike, and how far it goes up and down.
+        dip, bob, broad: When the pelvis is lowest after a strike, how far it goes up and down, and how much
+            longer it is up than down.
         late: How much later than by a cosine the foot arrives: one that waits before its strike holds the
             hips down.
+        arrive: Speed of the foot at its strike as a share of its mean speed in the air: heels strike while
+            they still move.
         turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
         lean_deg: Of the chest forwards.
         swing_deg: Of the arms.
     """
 
-    length: float = 0.7
-    width: float = 0.095
-    time: float = 0.567
-    double: float = 0.085
-    strike_deg: float = 13.4
-    off_deg: float = 46.3
+    length: float = 0.647
+    width: float = 0.073
+    time: float = 0.566
+    double: float = 0.095
+    strike_deg: float = 14.5
+    off_deg: float = 45.8
     peak: float = 1.41
-    flat: float = 0.069
-    rise: float = 0.442
-    lift: float = 0.061
+    flat: float = 0.0785
+    rise: float = 0.456
+    leveled: tuple[float, float] = (0.587, 0.18)
+    lift: float = 0.0473
+    arch: float = 1.62
     gap: float = 0.11
-    knee_deg: float = 12.4
+    knee_deg: float = 7.94
     toe_out_deg: float = 5.0
-    pressure: tuple[float, float] = (0.024, 0.157)
-    dip: float = 0.006
-    bob: float = 0.028
-    late: float = 0.014
-    turn_deg: float = 4.5
-    lean_deg: float = -0.4
+    pressure: tuple[float, float] = (0.026, 0.1537)
+    dip: float = 0.001
+    bob: float = 0.0352
+    broad: float = 0.092
+    late: float = -0.059
+    arrive: float = 0.073
+    turn_deg: float = 2.0
+    lean_deg: float = 3.0
     swing_deg: float = 15.0
 
 
 WALK = Gait()
-"""The best of some thousand seeded random trials against the figures of ``robot-ik bench figure``."""
+"""Found by evolution strategies (CMA-ES) against the figures of ``robot-ik bench figure``."""
 SHUFFLE = replace(
     WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
-    knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0,
+    knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0, width=0.095, flat=0.069,
+    leveled=(0.6, 0.1), arch=3.0, dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
 )  # fmt: skip
 """Small steps to any side, and turning on the spot."""
 
@@ -154,9 +175,11 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     tangent = np.gradient(curve, axis=0)
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     yaw += a[2] - yaw[0] + round((yaw[0] - a[2]) / (2 * np.pi)) * 0.0
-    n = max(2, int(np.ceil(s[-1] / gait.length + 0.7)))
+    # Whole steps but for the first and the last, which make up the rest: 0.8 to 1.8 steps together.
+    n = max(2, int(np.ceil(s[-1] / gait.length + 0.2)))
     share = np.ones(n)
-    share[0], share[-1] = 0.75, 0.6
+    rest = s[-1] / gait.length - (n - 2)
+    share[0], share[-1] = 0.55 * rest, 0.45 * rest
     share = np.cumsum(share) / share.sum()
     foot = 0 if np.interp(share[0] * s[-1], s, yaw) > yaw[0] else 1
     out = list(start)
@@ -268,14 +291,17 @@ class _Plan:
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
             top = off_ * (0.75 if fall.first else 1.0)
-            knots = np.array([rise, fall.off, fall.off + 0.14 * swing, fall.off + 0.6 * swing, after.strike])
-            values = np.array([0.0, top, top * gait.peak, 0.1 * top, on * (0.3 if after.last else 1.0)])
+            settled, share = gait.leveled
+            knots = np.array(
+                [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
+            )
+            values = np.array([0.0, top, top * gait.peak, share * top, on * (0.3 if after.last else 1.0)])
             rolling = (t > rise) & (t < after.strike)
             pitch[rolling] = clamped_curve(knots, values, t[rolling])
             away = (t >= fall.off) & (t < after.strike)
             xy[away], yaw[away] = self._swing(side, fall, after, (t[away] - fall.off) / swing)
             s = (t[away] - fall.off) / swing
-            clear[away], air[away] = gait.lift * 64 * (s * (1 - s)) ** 3, True
+            clear[away], air[away] = gait.lift * (4 * s * (1 - s)) ** gait.arch, True
             level = np.maximum(pitch, 0.0) * (1 - minimum_jerk((t - fall.off) / 0.3))
             self.toes[side, rolling] = level[rolling]
         rolled, height = sole.stand(pitch)
@@ -290,6 +316,7 @@ class _Plan:
     def _swing(self, side: int, fall: _Footfall, after: _Footfall, s: Array) -> tuple[Array, Array]:
         """From print to print by a cosine, round the standing foot where the chord comes too near it."""
         share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
+        share = share - self.gait.arrive * s**5 * (1 - s)
         start = np.array([fall.print.x, fall.print.y])
         way = np.array([after.print.x, after.print.y]) - start
         other = max(
@@ -330,10 +357,10 @@ class _Plan:
         )
         return pelvis, chest, heading
 
-    def pelvis_height(self, pelvis: Array, offset: Array, knee_deg: float) -> Array:
+    def pelvis_height(self, pelvis: Array, place: Array, knee_deg: float) -> Array:
         """The highest pelvis that leaves the knees bent by that, as one wave a step.
 
-        Offset (n, 2) from the centre.
+        place: (n, 2) of the pelvis.
         """
         gait, t = self.gait, self.times
         top = np.full(len(t), np.inf)
@@ -342,13 +369,17 @@ class _Plan:
             leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(np.radians(knee_deg))
             turn = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
             ankle, hip = self.place[side] + turn @ foot.ankle, pelvis @ foot.hip
-            flat = ((ankle[:, :2] - (self.com + offset) - hip[:, :2]) ** 2).sum(axis=1)
+            flat = ((ankle[:, :2] - place - hip[:, :2]) ** 2).sum(axis=1)
             top = np.minimum(top, ankle[:, 2] - hip[:, 2] + np.sqrt(np.maximum(leg - flat, 0.3)))
         stand = float(self.figure.pose(self.figure.home, self.figure.pelvis)[0][2])
         top = np.minimum(top, stand)
         dips = np.array(self.strikes) + gait.dip
         dips = np.concatenate([[dips[0] - gait.time], dips])
-        wave = lambda at, k: gait.bob / 2 * (1 - np.cos(2 * np.pi * (at - dips[k]) / gait.time))  # noqa: E731
+
+        def wave(at: Array, k: int) -> Array:
+            w = 0.5 - 0.5 * np.cos(2 * np.pi * (at - dips[k]) / gait.time)
+            return np.asarray(gait.bob * w * (1 + gait.broad * (1 - w)))
+
         low = []
         for k, dip in enumerate(dips):
             near = np.abs(t - dip) <= 0.6 * gait.time
@@ -392,7 +423,7 @@ _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle
 
 def walk(
     figure: Figure, q: Array, prints: Sequence[Print], gait: Gait = WALK, *, look: Array | None = None,
-    second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 2,
+    second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
 ) -> Walk:  # fmt: skip
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
 
@@ -406,27 +437,34 @@ def walk(
         dt: Time between frames, s.
         corrections: Rounds of the dynamics filter.
     """
+    return finished(
+        walk_slices(figure, q, prints, gait, look=look, second=second, dt=dt, corrections=corrections)
+    )
+
+
+def walk_slices(
+    figure: Figure, q: Array, prints: Sequence[Print], gait: Gait = WALK, *, look: Array | None = None,
+    second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
+) -> Slices[Walk]:  # fmt: skip
+    """``walk``, a few milliseconds at a time."""
     plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
     shift = np.zeros_like(plan.com)
     pelvis, _, heading = plan.trunk()
     offset = -0.012 * rotation("z", heading)[:, :2, 0]
-    frames = None
-    for knee in (
-        22.0,
-        gait.knee_deg + 4.0,
-        gait.knee_deg,
-    ):  # first passes learn where the pelvis is beside the centre
-        frames = _solve(plan, q, second, plan.pelvis_height(pelvis, offset, knee), shift, look, dt)
-        if knee != gait.knee_deg:
-            offset = _pelvis_place(figure, frames.q) - plan.com
-    height = plan.pelvis_height(pelvis, offset, gait.knee_deg)
-    for _ in range(corrections):
-        assert frames is not None
-        points, _ = zero_moment_points(figure, frames.q, dt)
-        error = smooth(np.clip(points - plan.zmp, -0.12, 0.12), 0.02 / dt)
-        error[:2], error[-2:] = 0.0, 0.0
-        shift = shift + compensate(error, np.full(len(error), plan.omega**2), dt)
-        frames = _solve(plan, q, second, height, shift, look, dt)
+    frames: Frames | None = None
+    # The first passes learn where the pelvis is beside the centre of mass.
+    knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + corrections)
+    for k, knee in enumerate(knees):
+        if frames is not None and k > 2:
+            points, force = yield from zero_moment_slices(figure, frames.q, dt)
+            error = smooth(np.clip(points - plan.zmp, -0.12, 0.12), 0.02 / dt)
+            error[:2], error[-2:] = 0.0, 0.0
+            # (g + z'') / z: the body's own acceleration counts, up to a third of g.
+            share = smooth(np.clip(force / (figure.mass * GRAVITY), 0.5, 1.5), 0.02 / dt)
+            shift = shift + compensate(error, plan.omega**2 * share, dt)
+        height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
+        frames = yield from _solve(plan, q, second, height, shift, look, dt)
+        offset = _pelvis_place(figure, frames.q) - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
     return Walk(
@@ -443,17 +481,17 @@ def solve_walk_once(
     """
     plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
     pelvis, _, heading = plan.trunk()
-    height = plan.pelvis_height(pelvis, -0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
-    return len(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt).q)
+    height = plan.pelvis_height(pelvis, plan.com - 0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
+    return len(finished(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt)).q)
 
 
 def _pelvis_place(figure: Figure, q: Array) -> Array:
-    return np.array([figure.pose(row, figure.pelvis)[0][:2] for row in q])
+    return figure.poses(q, figure.pelvis)[0][:, :2]
 
 
 def _solve(
     plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, look: Array | None, dt: float
-) -> Frames:
+) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = Rows(figure, len(plan.times))
     rows.feet(
@@ -484,7 +522,7 @@ def _solve(
             figure.neck or None,
         )
     rows_posture = _posture(plan, q, start, go)
-    return rows.solve(rows_posture, figure.stiffnesses(_STIFF), q, second, dt=dt)
+    return (yield from rows.slices(rows_posture, figure.stiffnesses(_STIFF), q, second, dt=dt))
 
 
 def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:

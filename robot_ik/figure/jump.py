@@ -14,8 +14,19 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, placed_motion, quintic, seen_from, to_stance
-from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, Frames, Rows, minimum_jerk, rotation
+from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
+from robot_ik.figure.figure import (
+    GRAVITY,
+    RATE,
+    SIDES,
+    Figure,
+    Frames,
+    Rows,
+    Slices,
+    finished,
+    minimum_jerk,
+    rotation,
+)
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF
 from robot_ik.kernels.whole_body import HARD
@@ -37,6 +48,10 @@ _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
 _FINE = 0.002
+_EARLY, _LEFT = 0.12, 0.9
+"""The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
+_HEELS, _PULL = 0.6, 7.0
+"""Share of the absorption after which the heels are down."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
 crouch."""
@@ -172,7 +187,9 @@ def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forwa
     w2 = (np.gradient(np.gradient(z, dt), dt) + GRAVITY) / z
     off = np.zeros(len(t)) if error is None else np.interp(t, *error)
     sole = plan.figure.feet["left"].sole
-    toe, mid = sole.front - 0.017, _MIDDLE
+    # On the toes when the heels are up: there is no other support.
+    toe = sole.front + (0.02 if plan.figure.feet["left"].toes else -0.017)
+    mid = _MIDDLE
     out = np.zeros(len(t))
     up, down, n = int(T[2] / dt), int(T[3] / dt), len(t)
 
@@ -194,8 +211,8 @@ def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forwa
     x = run(p + size * b, mid, 0, up)[0]
     out[up:down] = x
     absorb = T[4] - T[3]
-    s = minimum_jerk((t - T[3]) / (0.9 * absorb))
-    early = bump(T[3] + 0.3 * absorb, T[5])
+    s = minimum_jerk((t - T[3] - 0.7 * _HEELS * absorb) / (0.6 * _HEELS * absorb))
+    early = bump(T[3] + 0.7 * _HEELS * absorb, T[5])
     after = lambda a, m: toe * (1 - s) + m * s + a * early - off  # noqa: E731
     miss = lambda a, m: np.array(run(after(a, m), x, down, n)) - [m, 0.0]  # noqa: E731
     r0 = miss(0.0, 0.0)
@@ -212,7 +229,7 @@ def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     air = (t > up) & (t < down)
     s = np.clip((t - up) / plan.flight, 0, 1)
     rising = top * minimum_jerk((t - up + plan.rising) / plan.rising)
-    falling = _LANDED * top * (1 - minimum_jerk((t - down) / (0.9 * absorb)))
+    falling = _LANDED * top * (1 - minimum_jerk((t - down) / (_HEELS * absorb)))
     pitch = np.where(air, top * (1 - (1 - _LANDED) * minimum_jerk(s)), np.where(t <= up, rising, falling))
     lift = np.where(
         air,
@@ -231,21 +248,33 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     figure, arm, T = plan.figure, plan.arm, plan.ends
     other = "left" if arm == "right" else "right"
     knots = np.array(
-        [0.0, T[1], T[2] - 0.03, plan.apex - 0.05, plan.apex + 0.05, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3]
+        [
+            0.0,
+            T[1] - _EARLY,
+            T[2] - 0.03,
+            plan.apex - 0.05,
+            plan.apex + 0.05,
+            T[3] + 0.05,
+            T[4] + 0.2,
+            T[5] + 0.3,
+        ]
     )
     grid = np.arange(0.0, knots[-1] + 0.1, 0.005)
 
     def curve(values: list[float]) -> Array:
         return np.interp(t, grid, smooth(monotone_curve(knots, np.array(values), grid), 0.03 / 0.005))
 
-    way = {"shoulder_pitch": [-0.6, 1.1, 1.2, 0.5], "elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
+    # An arm that rises in flight turns the whole body: most of its way is done before.
+    way = {"elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
     out: dict[str, Array] = {}
     for joint in figure.robot.joints:
         part = joint.removeprefix(f"{arm}_")
         if part != joint and any(k in part for k in ("shoulder", "elbow", "wrist", "clavicle")):
             a = figure.place(joint)[0]
             x0, x1 = float(figure.home[a]), float(top[a])
-            w = way.get(part, [x0, x0 + 0.3 * (x1 - x0), x0 + 0.3 * (x1 - x0), x0])
+            w = way.get(part, [x0, x0 + 0.6 * (x1 - x0), x0 + 0.5 * (x1 - x0), x0])
+            if part == "shoulder_pitch":
+                w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
     for joint, values in {
         f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 1.3, 1.3, 0.9, 0.5, 0.02],
@@ -273,7 +302,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
 
 def _frames(
     plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
-) -> tuple[Frames, NDArray[np.int64]]:
+) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
     pitch, lift, contact = _feet(plan, t)
@@ -286,7 +315,11 @@ def _frames(
         at = figure.pose(plan.ready, foot.frame)[0]
         place[side] = np.column_stack([at[0] + ahead, np.full(n, at[1]), height + lift])
     turn = rotation("y", pitch)
-    rows.feet(place, {side: turn for side in SIDES})
+    # In the air the feet give way before the centre of mass and the momentum do.
+    standing = np.where(air, 3e3, HARD)
+    for side, foot in figure.feet.items():
+        rows.position(foot.frame, place[side], standing)
+        rows.turned(foot.frame, turn, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
     begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
@@ -313,11 +346,12 @@ def _frames(
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
     near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
-    rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (7.5 * near - 3))
+    rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (_PULL * near - 3))
     posture = _posture(plan, t, deep, palm, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
-    return rows.solve(posture, stiff, start, speeds="jump", dt=dt, steps=20), contact
+    frames = yield from rows.slices(posture, stiff, start, speeds="jump", dt=dt, steps=20)
+    return frames, contact
 
 
 def _posture(
@@ -358,6 +392,14 @@ def jump(
     Raises:
         InvalidGoalError: Faster than a man jumps.
     """
+    return finished(jump_slices(figure, q, ball, arm, speed, dt=dt, corrections=corrections))
+
+
+def jump_slices(
+    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
+    corrections: int = 3,
+) -> Slices[Motion]:  # fmt: skip
+    """``jump``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
     ball = seen_from(stance, np.asarray(ball, dtype=float))
     plan = plan_jump(figure, ball, arm, speed)
@@ -367,10 +409,10 @@ def jump(
     error: tuple[Array, Array] | None = None
     for k in range(corrections + 1):
         forward = _forward(plan, error)
-        frames, contact = _frames(plan, forward, t, start, dt)
+        frames, contact = yield from _frames(plan, forward, t, start, dt)
         if k == corrections:
             break
-        points, force = zero_moment_points(figure, frames.q, dt)
+        points, force = yield from zero_moment_slices(figure, frames.q, dt)
         held = (contact != AIR) & (force > 0.42 * figure.mass * GRAVITY)
         off = np.where(held, np.clip(points[:, 0] - np.interp(t, forward.t, forward.p), -0.25, 0.25), 0.0)
         off[:2], off[-2:] = 0.0, 0.0

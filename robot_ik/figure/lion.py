@@ -51,6 +51,16 @@ class PawDecision:
     reason: str
 
 
+def is_lion(robot: Robot) -> bool:
+    """Whether it has four paws and a gaze."""
+    return len(paws_of(robot)) == 4 and "gaze" in robot.frames
+
+
+def paws_of(robot: Robot) -> tuple[str, ...]:
+    """Frames of its paws."""
+    return tuple(name for name in robot.file.tools if name.endswith("_paw"))
+
+
 class Lion:
     """Reaches for balls from his relaxed pose.
 
@@ -68,8 +78,8 @@ class Lion:
         """
         self.robot = robot or load_robot("lion")
         self.relaxed = np.array(self.robot.home)
-        self.paws = tuple(name for name in self.robot.file.tools if name.endswith("_paw"))
-        if len(self.paws) != 4 or "gaze" not in self.robot.frames:
+        self.paws = paws_of(self.robot)
+        if not is_lion(self.robot):
             raise ModelError(
                 f"{self.robot.name!r} has the paws {', '.join(self.paws) or 'none'}", path=self.robot.path,
                 hint="name four tools …_paw and one gaze in its robot.toml",

@@ -5,13 +5,14 @@ All balls here are seen from the middle between the feet, x ahead.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import hull, hull_margin
+from robot_ik.figure.balance import hull, hull_margin, inset
 from robot_ik.figure.figure import Figure, Rows, lowest_points, rotation
 from robot_ik.kernels.whole_body import HARD
 
@@ -31,7 +32,13 @@ STIFF = {
 # Steps towards the ball; the hand's weight grows a hundredfold on the way, so that it goes as far as it can.
 _STEPS = 12
 # A hand that stays farther away comes no nearer by leaning, m; frames of the last millimetres.
-_HOPELESS, _POLISH = 0.3, 24
+_HOPELESS = 0.3
+# Frames of a block of the last millimetres, how many blocks, and how much each holds on to the one before:
+# first more, then less.
+_BLOCK, _BLOCKS, _DAMPING = 3, 20, (1.0, 0.1)
+_STAND, _PULL = 3e3, 300.0
+# A hand that stays nearer than this is tried from other poses, so many.
+_NEARLY, _FRESH = 0.02, 6
 
 
 def pinned(figure: Figure, q: Array, rows: Rows) -> None:
@@ -96,56 +103,100 @@ class Pose:
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
 
-    Feet where they are.
+    Feet where they are.  First the natural one; where it does not do, that one stretched as far as balance
+    allows, another swivel of the arm, and some poses that are far from it.
     """
     limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
-    pose = _attempt(figure, ball, arm, kind, limits)
-    if not pose.flaw or pose.miss > _HOPELESS:
-        return pose
-    if pose.miss > AT_BALL or pose.flaw.startswith("balance"):
-        pose = _farther(figure, ball, arm, kind, limits, pose)
-    if pose.miss <= AT_BALL and pose.flaw:  # another swivel of the arm, or a flat hand
-        flat = pose.flaw.endswith("floor")
+    best = _attempt(figure, ball, arm, kind, limits)
+    if not best.flaw or best.miss > _HOPELESS:
+        return best
+    for pose in _stretched(figure, ball, arm, kind, limits, best.q):
+        if not pose.flaw:
+            return pose
+        best = min(best, pose, key=lambda one: one.miss)
+    if best.miss <= AT_BALL:  # another swivel of the arm, or a flat hand
+        flat = best.flaw.endswith("floor")
         for aside in (0.0,) if flat else (0.7, 1.2):
-            other = _attempt(figure, ball, arm, kind, limits, aside=aside, flat=flat)
-            if other.flaw and other.miss < _HOPELESS:
-                other = _polished(figure, ball, arm, limits, other.q)
-            if not other.flaw:
-                return other
-    return pose
+            pose = _attempt(figure, ball, arm, kind, limits, aside=aside, flat=flat)
+            if pose.flaw and pose.miss < _HOPELESS:
+                pose = _polished(figure, ball, arm, limits, pose.q)
+            if not pose.flaw:
+                return pose
+    if best.miss < _NEARLY:
+        rng = np.random.default_rng(0)
+        for _ in range(_FRESH):
+            q = _scattered(figure, kind, limits, rng)
+            for pose in _stretched(figure, ball, arm, kind, limits, q, leaning=False):
+                if not pose.flaw:
+                    return pose
+                best = min(best, pose, key=lambda one: one.miss)
+    return best
 
 
-def _farther(
-    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], pose: Pose
-) -> Pose:
-    """Leaning and stretching as far as balance allows: from two poses, then the balance put right."""
-    found = [pose]
-    for share in (1.0, 0.3) if kind == BEND else (1.0,):
-        lean = _attempt(figure, ball, arm, kind, limits, upright=0.5, share=share)
-        lean = _polished(figure, ball, arm, limits, lean.q)
-        if lean.flaw.startswith("balance"):
-            center = _inside(_support(figure), figure.center(lean.q)[:2], BALANCED + 0.002)
-            lean = _polished(figure, ball, arm, limits, lean.q, center)
-        if not lean.flaw:
-            return lean
-        found.append(lean)
-    return min(found, key=lambda one: one.miss)
+def _stretched(
+    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], q: Array, *,
+    leaning: bool = True,
+) -> Iterator[Pose]:  # fmt: skip
+    """Leaning and stretching as far as balance allows, from poses nearby."""
+    starts = [q]
+    if leaning:
+        starts += [
+            _attempt(figure, ball, arm, kind, limits, upright=0.5, share=share).q
+            for share in ((1.0, 0.3) if kind == BEND else (1.0,))
+        ]
+    for start in starts:
+        yield _polished(figure, ball, arm, limits, start)
 
 
-def _polished(
-    figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array, center: Array | None = None
-) -> Pose:
-    """From a pose nearby, with hardly any posture of its own: the hand first, then the centre of mass."""
-    rows = Rows(figure, _POLISH)
-    feet = figure.feet_at_home
-    rows.feet({side: at[0] for side, at in feet.items()}, {side: at[1] for side, at in feet.items()})
-    to = support_middle(figure) if center is None else center
-    rows.center(np.array([*to, 0.0]), 0.5 if center is None else HARD, axes="xy")
-    rows.position(figure.hands[arm], ball, 1e4)
-    frames = rows.solve(
-        q, np.minimum(figure.stiffnesses(STIFF), 0.01), q, limits=limits, speeds=None, steps=6
-    )
-    return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
+def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.random.Generator) -> Array:
+    """(nq,) a random pose about home, or between home and deeply bent."""
+    bend = float(rng.uniform(0.0, 1.0)) if kind == BEND else 0.0
+    q = figure.home + bend * (figure.bent - figure.home)
+    q[:2], q[3:7] = figure.home[:2], figure.home[3:7]
+    spread = (0.25 if kind == REACH else 0.5) * rng.normal(size=len(q) - 7)
+    q[7:] = np.clip(q[7:] + spread, limits[0][6:], limits[1][6:])
+    return np.asarray(q)
+
+
+def _polished(figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array) -> Pose:
+    """From a pose nearby, with no posture of its own, by short steps: long ones get caught at limits.
+
+    The centre of mass is free while it is far enough inside the soles, and held at the border else.
+    """
+    feet, corners = figure.feet_at_home, _support(figure)
+    last, hard, held = np.inf, np.inf, None
+    for k in range(_BLOCKS):
+        rows = Rows(figure, _BLOCK)
+        # Hard rows of legs at their limits contradict each other until the hand is nearly there.
+        stand = HARD if last < AT_BALL else _STAND
+        for side, (place, turn) in feet.items():
+            rows.position(figure.feet[side].frame, place, stand)
+            rows.turned(figure.feet[side].frame, turn, stand)
+        rows.position(figure.hands[arm], ball, _PULL)
+        if held is not None:
+            rows.center(np.array([*held, 0.0]), _PULL, axes="xy")
+        damping = figure.stiffnesses({"*": _DAMPING[k > 1], "*toe*": 100.0})
+        frames = rows.solve(q, damping, q, limits=limits, speeds=None, steps=3)
+        q, hard = frames.q[-1], _feet_off(figure, frames.q[-1])
+        center = figure.center(q)[:2]
+        miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
+        outside = hull_margin(corners, center) < BALANCED + 0.0005
+        if not outside and (
+            (miss < 0.5 * AT_BALL and hard < 3e-5) or (k > 3 and AT_BALL < miss > 0.93 * last)
+        ):
+            break
+        last = miss if k > 1 else np.inf
+        held = inset(corners, center, BALANCED + 0.001) if outside or held is not None else None
+    return _judged(figure, q, ball, arm, hard)
+
+
+def _feet_off(figure: Figure, q: Array) -> float:
+    """How far the feet are from where they stand at home, m or (roughly) rad."""
+    off = 0.0
+    for side, (place, turn) in figure.feet_at_home.items():
+        there, rotated = figure.pose(q, figure.feet[side].frame)
+        off = max(off, float(np.linalg.norm(there - place)), float(np.linalg.norm(rotated - turn)))
+    return off
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
@@ -197,19 +248,6 @@ def _support(figure: Figure) -> Array:
                 found.append(world[world[:, 2] < 0.003, :2])
         known = figure.robot.memory["figure.support"] = hull(np.concatenate(found))
     return np.asarray(known)
-
-
-def _inside(corners: Array, point: Array, margin: float) -> Array:
-    """The point, moved towards the middle of the hull until it is so far inside."""
-    middle = corners.mean(axis=0)
-    low, high = 0.0, 1.0
-    for _ in range(30):
-        half = (low + high) / 2
-        if hull_margin(corners, middle + (point - middle) * half) >= margin:
-            low = half
-        else:
-            high = half
-    return np.asarray(middle + (point - middle) * low)
 
 
 def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:

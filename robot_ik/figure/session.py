@@ -18,11 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import Motion, bend, join, reach, rest, stop_walk, walk_motion
+from robot_ik.figure.actions import Motion, bend, join, reach, rest, rest_of, stop_walk, walk_motion
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, Figure
-from robot_ik.figure.gait import FLAT, SHUFFLE, WALK, Gait, Walk, prints_of, shuffle_prints, walk_prints
-from robot_ik.figure.jump import jump
+from robot_ik.figure.figure import RATE, SLICE, Figure, Slices
+from robot_ik.figure.gait import (
+    FLAT,
+    SHUFFLE,
+    WALK,
+    Gait,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    walk_prints,
+    walk_slices,
+)
+from robot_ik.figure.jump import jump_slices
 from robot_ik.ports import JointSink
 
 Array = NDArray[np.float64]
@@ -101,11 +111,37 @@ class FigureFrame:
 # A ball that moved by less than this is where it was, m; a motion is not replaced more often than this,
 # frames.
 _MOVED, _OFTEN = 0.01, 6
-# Nearer than this to home, rad, it need not stand up first; farther than this from a stand point, it steps
-# there.
-_AT_EASE, _AT_STAND = 0.25, 0.01
+# A walk or a jump is planned in the frames before it, so many slices each; a ball that goes farther
+# meanwhile, m, is decided upon anew.
+_SLICES, _ELSEWHERE = 2, 0.3
+# The end of a walk under way is planned within so many frames; so often is each frame of a walk worked on.
+_AHEAD, _PASSES = 30, 11
+# Nearer than this to home, rad, and slower than this, rad/s, it need not stand up first; farther than this
+# from a stand point, m, it steps there.
+_AT_EASE, _STILL, _AT_STAND = 0.25, 0.1, 0.01
 # Below this distance, m, and beyond this turn, rad, steps are small ones.
 _NEAR, _TURN = 1.0, np.radians(50.0)
+
+
+@dataclass(eq=False)
+class _Planning:
+    """A walk or a jump that is being planned.
+
+    Attributes:
+        slices: The work.
+        each: Slices in a frame.
+        start: (nq,) where a walk begins.
+        gait: How it walks.
+        replaces: It is the end of the walk under way.
+    """
+
+    slices: Slices[Motion] | Slices[Walk]
+    each: int = _SLICES
+    start: Array | None = None
+    gait: Gait = WALK
+    replaces: bool = False
+
+
 _WAITING = Decision("nothing", None, "nothing has been asked yet")
 
 
@@ -144,8 +180,13 @@ class FigureSession:
     @property
     def busy(self) -> bool:
         """Whether something is being done or about to be."""
-        planned = bool(self._way) or self._after is not None
+        planned = bool(self._way) or self._after is not None or self._planning is not None
         return self._motion is not None or planned or bool(self._commands) or self._asked()
+
+    @property
+    def planning(self) -> bool:
+        """Whether a walk or a jump is being planned, some milliseconds a frame."""
+        return self._planning is not None
 
     def send(self, command: Command) -> None:
         """Queues a command for the next frame."""
@@ -157,7 +198,9 @@ class FigureSession:
             self._obey(self._commands.popleft())
         if self._motion is not None and self._leave():
             self._choose()
-        if self._motion is None:
+        if self._planning is not None:
+            self._plan_on()
+        if self._motion is None and self._planning is None:
             self._next()
         self._before = self._q
         motion, k = self._motion, self._index
@@ -192,7 +235,8 @@ class FigureSession:
         self._motion: Motion | None = None
         self._index, self._since = 0, 0
         self._way: list[tuple[float, float, float]] = []
-        self._walk: tuple[Array, Walk, Gait, int] | None = None
+        self._walk: tuple[Array, Walk, Gait] | None = None
+        self._planning: _Planning | None = None
         self._after: Decision | None = None
         self._served: Array | None = None
         self.decision = _WAITING
@@ -215,6 +259,8 @@ class FigureSession:
             case SetObstacles(obstacles):
                 self.decider.obstacles = obstacles
                 self._served = None
+                if self._motion is None:
+                    self._planning = None
 
     def _frame(
         self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str
@@ -224,12 +270,12 @@ class FigureSession:
             (self._count + 1) * self.dt, self._q, action, phase, contact, zmp, ball, self.decision, speeds
         )
 
-    def _asked(self) -> bool:
+    def _asked(self, far: float = _MOVED) -> bool:
         """Whether the ball is not where it was when last decided upon."""
         ball = self.ball
         if ball is None or not np.isfinite(ball).all():
             return self._served is not None
-        return self._served is None or float(np.linalg.norm(ball - self._served)) > _MOVED
+        return self._served is None or float(np.linalg.norm(ball - self._served)) > far
 
     def _leave(self) -> bool:
         """Whether the motion under way is to be left now for a ball that moved."""
@@ -246,14 +292,43 @@ class FigureSession:
         """The walk ends with the next steps; what to do then is decided there."""
         if self._walk is None:
             return
-        start, walked, gait, shift = self._walk
+        start, walked, gait = self._walk
         self._walk, self._way, self._after = None, [], None
-        left = len(walked.frames.q) - (shift + self._index)
-        if left < 1.2 * _settled(walked, self.dt):
+        if len(walked.frames.q) - self._index < 1.2 * _settled(walked, self.dt):
             return
-        motion, _ = stop_walk(self.figure, start, walked, shift + self._index - 1, gait, self.dt)
-        if len(motion) < left:
-            self._begin(motion)
+        slices = stop_walk(self.figure, start, walked, self._index - 1 + _AHEAD, gait, self.dt)
+        each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _AHEAD)))
+        self._planning = _Planning(slices, each, start, gait, replaces=True)
+
+    def _plan_on(self) -> None:
+        """Some more of what is being planned; begins it when it is done."""
+        planning = self._planning
+        assert planning is not None
+        if self._motion is None and self._asked(_ELSEWHERE):
+            self._choose()
+            return
+        for _ in range(planning.each):
+            try:
+                next(planning.slices)
+            except StopIteration as end:
+                self._planning = None
+                self._planned(planning, end.value)
+                return
+
+    def _planned(self, planning: _Planning, found: Motion | Walk) -> None:
+        """Begins what was planned."""
+        if isinstance(found, Motion):
+            self._begin(found)
+            return
+        motion = walk_motion(self.figure, found, self.dt)
+        if planning.replaces:
+            motion = rest_of(motion, self._index)
+            if self._motion is not None and len(motion) < len(self._motion) - self._index:
+                self._begin(motion)
+            return
+        self._begin(motion)
+        assert planning.start is not None
+        self._walk = (planning.start, found, planning.gait)
 
     def _next(self) -> None:
         """What comes when nothing is under way."""
@@ -271,15 +346,16 @@ class FigureSession:
         seen = ball is not None and bool(np.isfinite(ball).all())
         self._served = ball.copy() if ball is not None and seen else None
         self.decision = self.decider.decide(ball, self.figure.stance(self._q), self.decision)
-        self._way, self._after = [], None
+        self._way, self._after, self._planning = [], None, None
         self._act(self.decision)
 
     def _act(self, decision: Decision) -> None:
         figure, q, ball = self.figure, self._q, self.ball
         away = np.abs(q - figure.home)
         away[[*range(7), *(figure.place(joint)[0] for joint in figure.neck)]] = 0.0
-        ease = float(away.max())
-        if decision.action in ("walk", "jump", "nothing") and ease > _AT_EASE:
+        speed = float(np.abs(figure.robot.difference(self._before, q)).max()) / self.dt
+        away_from_home = float(away.max()) > _AT_EASE or speed > _STILL
+        if decision.action in ("walk", "jump", "nothing") and away_from_home:
             self._begin(rest(figure, q, look=ball, dt=self.dt))
             self._after = None if decision.action == "nothing" else decision
         elif decision.action == "walk":
@@ -290,12 +366,13 @@ class FigureSession:
         else:
             assert ball is not None and decision.arm is not None
             if decision.action == "reach":
-                motion = reach(figure, q, ball, decision.arm, dt=self.dt)
+                self._begin(reach(figure, q, ball, decision.arm, dt=self.dt))
             elif decision.action == "bend":
-                motion = bend(figure, q, ball, decision.arm, dt=self.dt)
+                self._begin(bend(figure, q, ball, decision.arm, dt=self.dt))
             else:
-                motion = jump(figure, q, ball, decision.arm, decision.speed or 0.0, dt=self.dt)
-            self._begin(motion)
+                speed = decision.speed or 0.0
+                self._planning = _Planning(jump_slices(figure, q, ball, decision.arm, speed, dt=self.dt))
+                self._motion = None
 
     def _step_on(self) -> None:
         """The next walk on the way: a turn on the spot, a walk along a curve, or small steps."""
@@ -322,9 +399,8 @@ class FigureSession:
             steps = walk_prints(figure, prints, end, gait)
             if not turned:
                 self._way[0] = (float(goal[0]), float(goal[1]), float(goal[2]))
-        motion, walked = walk_motion(figure, q, steps, gait, look=None, dt=self.dt)
-        self._begin(motion)
-        self._walk = (q, walked, gait, 0)
+        slices = walk_slices(figure, q, steps, gait, dt=self.dt)
+        self._planning, self._motion = _Planning(slices, start=q, gait=gait), None
 
     def _begin(self, motion: Motion) -> None:
         self._motion = join(self.figure, self._before, self._q, motion, self.dt)
@@ -334,7 +410,7 @@ class FigureSession:
     def _end(self) -> None:
         """A motion is over: after a walk it decides anew where it came to."""
         walked = self._motion is not None and self._motion.action == "walk"
-        self._motion, self._walk = None, None
+        self._motion, self._walk, self._planning = None, None, None
         if walked and not self._way:
             self._served = None
 

@@ -6,7 +6,7 @@ import csv
 import hashlib
 import io
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,18 +16,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik import __version__
-from robot_ik.camera.drawing.overlay import draw_robot, put_label
+from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
+from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Box, Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
+from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, Start
 from robot_ik.files import read_csv, shown, write_atomically
+from robot_ik.jobs.ar.job import (
+    ArReport,
+    ArRequest,
+    Progress,
+    heights,
+    marker_from_base,
+    marker_places,
+    run_ar,
+)
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -37,7 +50,11 @@ FRAMES_SCHEMA = 1
 _PAPER = (236, 232, 226)
 # Of a film: size, and how fast the camera follows, 1/s.
 _FILM_SIZE, _FOLLOW = (960, 720), 2.0
+# From where the camera looks, in heights of the robot.
+_FROM = np.array([1.5, -1.95, 0.52])
 _BALL_RADIUS = 0.05
+# A marker that seems to move by less, m, is at rest: that much is noise of a drawing a quarter of life size.
+_NOISE = 0.03
 # A run ends when nothing has gone on for so long, s, or after so long in all.
 _IDLE, _LONGEST = 0.5, 60.0
 
@@ -156,12 +173,90 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
                 break
 
 
+def run_marker(
+    abilities: Abilities, request: FigureRequest, places: Iterator[tuple[float, Array | None]]
+) -> Iterator[FigureFrame]:
+    """Frames of a figure whose ball is a marker: ``places`` at times, seen from where the world begins."""
+    moved = MarkerFigure(abilities, request)
+    for t, place in places:
+        moved.show(place)
+        yield from moved.until(t)
+
+
+class MarkerFigure:
+    """A figure that acts on a marker in the pictures of a camera; also the motion of ``jobs.ar``."""
+
+    def __init__(
+        self, abilities: Abilities, request: FigureRequest, drawn: DrawnRobot | None = None,
+        frames: list[FigureFrame] | None = None,
+    ) -> None:  # fmt: skip
+        self._session = FigureSession(
+            abilities, obstacles=request.obstacles, mode=request.mode, place=request.place
+        )
+        self._drawn, self._shown = drawn, np.full(3, np.inf)
+        self.frames: list[FigureFrame] = [] if frames is None else frames
+        self.frames.clear()
+
+    def show(self, place: Array | None) -> None:
+        """The ball at ``place`` (3,); where it was last for None."""
+        if place is not None and float(np.linalg.norm(place - self._shown)) > _NOISE:
+            self._shown = place
+            self._session.send(SetBall((float(place[0]), float(place[1]), float(place[2]))))
+            if self._session.mode == "passive" and self._session.ball is None:
+                self._session.send(Start())
+
+    def until(self, t: float) -> Iterator[FigureFrame]:
+        """Frames up to a time, s."""
+        while len(self.frames) / RATE <= t:
+            self.frames.append(self._session.step())
+            yield self.frames[-1]
+
+    def q(self, time: float, seen: Seen | None) -> Array:
+        """(nq,) at ``time``: see ``jobs.ar.motion.Motion``."""
+        assert self._drawn is not None
+        self.show(None if seen is None else marker_from_base(seen, self._drawn))
+        for _ in self.until(time):
+            pass
+        return self.frames[-1].q
+
+
+def draw_on_camera(
+    abilities: Abilities, request: FigureRequest, camera: ArRequest, progress: Progress
+) -> tuple[ArReport, list[FigureFrame]]:
+    """The figure drawn into the pictures of a camera, acting on a marker in them."""
+    frames: list[FigureFrame] = []
+    report = run_ar(
+        camera, progress, robot=abilities.figure.robot,
+        mover=lambda robot, drawn: MarkerFigure(abilities, request, drawn, frames),
+    )  # fmt: skip
+    return report, frames
+
+
+def run_lion(lion: Lion, balls: Sequence[tuple[float, float, float]]) -> Iterator[FigureFrame]:
+    """Frames of a lion that is shown balls; one for each that no paw reaches."""
+    t, none = 0.0, np.full(3, np.nan)
+    for ball in balls:
+        found = lion.decide(ball)
+        decision = Decision("reach" if found.paw else "nothing", found.paw, found.reason)
+        there = np.asarray(ball, dtype=float)
+        q = lion.reach(ball, found.paw, rate=RATE).q if found.paw else [lion.relaxed]
+        end = len(q) * (LEAN + REACH + HOLD) / (2 * (LEAN + REACH) + HOLD)
+        for k, row in enumerate(q):
+            t += 1.0 / RATE
+            # The reach is over when he begins to come back.
+            phase = min(1.0, (k + 1) / end) if found.paw else 1.0
+            action = "stand" if not found.paw else "reach" if k < end else "rest"
+            yield FigureFrame(t, row, action, phase, np.array([FLAT, FLAT]), none[:2], there, decision)
+
+
 def watch(
-    abilities: Abilities, frames: Iterator[FigureFrame], each: Callable[[FigureFrame], None]
+    robot: Robot, hands: Mapping[str, str], frames: Iterator[FigureFrame], each: Callable[[FigureFrame], None]
 ) -> FigureReport:
-    """Runs through the frames; gives each away and keeps what the report needs."""
-    report, figure = FigureReport(), abilities.figure
-    nearest = np.inf
+    """Runs through the frames; gives each away and keeps what the report needs.
+
+    ``hands``: frame of each arm that a decision may name.
+    """
+    report, nearest = FigureReport(), np.inf
     for frame in frames:
         before = report.frames[-1] if report.frames else None
         if before is None or frame.decision is not before.decision:
@@ -170,7 +265,7 @@ def watch(
         each(frame)
         arm = frame.decision.arm
         if frame.action in ("reach", "bend", "jump") and arm is not None:
-            miss = float(np.linalg.norm(figure.pose(frame.q, figure.hands[arm])[0] - frame.ball))
+            miss = float(np.linalg.norm(robot.forward(frame.q, hands[arm]).position - frame.ball))
             nearest = miss if frame.action != "jump" else min(nearest, miss)
             if frame.phase >= 1.0:
                 report.misses.append((frame.action, nearest))
@@ -267,10 +362,10 @@ class Painter:
     """Paints frames: the figure on tiles, the ball, the obstacles; the camera follows."""
 
     def __init__(
-        self, figure: Figure, obstacles: Sequence[Obstacle] = (), size: tuple[int, int] = _FILM_SIZE
+        self, robot: Robot, obstacles: Sequence[Obstacle] = (), size: tuple[int, int] = _FILM_SIZE
     ) -> None:
-        self._nq = figure.model.nq
-        self._model = _stage(figure, obstacles)
+        self._model = _stage(robot, obstacles)
+        self._tall, self._letters = heights(robot)[1], max(11, size[0] // 44)
         self._optics = CameraIntrinsics(
             *size, 1.35 * size[1], 1.35 * size[1], (size[0] - 1) / 2, (size[1] - 1) / 2
         )
@@ -278,26 +373,41 @@ class Painter:
 
     def paint(self, frame: FigureFrame) -> Image:
         """One picture, BGR."""
-        to = np.array([frame.q[0], frame.q[1], 0.95])
+        to = np.array([frame.q[0], frame.q[1], 0.54 * self._tall])
         if np.isfinite(frame.ball).all():
             way = frame.ball - to
             to = to + 0.3 * way * min(1.0, 2.0 / max(float(np.linalg.norm(way)), 1e-9)) * [1, 1, 0]
         self._at = to if self._at is None else self._at + (to - self._at) * min(1.0, _FOLLOW / RATE)
-        camera = look_at([*self._at, 2.6, -3.4, 0.9], self._at)
+        camera = look_at(self._at + self._tall * _FROM, self._at)
         ball = frame.ball if np.isfinite(frame.ball).all() else np.array([0.0, 0.0, -9.0])
         width, height = self._optics.size
         empty = np.full((height, width, 3), _PAPER, dtype=np.uint8)
         picture = draw_robot(
             empty, self._model, np.concatenate([frame.q, ball]), self._optics, camera, alpha=1.0
         )
-        return put_label(
-            picture, f"{frame.action}\n{frame.decision.reason}", (8, height - 36), size=max(11, width // 44)
-        )
+        return put_label(picture, self.caption(frame), (8, height - 8), size=self._letters)
+
+    def caption(self, frame: FigureFrame) -> str:
+        """Action and reason in lines that fit into the picture."""
+        width = self._optics.width - 16 - 2 * self._letters
+        return "\n".join([frame.action, *_lines(frame.decision.reason, width, self._letters)])
 
 
-def _stage(figure: Figure, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
-    """The figure's model among tiles and obstacles, with a ball on three slides at the end of qpos."""
-    spec = mujoco.MjSpec.from_file(str(figure.robot.path))
+def _lines(text: str, width: int, size: int) -> list[str]:
+    """Text in lines no wider than ``width`` px."""
+    out = [""]
+    for word in text.split():
+        longer = f"{out[-1]} {word}".strip()
+        if out[-1] and text_size(longer, size)[0] > width:
+            out.append(word)
+        else:
+            out[-1] = longer
+    return out
+
+
+def _stage(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
+    """The robot's model among tiles and obstacles, with a ball on three slides at the end of qpos."""
+    spec = mujoco.MjSpec.from_file(str(robot.path))
     for key in list(spec.keys):
         spec.delete(key)
     world, kinds = spec.worldbody, mujoco.mjtGeom
@@ -323,10 +433,10 @@ def _stage(figure: Figure, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
 
 
 def record(
-    figure: Figure, frames: Sequence[FigureFrame], out: Path, obstacles: Sequence[Obstacle], **more: Any
+    robot: Robot, frames: Sequence[FigureFrame], out: Path, obstacles: Sequence[Obstacle], **more: Any
 ) -> None:
     """A film, a GIF, a picture, or a folder of pictures (see ``jobs.ar_files``); 30 pictures a second."""
-    painter = Painter(figure, obstacles)
+    painter = Painter(robot, obstacles)
     if out.suffix.lower() == ".gif":
         write_atomically(out, _gif([painter.paint(frame) for frame in frames[::4]]))
         return
@@ -395,11 +505,13 @@ def tour(
 
     runs = {}
     for action, ball in TOUR:
-        report = watch(abilities, run_figure(abilities, FigureRequest((ball,))), lambda frame: None)
+        report = watch(
+            figure.robot, figure.hands, run_figure(abilities, FigureRequest((ball,))), lambda frame: None
+        )
         runs[action] = [f for f in report.frames if f.action in (action, "stand") or action == "nothing"]
         shown = [f for f in report.frames if f.action == action] or report.frames
         pick = shown[len(shown) // 2] if action in ("walk", "jump") else shown[-1]
-        save(f"decision-{action}", Painter(figure, size=(480, 480)).paint(pick))
+        save(f"decision-{action}", Painter(figure.robot, size=(480, 480)).paint(pick))
     only = lambda name: np.array([f.q for f in runs[name] if f.action == name])  # noqa: E731
     walked = only("walk")
     save("strip-walk", strip(figure, walked[len(walked) // 3 :][:70], 9, (-90.0, 6.0), follow=True))
@@ -407,7 +519,7 @@ def tour(
     save("strip-reach", strip(figure, only("reach"), 6, (-50.0, 8.0)))
     save("strip-jump", strip(figure, only("jump")[20:], 10, (-60.0, 4.0)))
     behind = FigureRequest(((-1.8, -0.3, 1.2),))
-    turned = watch(abilities, run_figure(abilities, behind), lambda frame: None)
+    turned = watch(figure.robot, figure.hands, run_figure(abilities, behind), lambda frame: None)
     steps = np.array([f.q for f in turned.frames if f.action == "walk"])
     save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
     return done
@@ -429,6 +541,7 @@ def decide_balls(
 
 
 __all__ = [
-    "FigureReport", "FigureRequest", "Painter", "decide_balls", "frames_table", "moving_ball", "read_balls",
-    "record", "run_figure", "strip", "tour", "watch",
+    "FigureReport", "FigureRequest", "Painter", "decide_balls", "draw_on_camera", "frames_table",
+    "marker_places", "moving_ball", "read_balls", "record", "run_figure", "run_lion", "run_marker", "strip",
+    "tour", "watch",
 ]  # fmt: skip

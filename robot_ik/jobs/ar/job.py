@@ -22,7 +22,7 @@ from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.ar.motion import Motion, Replay, make_motion
+from robot_ik.jobs.ar.motion import Motion, Replay, Standing, make_motion
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
 from robot_ik.jobs.ar.scene import Motion as BoardMotion
@@ -133,14 +133,23 @@ class ArReport:
 
 
 Progress = Callable[[int, int], None]
+Mover = Callable[["Robot", DrawnRobot], Motion]
 
 
-def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) -> ArReport:
+def run_ar(
+    request: ArRequest,
+    progress: Progress = lambda done, total: None,
+    *,
+    robot: Robot | None = None,
+    mover: Mover | None = None,
+) -> ArReport:
     """Draws the robot into each picture and writes them.
 
     Args:
         request: What to draw on what.
         progress: Told how many pictures are done, and of how many (0: nobody knows).
+        robot: Who is drawn; default: the request's.
+        mover: Makes what moves the robot, in place of ``request.motion``.
 
     Raises:
         MarkerNotFoundError: The board was in no picture.
@@ -148,15 +157,16 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
     """
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
-        robot = load_robot(request.robot)
+        robot = robot or load_robot(request.robot)
         ahead = stack.enter_context(CompiledAhead.overlay())
         figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
-        motion = make_motion(request.motion, robot, figure, stack)
+        make = mover or (lambda robot, figure: make_motion(request.motion, robot, figure, stack))
+        motion = make(robot, figure)
         frames, intrinsics, total, stage = _open(request, motion, stack)
         if stage is not None and not request.scale:
             figure = _figure(request, robot, _scale_in_view(request, robot, motion, stage, total))
             if request.motion == "follow":  # it reaches with the arm as it is drawn
-                motion = make_motion(request.motion, robot, figure, stack)
+                motion = make(robot, figure)
         artist, notice = make_artist(request.backend)
         notice = "; ".join(filter(None, (notice, getattr(motion, "notice", ""))))
         stack.callback(getattr(artist, "close", lambda: None))
@@ -190,6 +200,33 @@ def run_ar(request: ArRequest, progress: Progress = lambda done, total: None) ->
         notice = "; ".join(filter(None, (notice, _OUT_OF_VIEW)))
     mean = float(np.mean(errors)) if errors else float("nan")
     return ArReport(count, drawn, mean, spent, figure.scale, artist.name, notice, file, interrupted)
+
+
+def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
+    """Times since the first picture, and where the followed marker is, seen from the robot's base.
+
+    Places (3,) in the robot's own metres (``scale``); None where board or marker is not seen.
+
+    Raises:
+        RobotIkError: Wrong input or environment.
+    """
+    request = replace(request, motion="follow")
+    with contextlib.ExitStack() as stack:
+        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
+        frames, intrinsics, _, _ = _open(request, Standing(robot), stack)
+        watcher, begin = _watcher(request, intrinsics), None
+        for frame in frames:
+            begin = frame.time if begin is None else begin
+            seen = watcher.see(frame)
+            yield frame.time - begin, None if seen is None else marker_from_base(seen, figure)
+
+
+def marker_from_base(seen: Seen, figure: DrawnRobot) -> Array | None:
+    """(3,) the other marker seen from the base of the drawn robot, in its own metres; None: not seen."""
+    if seen.marker is None:
+        return None
+    board = seen.pose_camera_board.inverse().compose(seen.marker.pose)
+    return np.asarray(figure.pose_board_base.inverse().compose(board).position / figure.scale)
 
 
 def _errors(seen: Seen | None, made: Shown) -> list[float]:
@@ -341,6 +378,11 @@ def _registrar(
             None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),
             pose_board_camera=place.pose_parent_camera, alpha=request.alpha,
         )  # fmt: skip
+    watcher = _watcher(request, intrinsics)
+    return Registrar(watcher, artist, figure, intrinsics, request.latency_options, alpha=request.alpha)
+
+
+def _watcher(request: ArRequest, intrinsics: CameraIntrinsics) -> BoardWatcher:
     board = parse_board(request.board, request.dictionary)
     other = request.marker if request.motion == "follow" else None
     if other is not None and isinstance(board, MarkerBoard) and other[0] in board.layout:
@@ -348,5 +390,4 @@ def _registrar(
             f"marker {other[0]} is on the board, so it cannot be followed", file="command line",
             key="--marker", allowed="an id that is not on the board",
         )  # fmt: skip
-    watcher = BoardWatcher(board, intrinsics, other, dictionary=request.dictionary or "DICT_5X5_50")
-    return Registrar(watcher, artist, figure, intrinsics, request.latency_options, alpha=request.alpha)
+    return BoardWatcher(board, intrinsics, other, dictionary=request.dictionary or "DICT_5X5_50")
