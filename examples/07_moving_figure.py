@@ -15,7 +15,7 @@ from robot_ik.figure.abilities import load_abilities
 from robot_ik.figure.figure import RATE, load_figure
 from robot_ik.figure.session import FigureSession, SetBall
 
-BALLS = (0.45, -0.25, 1.3), (0.5, -0.25, 0.35), (1.6, 0.6, 1.2)
+BALLS = (0.45, -0.25, 1.3), (0.5, -0.25, 0.25), (1.6, 0.6, 1.2)
 
 
 def main(*ball: float) -> None:

@@ -119,7 +119,7 @@ def test_a_goal_of_no_kind_is_refused(puma):
 
 def test_a_new_method_needs_no_other_change():
     """A kernel of its own and a name: all that a subclass must give."""
-    assert IterativeSolver.__abstractmethods__ == {"kernel", "parameters"}
+    assert IterativeSolver.__abstractmethods__ == {"kernel"}
 
 
 def test_every_lazy_name_of_the_package_is_there():

@@ -86,7 +86,7 @@ def with_ball(path: Path, place: tuple[float, ...]) -> mujoco.MjModel:
     """The model with a ball that touches nothing."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.worldbody.add_geom(
-        name="ball", type=mujoco.mjtGeom.mjGEOM_SPDOCS, size=[_BALL_RADIUS, 0, 0], pos=list(place),
+        name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_BALL_RADIUS, 0, 0], pos=list(place),
         rgba=list(_BALL_COLOUR), contype=0, conaffinity=0,
     )  # fmt: skip
     return spec.compile()

@@ -423,7 +423,8 @@ def _session_times(abilities: Abilities) -> Iterator[FigureRow]:
     """Of a walk to a ball 5 m away and the reach there: frames that plan, and those that do not."""
     session = FigureSession(abilities)
     session.send(SetBall((5.0, 0.5, 1.2)))
-    planned, played = [], []
+    planned: list[float] = []
+    played: list[float] = []
     while session.busy and len(planned) + len(played) < 1200:
         planning = session.planning
         began = time.thread_time()

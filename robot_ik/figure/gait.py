@@ -291,11 +291,11 @@ class _Plan:
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
             top = off_ * (0.75 if fall.first else 1.0)
-            settled, share = gait.leveled
+            settled, part = gait.leveled
             knots = np.array(
                 [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
             )
-            values = np.array([0.0, top, top * gait.peak, share * top, on * (0.3 if after.last else 1.0)])
+            values = np.array([0.0, top, top * gait.peak, part * top, on * (0.3 if after.last else 1.0)])
             rolling = (t > rise) & (t < after.strike)
             pitch[rolling] = clamped_curve(knots, values, t[rolling])
             away = (t >= fall.off) & (t < after.strike)

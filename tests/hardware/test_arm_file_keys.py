@@ -109,7 +109,7 @@ def test_a_file_that_names_none_of_them_writes_none_of_them(arm_config: ArmConfi
 
 # old text, new text, key, words that must be in the message
 WRONG = [
-    ("reverse = true", "reverse = 1", "joints[0].reverse", "boolean"),
+    ("reverse = true", "reverse = 1", "joints[0].reverse", "true or false"),
     ("position_p = 900", "position_p = 16384", "joints[0].gains.position_p", "0..16383"),
     ("position_p = 900", "position_p = 9.5", "joints[0].gains.position_p", "0..16383"),
     ("position_p = 900", "postion_p = 900", "joints[0].gains.postion_p", "did you mean position_p"),

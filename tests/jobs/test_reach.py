@@ -180,20 +180,21 @@ def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any
     assert report.reached, (report.problem, report.verdict)
     assert report.by_camera is not None
     assert report.goal.has_angle is (name == "ur")
-    assert report.by_camera.allowed.position < LARGEST_MISS
+    assert report.by_camera.allowed.position <= LARGEST_MISS
 
 
 def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: Any) -> None:
     report = reach(bus="none", robot=str(arms["planar"]))
     assert report.reached and report.execution.measured is None and report.counters == {}
-    assert report.read_back.position < 1e-4
+    # The marker is seen out of the plane that the arm can reach, within its standard deviation.
+    assert report.read_back.position < report.read_back.allowed.position < 1e-3
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.soak)])
 def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
     report = reach(bus="none", follow=1.2, seed=seed)
     assert report.reached, report.verdict
-    assert report.read_back.position > 1e-5  # two looks at the marker differ
+    assert report.read_back.position > 1e-6  # two looks at the marker differ
     assert report.read_back.position <= report.read_back.allowed.position < LARGEST_MISS
 
 

@@ -160,7 +160,7 @@ def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytes
         ({"camera": "0"}, CalibrationError, "camera locate"),
         ({"camera": "0", "zero_offset_deg": {"joint1": 1.0}}, ConfigError, "synthetic camera only"),
         ({"zero_offset_deg": {"joint9": 1.0}}, UnknownJointError, "joint9"),
-        ({"place": Path("nowhere.toml")}, CalibrationError, "nowhere.toml"),
+        ({"extrinsics": Path("nowhere.toml")}, CalibrationError, "nowhere.toml"),
     ],
 )
 def test_what_is_missing_is_told_before_anything_moves(
