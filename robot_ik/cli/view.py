@@ -247,8 +247,7 @@ def _replay(path: Path) -> int:
     console.say(words, "" if same else "bold red")
     if not same:
         console.say(
-            "another version of robot_ik or numba, another processor, an edited log, or the log of a process "
-            "that compiled its methods: those may round the last bit otherwise",
+            "another version of robot_ik or numba, another processor, or an edited log",
             "yellow",
         )
     return console.DONE if same else console.NOT_ACHIEVED

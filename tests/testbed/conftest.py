@@ -13,7 +13,7 @@ import pytest
 from robot_ik.testbed.commands import Command, Start
 from robot_ik.testbed.session import Session, View, run
 
-PATIENCE = 40.0
+PATIENCE = 90.0
 """A safety limit for what a browser without a GPU does on a busy machine, seconds."""
 
 

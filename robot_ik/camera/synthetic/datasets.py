@@ -144,7 +144,9 @@ def marker_light(
 
 
 def markers_centre(camera: CameraIntrinsics, markers: Mapping[int, tuple[float, Pose]]) -> Array:
-    """Pixel (2,) in the middle of markers."""
+    """Pixel (2,) in the middle of markers; of the picture where there are none."""
+    if not markers:
+        return np.array([0.5 * camera.width, 0.5 * camera.height])
     return np.asarray(np.mean([camera.project(pose.position) for _, pose in markers.values()], axis=0))
 
 
