@@ -50,8 +50,12 @@ a bent arm."""
 _FINE = 0.002
 _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
-_HEELS, _PULL = 0.6, 7.0
+_HEELS = 0.6
 """Share of the absorption after which the heels are down."""
+_PULL = 7.0
+"""Powers of ten by which the hand's weight grows until the apex."""
+_AFTER_TAKE_OFF, _BEFORE_LANDING = 0.08, 0.12
+"""Parts of the flight in which the feet are held, s."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
 crouch."""
@@ -315,8 +319,10 @@ def _frames(
         at = figure.pose(plan.ready, foot.frame)[0]
         place[side] = np.column_stack([at[0] + ahead, np.full(n, at[1]), height + lift])
     turn = rotation("y", pitch)
-    # In the air the feet give way before the centre of mass and the momentum do.
-    standing = np.where(air, 3e3, HARD)
+    # In the middle of the flight the feet give way before the centre of mass and the momentum do; where they
+    # leave the floor and come back to it they are where the floor wants them.
+    loose = (t > T[2] + _AFTER_TAKE_OFF) & (t < T[3] - _BEFORE_LANDING)
+    standing = np.where(loose, 3e3, HARD)
     for side, foot in figure.feet.items():
         rows.position(foot.frame, place[side], standing)
         rows.turned(foot.frame, turn, standing)
