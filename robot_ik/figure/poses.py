@@ -155,6 +155,9 @@ def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.r
     q[:2], q[3:7] = figure.home[:2], figure.home[3:7]
     spread = (0.25 if kind == REACH else 0.5) * rng.normal(size=len(q) - 7)
     q[7:] = np.clip(q[7:] + spread, limits[0][6:], limits[1][6:])
+    for foot in figure.feet.values():
+        if foot.toes is not None:  # nothing else keeps them from the floor
+            q[foot.toes[0]] = figure.home[foot.toes[0]]
     return np.asarray(q)
 
 

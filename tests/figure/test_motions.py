@@ -103,6 +103,11 @@ def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball:
     assert measure.jump <= 2.0
 
 
+def test_a_bend_found_from_a_random_pose_keeps_its_toes_on_the_floor(figure: Figure) -> None:
+    motion = bend(figure, figure.home, np.array([0.28, -0.08, 0.17]), "right")
+    require_feet(measure_motion(figure, motion.q, motion.contact))
+
+
 def test_a_jump_flies_by_its_own_momentum(figure: Figure, abilities: Abilities) -> None:
     ball = np.array([0.2, -0.2, 2.3])
     speed = abilities.take_off(ball, "right")
