@@ -9,7 +9,7 @@ DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
 # A sourced ROS set-up puts its own packages and pytest plugins in front of ours.
-unexport PYTHONPATH PYTHONHOME
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 # An editable install remembers where it was made: a moved checkout, or another PYTHON, is installed anew.
 ifneq ($(shell cat $(STAMP) 2>/dev/null),$(CURDIR))

@@ -290,7 +290,7 @@ def test_interpolated_rays_are_those_of_the_lens(lens: CameraIntrinsics) -> None
     assert np.abs(field.points(pixels) - lens.undistort(pixels)).max() * lens.fx < 5e-3  # px
     x, y = np.array([0.0, 17.25, 639.0]), np.array([0.5, 479.0])
     exact = lens.undistort(np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)).reshape(2, 3, 2)
-    assert np.abs(field.grid(x, y) - exact).max() * lens.fx < 1e-3
+    assert np.abs(field.grid(x, y) - exact).max() * lens.fx < 5e-3
     assert field.box(10, 20, 13, 22) == pytest.approx(
         field.grid(np.arange(10, 13), np.arange(20, 22)), abs=1e-12
     )

@@ -256,10 +256,10 @@ class SyntheticSource(ClosingSource):
             scene = self.scene
             pose, robot = scene.pose_world_camera, scene.robot
             distance = _subject_distance(scene)
-            subject = pose.apply([0.0, 0.0, distance])
+            x, y, z = pose.apply([0.0, 0.0, distance]).tolist()
             lights = scene.lights or Lights.beside(pose, distance)
             self._photographer = Photographer(
-                robot.model, scene.intrinsics, pose, scene.table, lights, subject
+                robot.model, scene.intrinsics, pose, scene.table, lights, (x, y, z)
             )
         return self._photographer
 

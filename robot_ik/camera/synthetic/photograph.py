@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, paint_mask
-from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
+from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.prints import PaintedMarker, Sheet, nearer, paint_marker
-from robot_ik.camera.synthetic.scene import Lights, Stage, StillPicture, Table
+from robot_ik.camera.synthetic.scene import Lights, Point, StillPicture, Table, still_picture
 from robot_ik.geometry import Pose
 
 # ------------------------------------------------------------------------------------------
@@ -73,8 +73,7 @@ class View:
 
     def world(self, normalized: Array) -> Array:
         """World directions (n, 3), unit along the optical axis, of ideal coordinates (n, 2)."""
-        turn = self.camera.rotation
-        return np.asarray(normalized @ turn.T[:2] + turn[:, 2])
+        return world_directions(self.camera, normalized)
 
     def visibility(self, points: Array, tile: NDArray[np.int64], spots: int) -> Array:
         """Part (n, 2) of lamp and ceiling that each point sees past the robot.
@@ -295,7 +294,7 @@ class PlacedSheet:
 
 
 class Photographer:
-    """Takes pictures of one model on one stage with one camera."""
+    """Takes pictures of one model in one still scene with one camera."""
 
     def __init__(
         self,
@@ -304,9 +303,9 @@ class Photographer:
         pose_world_camera: Pose,
         table: Table | None,
         lights: Lights,
-        subject: Array,
+        subject: Point,
     ) -> None:
-        stage = Stage(intrinsics, pose_world_camera, table, lights, subject).picture
+        stage = still_picture(intrinsics, pose_world_camera, table, lights, subject)
         self._view = View(ray_field(intrinsics), pose_world_camera, lights, Caster(model), stage)
         self._renderer = RobotRenderer(self._view, model)
 
