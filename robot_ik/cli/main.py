@@ -224,7 +224,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 done; 1 tried, not achieved; 2 wrong input or environment; 130 interrupted.
     """
-    # Before a command imports NumPy: matrices here are small, and OpenBLAS's threads would wait for each other.
+    # Before a command imports NumPy: its matrices are small, OpenBLAS's threads would wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = os.environ.get("ROBOT_IK_DEBUG", "") not in ("", "0")

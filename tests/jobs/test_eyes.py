@@ -88,7 +88,7 @@ def test_a_lying_truth_changes_nothing_but_the_remark(
 ) -> None:
     lie = Pose((9.0, 9.0, 9.0))
     lies = {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
-    monkeypatch.setattr(vision_module.SyntheticSource, "_truth", lambda self, *rest: lies)
+    monkeypatch.setattr(SyntheticSource, "_truth", lambda self, *rest: lies)
     report = reach()
     assert report.reached and report.seen.true_pose is lie
     np.testing.assert_array_equal(report.target.position, healthy.target.position)  # type: ignore[union-attr]
