@@ -94,7 +94,7 @@ class Feedback:
             self.read_plainly(id)
 
     def prepare(self, bus: ServoBus, firmware: Mapping[int, int]) -> None:
-        """Points the servos' indirect addresses, and tells the bus who may be read fast.
+        """Points the servos' indirect addresses, and says to the bus who may be read fast.
 
         Args:
             bus: Open.

@@ -403,7 +403,7 @@ MODELS: Mapping[str, Model] = {
         _SLOPE_5,
         53,
         _gains(400, 40, 0, 400, 400),
-        notes=("Position I Gain 400 is what its page says, alone of all models; it may be a slip.",),
+        notes=("Position I Gain 400 is what its page says, alone of all models; it may be a misprint.",),
     ),
     "XL330-M288": _small(
         1200, XL330_M288, 5.0, _FIVE_VOLTS, 1750, 445, _SLOPE_5, 53, _gains(1600, 180, 0, 0, 400)

@@ -104,7 +104,7 @@ def test_wrong_starts_are_refused(puma, goal):
         rik.solve(puma, goal, start=[np.nan] * 6)
 
 
-def test_a_kind_of_goal_that_a_method_cannot_serve_is_told_with_those_that_can(puma, monkeypatch):
+def test_a_kind_of_goal_that_a_method_cannot_serve_is_reported_with_those_that_can(puma, monkeypatch):
     monkeypatch.setattr(SOLVERS["ccd"], "goals", (PositionGoal,))
     able = able_solvers(rik.Problem(puma, OrientationGoal(None, (1, 0, 0, 0))))
     assert "lm" in able and "ccd" not in able

@@ -50,7 +50,7 @@ class VirtualBus:
         wire: The way of the answers to the host.
         echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
-        latency: Seconds by which answers come later than they should, besides what the port was told.
+        latency: Seconds by which answers come later than they should, besides what the port was given.
     """
 
     def __init__(

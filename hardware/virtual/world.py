@@ -314,7 +314,7 @@ class _Joint:
 
         Two that want different things pull against each other, as hard as they differ.
         """
-        self._hold_if_told()
+        self._hold_if_asked()
         demands = [demand for demand in self._demands if demand is not None]
         mean = sum(demands) / len(demands) if demands else 0.0
         inertia = self._inertia() if len(demands) > 1 else 0.0
@@ -349,7 +349,7 @@ class _Joint:
         mujoco.mj_mulM(model, data, column, unit)
         return float(column[self.dof])
 
-    def _hold_if_told(self) -> None:
+    def _hold_if_asked(self) -> None:
         held = any(motor.stuck for motor in self.motors)
         if held and self._held is None:
             self._held = float(self._world.data.qpos[self.at])

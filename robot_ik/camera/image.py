@@ -135,7 +135,7 @@ LARGE = 3000
 _WANTED = 2000
 
 
-def reduction_for(image: Image) -> int:
+def times_smaller(image: Image) -> int:
     """How many times smaller a picture (h, w, …) is to be searched; 1: as it is."""
     longer = max(image.shape[:2])
     return 1 if longer <= LARGE else -(-longer // _WANTED)

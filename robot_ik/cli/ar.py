@@ -222,7 +222,7 @@ _DISTANCES = (0.7, 1.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of the self-test; no limits: it is told, not judged."""
+    """One figure of the self-test; no limits: it is reported, not judged."""
 
     what: str
     misses: Misses

@@ -403,9 +403,9 @@ def _record(options: TeachOptions, config: ArmConfig) -> int:
 
 
 def require_suffix(path: Path) -> None:
-    """Raises ``ConfigError`` unless the name tells one of the two forms."""
+    """Raises ``ConfigError`` unless the name says one of the two forms."""
     if path.suffix not in SUFFIXES:
-        raise wrong("FILE", f"{path} tells no form", f"a name that ends in {' or '.join(SUFFIXES)}")
+        raise wrong("FILE", f"{path} says no form", f"a name that ends in {' or '.join(SUFFIXES)}")
 
 
 def _keep(path: Path, times: Sequence[float], poses: Sequence[Sequence[float]], config: ArmConfig) -> None:

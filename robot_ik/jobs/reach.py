@@ -33,7 +33,7 @@ from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
-from robot_ik.jobs.scene import Stage, stage_for
+from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import (
     EXACT,
     SIGMAS,
@@ -71,7 +71,7 @@ class Rehearsal:
         stuck: Joints whose shaft does not move.
         cover_gripper: Hide the gripper's markers in the second picture.
         blank_marker: Leave the target's paper white.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the stage's own.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
     """
 
     zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
@@ -92,8 +92,8 @@ class ReachRequest:
         frame: What shall get there; None: the robot's tool.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file of a real camera.
-        pose_world_camera: Where a real camera stands; None: where the stage's stands.
-        marker_id, marker_size, dictionary: The target; None: the stage's.
+        pose_world_camera: Where a real camera stands; None: where the scene's stands.
+        marker_id, marker_size, dictionary: The target; None: the scene's.
         bus: ``pty``, ``sim``, ``none`` or a serial port.
         arm_file: None: the one beside the model, else a generic one.
         speed: Share of the joints' speed limits.
@@ -237,14 +237,14 @@ Progress = Callable[[str, float], None]
 
 def run_reach(
     request: ReachRequest,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda phase, share: None,
     done: Callable[[ReachReport], None] = lambda report: None,
 ) -> ReachReport:
     """Looks, solves, moves, looks again.
 
     Args:
         request: What to do.
-        progress: Told the stage ("looking", "solving", "moving", …) and the share of it that is done.
+        progress: Called with the phase ("looking", "solving", "moving", …) and the share of it that is done.
         done: Given the report when the arm has been left; with a window, before its user closes that.
 
     Returns:
@@ -296,12 +296,12 @@ def _window(
         return None
     from robot_ik.testbed.frontends.window import WindowSink
 
-    stage = window_stage(setup.robot, setup.frame, None if vision is None else vision.stage)
-    view: dict[str, Any] = {"solids": stage_solids(stage)}
-    if stage is not None:
-        marker = stage.pose_world_marker
-        view["see"] = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
-        view["eye"] = stage.pose_world_camera.position
+    scene = window_scene(setup.robot, setup.frame, None if vision is None else vision.scene)
+    view: dict[str, Any] = {"solids": scene_solids(scene)}
+    if scene is not None:
+        marker = scene.pose_world_marker
+        view["see"] = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
+        view["eye"] = scene.pose_world_camera.position
     return stack.enter_context(WindowSink(setup.robot, start=setup.q, **view))
 
 
@@ -362,7 +362,7 @@ def _accept(report: ReachReport) -> None:
 def _known(report: ReachReport) -> Bound:
     """Standard deviation of the goal as the last look at the marker tells it."""
     assert report.seen is not None and report.vision is not None
-    return report.seen.uncertainty(report.vision.stage.pose_marker_tool.position)
+    return report.seen.uncertainty(report.vision.scene.pose_marker_tool.position)
 
 
 def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
@@ -479,7 +479,7 @@ def _judge(report: ReachReport) -> None:
 
 
 # ------------------------------------------------------------------------------------------
-# What is seen of a reach while it runs: the window with its stage, and the film.
+# What is seen of a reach while it runs: the window with its scene, and the film.
 
 
 FILM_RATE_HZ = 25.0
@@ -490,23 +490,23 @@ _TOP = 0.03  # of the table, metres
 _PAPER = 2e-4  # metres, so that what lies on it is not lost in it
 
 
-def stage_solids(stage: Stage | None) -> list[Solid]:
+def scene_solids(scene: Scene | None) -> list[Solid]:
     """Floor, table and printed marker for the window."""
-    table = None if stage is None else stage.table
+    table = None if scene is None else scene.table
     floor = 0.0 if table is None else table.floor_height
     found = [Solid(Pose((0.0, 0.0, floor - 0.01)), (_FLOOR_HALF, _FLOOR_HALF, 0.01), _FLOOR)]
     if table is not None:
         middle = (0.5 * sum(table.x), 0.5 * sum(table.y), table.height - 0.5 * _TOP)
         half = (0.5 * (table.x[1] - table.x[0]), 0.5 * (table.y[1] - table.y[0]), 0.5 * _TOP)
         found.append(Solid(Pose(middle), half, _TABLE))
-    return found if stage is None else [*found, *_marker(stage)]
+    return found if scene is None else [*found, *_marker(scene)]
 
 
-def _marker(stage: Stage) -> list[Solid]:
+def _marker(scene: Scene) -> list[Solid]:
     """White paper, the black square on it, and its white cells on that."""
-    bits = marker_bits(stage.dictionary, stage.marker_id)
-    cell, h = stage.marker_size / len(bits), 0.5 * stage.marker_size
-    at = stage.pose_world_marker
+    bits = marker_bits(scene.dictionary, scene.marker_id)
+    cell, h = scene.marker_size / len(bits), 0.5 * scene.marker_size
+    at = scene.pose_world_marker
 
     def sheet(x: float, y: float, half: float, layer: int, colour: tuple[float, ...]) -> Solid:
         return Solid(at.compose(Pose((x, y, layer * _PAPER))), (half, half, 0.5 * _PAPER), colour)
@@ -518,12 +518,12 @@ def _marker(stage: Stage) -> list[Solid]:
     return [sheet(0.0, 0.0, h + cell, 1, _WHITE), sheet(0.0, 0.0, h, 2, _BLACK), *cells]
 
 
-def window_stage(robot: Robot, frame: str, stage: Stage | None) -> Stage | None:
-    """The stage to show: the camera's, else the robot's own; None where there is none."""
-    if stage is not None:
-        return stage
+def window_scene(robot: Robot, frame: str, scene: Scene | None) -> Scene | None:
+    """The scene to show: the camera's, else the robot's own; None where there is none."""
+    if scene is not None:
+        return scene
     try:
-        return stage_for(robot, frame)
+        return scene_for(robot, frame)
     except CameraError:
         return None
 
@@ -535,20 +535,20 @@ def require_films() -> None:
 
 
 def save_film(report: ReachReport, path: Path) -> Path | None:
-    """The motion as the stage's camera sees it; None where nothing moved.
+    """The motion as the scene's camera sees it; None where nothing moved.
 
     Raises:
         MissingExtraError: The extra ``video`` is not installed.
         OutputError: It cannot be written.
     """
     run = report.execution
-    stage = window_stage(report.robot, report.frame, None if report.vision is None else report.vision.stage)
-    if run is None or stage is None:
+    scene = window_scene(report.robot, report.frame, None if report.vision is None else report.vision.scene)
+    if run is None or scene is None:
         return None
     q = run.commanded if run.measured is None else run.measured
     shown = [q[0]]
     times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
-    source = SyntheticSource(stage.scene(report.robot), lambda: shown[0], seed=0, quality="fast")
+    source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0, quality="fast")
     with Film(path, FILM_RATE_HZ) as film:
         for time in times.tolist():
             shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]

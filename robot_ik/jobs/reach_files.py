@@ -81,7 +81,7 @@ def reach_picture(report: ReachReport) -> Any:
     if report.seen is not None:
         label = f"marker {report.seen.observation.id}"
         before = draw_marker_outline(before, report.seen.observation.corners, label=label)
-    captions = ["Before: " + _sight(report)]
+    captions = ["Before: " + _seen_in_words(report)]
     end = report.q_end
     if end is None and report.solution is not None:
         end = report.solution.q
@@ -113,10 +113,10 @@ def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
     pose = vision.pose_world_camera.inverse().compose(report.target)
     if pose.position[2] <= 0.01:
         return drawn  # the goal is behind the camera
-    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.stage.hover, vision.intrinsics, label="goal")
+    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.scene.hover, vision.intrinsics, label="goal")
 
 
-def _sight(report: ReachReport) -> str:
+def _seen_in_words(report: ReachReport) -> str:
     if report.seen is None:
         return "the marker was not found" if report.goal is None else "the goal was given"
     text = f"marker {report.seen.observation.id} seen"

@@ -26,7 +26,7 @@ from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
 # Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
-_MISTRUST = 0.1
+_EXTRA_DAMPING = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
 # motion out of its plane, a joint that is pinned.
 NEGLIGIBLE = 1e-9
@@ -184,7 +184,7 @@ def extra_damping(work):
     """
     if work.state[POLISHING] == 0:
         return 0.0
-    return _MISTRUST * math.sqrt(2.0 * work.value[COST]) * (1.0 / work.value[SHARE] - 1.0)
+    return _EXTRA_DAMPING * math.sqrt(2.0 * work.value[COST]) * (1.0 / work.value[SHARE] - 1.0)
 
 
 @outlined

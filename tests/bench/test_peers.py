@@ -170,7 +170,7 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     out = tmp_path / "results"
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "1", "--robots", "puma560"]
     assert main(["run", *arguments, "--libraries", *names, f"{tmp_path}/none.py:Gone"]) == 1
-    told = capsys.readouterr().err
+    reported = capsys.readouterr().err
     said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
 
     def cold(kind: str) -> Any:
@@ -183,10 +183,10 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
         f"{file}:Dead" in said["failed"] and "there is no file" in said["failed"][f"{tmp_path}/none.py:Gone"]
     )
     assert "pip install 'nobody-has-this' 'numpy<2'" in said["missing"][f"{file}:NotHere"]
-    assert "missing: " in told and "pip install 'nobody-has-this'" in told and "failed: " in told
+    assert "missing: " in reported and "pip install 'nobody-has-this'" in reported and "failed: " in reported
 
 
-def test_an_unknown_library_is_told_with_those_that_there_are(
+def test_an_unknown_library_is_reported_with_those_that_there_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:

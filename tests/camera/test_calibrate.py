@@ -96,7 +96,7 @@ def test_a_wide_lens_needs_eight_coefficients() -> None:
     assert five.rms >= eight.rms
 
 
-def test_eight_coefficients_that_say_nothing_are_told() -> None:
+def test_eight_coefficients_that_say_nothing_are_reported() -> None:
     result = calibrate(views(STANDARD_CAMERA, 7, seed=2), SIZE, coefficients=8)
     assert any("8 coefficients fit no better than 5" in doubt for doubt in result.doubts)
 

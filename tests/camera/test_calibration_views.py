@@ -82,7 +82,7 @@ def picture(pattern: Pattern) -> Frame:
     return Frame(np.repeat(gray[:, :, None], 3, axis=2), 0.0, 0)
 
 
-def test_a_board_of_the_old_layout_is_taken_and_told() -> None:
+def test_a_board_of_the_old_layout_is_taken_and_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(6, 4, 0.03, 0.022))
     old = picture(CharucoPattern(6, 4, 0.03, 0.022, legacy=True))
     assert not gatherer.offer(old, "old.png", choosy=False)
@@ -92,7 +92,7 @@ def test_a_board_of_the_old_layout_is_taken_and_told() -> None:
     assert "OpenCV before 4.6" in gatherer.notices[0]
 
 
-def test_a_wrong_board_size_is_told() -> None:
+def test_a_wrong_board_size_is_reported() -> None:
     gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
     for _ in range(3):
         gatherer.offer(picture(ChessboardPattern(7, 4, 0.025)), "photo", choosy=False)
@@ -103,7 +103,7 @@ def test_a_wrong_board_size_is_told() -> None:
     assert "--columns 7 --rows 4 (inner corners, not squares)" in caught.value.hint
 
 
-def test_a_wrong_board_before_a_live_camera_is_told_soon() -> None:
+def test_a_wrong_board_before_a_live_camera_is_reported_soon() -> None:
     gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
     other = picture(ChessboardPattern(7, 4, 0.025))
     with pytest.raises(CalibrationError, match="but a chessboard of 7x4"):
@@ -112,7 +112,7 @@ def test_a_wrong_board_before_a_live_camera_is_told_soon() -> None:
             assert not gatherer.in_view
 
 
-def test_nothing_there_is_told() -> None:
+def test_nothing_there_is_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(8, 6, 0.03, 0.022))
     gatherer.offer(frame(120), "wall.png", choosy=False)
     with pytest.raises(CalibrationError, match=r"no ChArUco board of 8x6 squares .* in any of the pictures"):
@@ -131,7 +131,7 @@ def test_nothing_there_is_told() -> None:
         (CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(4, 3, 0.025), "--pattern chessboard"),
     ],
 )
-def test_a_board_of_another_kind_is_told(asked: Pattern, shown: Pattern, hint: str) -> None:
+def test_a_board_of_another_kind_is_reported(asked: Pattern, shown: Pattern, hint: str) -> None:
     gatherer = ViewGatherer(asked)
     gatherer.offer(picture(shown), "photo", choosy=False)
     with pytest.raises(CalibrationError, match="in any of the pictures") as caught:
@@ -156,7 +156,7 @@ def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() ->
     assert CharucoPattern(8, 6, 0.03, 0.022).find(image) is None
 
 
-def test_a_board_of_which_only_a_part_was_asked_for_is_told(
+def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
     gatherer: ViewGatherer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # In photographs OpenCV finds parts of a board too; in clean drawings it does not.

@@ -237,7 +237,7 @@ def test_between_pictures_the_goal_stays_until_it_is_old() -> None:
     assert goals.last is None
 
 
-def test_the_end_of_a_film_is_told() -> None:
+def test_the_end_of_a_film_is_reported() -> None:
     goals = source_for()
     with pytest.raises(FrameTimeoutError):
         goals.poll(0.0)

@@ -42,7 +42,7 @@ def marker_at(x: float, y: float, z: float) -> Pose:
 
 @dataclass
 class Told:
-    """A tracker that is told what it sees, frame by frame: a marker at 0.4 m that goes sideways."""
+    """A tracker that is given what it sees, frame by frame: a marker at 0.4 m that goes sideways."""
 
     poses: list[Pose | None]
     sigma: tuple[float, float] = (2e-4, 2e-3)
@@ -62,7 +62,7 @@ class Told:
         return None if pose is None else BodyObservation(pose, self._covariance(), 0.1, (1, 2))
 
 
-def told(poses: list[Pose | None], marker: object = 7, **options: object) -> MarkerGoalSource:
+def reported(poses: list[Pose | None], marker: object = 7, **options: object) -> MarkerGoalSource:
     sigma = options.pop("sigma", (2e-4, 2e-3))
     frames = [Frame(BLANK, k / 30, k) for k in range(len(poses))]
     tracker = Told(poses, sigma)  # type: ignore[arg-type]
@@ -80,7 +80,7 @@ def wanted_x(time: float) -> float:
 @pytest.mark.parametrize("marker", [7, {1: (0.05, Pose()), 2: (0.05, Pose((0.1, 0, 0)))}])
 def test_a_goal_is_for_the_time_it_is_asked_for(marker: object) -> None:
     """Pictures are 60 ms old when they are looked at; the goal is where the marker is by then."""
-    goals = told(sideways(30), marker)
+    goals = reported(sideways(30), marker)
     for k in range(30):
         goal = goals.poll(k / 30 + 0.06)
     assert isinstance(goal, PoseGoal)
@@ -95,7 +95,7 @@ def test_a_goal_is_for_the_time_it_is_asked_for(marker: object) -> None:
 
 
 def test_lead_predicts_further_and_what_is_recorded_is_not_predicted() -> None:
-    ahead, recorded = told(sideways(20), lead=0.05), told(sideways(20), predict=False)
+    ahead, recorded = reported(sideways(20), lead=0.05), reported(sideways(20), predict=False)
     for k in range(20):
         one, other = ahead.poll(k / 30), recorded.poll(k / 30 + 0.1)
     assert one is not None and other is not None
@@ -104,7 +104,7 @@ def test_lead_predicts_further_and_what_is_recorded_is_not_predicted() -> None:
 
 
 def test_stamps_of_another_clock_are_not_compared_with_now() -> None:
-    goals = told(sideways(20))
+    goals = reported(sideways(20))
     for k in range(20):
         goal = goals.poll(5000.0 + k / 30)
     assert goal is not None and goal.target.position[0] == pytest.approx(wanted_x(19 / 30), abs=1e-4)
@@ -116,7 +116,7 @@ def test_a_resting_marker_gives_one_goal_that_may_be_calmed() -> None:
     shaken = [moved(marker_at(0.0, 0.0, 0.4), rng.normal(0, [3e-4] * 3 + [2e-3] * 3)) for _ in range(60)]
     noise = {}
     for name, calm in (("as seen", None), ("calmed", OneEuro())):
-        goals, places = told(list(shaken), sigma=(3e-4, 2e-3), calm=calm), []
+        goals, places = reported(list(shaken), sigma=(3e-4, 2e-3), calm=calm), []
         for k in range(60):
             goal = goals.poll(k / 30 + 0.03)
             assert goal is goals.goal_at(k / 30 + 0.06)  # at rest nothing is predicted
@@ -141,7 +141,7 @@ def test_goals_carry_the_weights_of_their_covariance_at_the_tool() -> None:
     # 0.05 rad at the tool, 0.12 m away, are 6 mm, and 1 mm is trusted.
     cases = (((1e-4, 1e-3), 1.0, 1.0), ((1e-6, 0.05), 1 / 6, 0.1745), ((0.5, 1e-4), 0.05, 1.0))
     for sigma, metres, radians in cases:
-        goals = told(sideways(1), sigma=sigma)
+        goals = reported(sideways(1), sigma=sigma)
         goal = goals.poll(0.0)
         assert isinstance(goal, PoseGoal)
         assert goal.angle_weight == pytest.approx(radians, abs=1e-3)
@@ -151,7 +151,7 @@ def test_goals_carry_the_weights_of_their_covariance_at_the_tool() -> None:
 def test_a_single_wild_pose_is_no_goal() -> None:
     poses = sideways(20, speed=0.0)
     poses[12] = moved(marker_at(0.0, 0.0, 0.4), np.array([0.0, 0.0, 0.1, 0.0, 1.5, 0.0]))
-    goals = told(poses)
+    goals = reported(poses)
     seen = [goals.poll(k / 30) for k in range(20)]
     places = np.array([goal.target.position for goal in seen if goal is not None])
     assert len(places) == 20 and np.ptp(places, axis=0).max() < 1e-6
@@ -161,7 +161,7 @@ def test_what_is_done_when_the_marker_stays_lost() -> None:
     park = PostureGoal(q=np.zeros(6))
     poses = [*sideways(5), *[None] * 100]
     for policy in (WhenLost(), WhenLost("park", 1.0, park), WhenLost("stop", 1.0)):
-        goals = told(list(poses), when_lost=policy)
+        goals = reported(list(poses), when_lost=policy)
         for k in range(5):
             assert isinstance(goals.poll(k / 30), PoseGoal)
         for k in range(5, 34):
@@ -172,7 +172,7 @@ def test_what_is_done_when_the_marker_stays_lost() -> None:
         else:
             assert goals.poll(35 / 30) is (park if policy.then == "park" else None)
     # It comes back: it is followed again.
-    goals = told([None] * 40 + sideways(1), when_lost=WhenLost("park", 0.5, park))
+    goals = reported([None] * 40 + sideways(1), when_lost=WhenLost("park", 0.5, park))
     assert [goals.poll(k / 30) for k in range(41)][20:40] == [park] * 20
     assert isinstance(goals.measured, PoseGoal)
 
@@ -198,7 +198,7 @@ def test_a_camera_on_the_arm_is_asked_where_it_was_when_the_picture_was_taken() 
         asked.append(time)
         return Pose((0.3 + time, 0.1, 0.6), FACING)
 
-    goals = told(sideways(3, speed=-1.0))
+    goals = reported(sideways(3, speed=-1.0))
     goals.pose_world_camera = camera
     places = [goals.poll(k / 30) for k in range(3)]
     assert asked == [0.0, 1 / 30, 2 / 30]

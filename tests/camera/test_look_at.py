@@ -1,4 +1,4 @@
-"""A camera that is told where it stands and what it looks at."""
+"""A camera that is given where it stands and what it looks at."""
 
 import numpy as np
 import pytest

@@ -76,7 +76,7 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
         ("covariance", "covariance"),
     ],
 )
-def test_a_wrong_file_is_told_in_one_sentence(tmp_path: Path, text: str | None, words: str) -> None:
+def test_a_wrong_file_is_reported_in_one_sentence(tmp_path: Path, text: str | None, words: str) -> None:
     path = tmp_path / "place.toml"
     place_of(Pose(), np.eye(6)).save(path)
     good = path.read_text()
@@ -167,7 +167,7 @@ def test_a_board_that_means_nothing_is_refused(text: str) -> None:
     assert "charuco:COLUMNSxROWS" in refused.value.hint
 
 
-def test_metres_in_the_words_of_a_board_are_told() -> None:
+def test_metres_in_the_words_of_a_board_are_reported() -> None:
     with pytest.raises(CameraError, match=r"0\.05 mm cannot be right") as refused:
         parse_board("grid:2x2:0.05:0.0125")
     assert "0.05 m are 50" in refused.value.hint

@@ -58,7 +58,7 @@ def fit(views: list[ArmView], robot: Robot, **changes: Any) -> Any:
 def test_exact_corners_give_exact_offsets(robot: Robot, degrees: list[float], seed: int) -> None:
     offsets = np.deg2rad(degrees)
     found = fit(views_of(robot, offsets, 8, seed), robot)
-    assert found.mixtures == () and found.found == robot.joints and found.outliers == ()
+    assert found.unobservable == () and found.found == robot.joints and found.outliers == ()
     np.testing.assert_allclose(found.offsets, offsets, atol=2e-6)
     assert found.residual_px < 1e-2
     assert max(one.distance for one in found.errors) < 2e-5
@@ -110,9 +110,9 @@ def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
     views = views_of(robot, offsets, 12, 3)
     loose = {"camera": KnownPose.within(CAMERA, 0.1, 0.2), "board": KnownPose.within(BOARD, 0.1, 0.2)}
     found = fit(views, robot, **loose)
-    assert {one.joint for one in found.mixtures} == {"joint1", "joint6"}
+    assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
     assert found.found == ("joint2", "joint3", "joint4", "joint5")
-    words = {one.joint: one.words for one in found.mixtures}
+    words = {one.joint: one.words for one in found.unobservable}
     assert "the offset of joint1 and the turn of the camera about z of the world" in words["joint1"]
     assert "the offset of joint6 and the turn of the board about" in words["joint6"]
     np.testing.assert_allclose(found.offsets[1:5], offsets[1:5], atol=np.deg2rad(0.02))
@@ -120,9 +120,9 @@ def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
     # camera and board took the turns instead: the pictures are explained all the same
     assert found.residual_px < 0.05
     # the same pictures tell all six where camera and board are known
-    assert fit(views, robot).mixtures == ()
+    assert fit(views, robot).unobservable == ()
     # one known place decides one of the two
-    (left,) = fit(views, robot, camera=KnownPose.within(CAMERA, *EXACT), board=loose["board"]).mixtures
+    (left,) = fit(views, robot, camera=KnownPose.within(CAMERA, *EXACT), board=loose["board"]).unobservable
     assert left.joint == "joint6" and np.degrees(left.sigma) > 1.0
 
 
@@ -134,13 +134,13 @@ def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
     views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
     known = KnownPose.within(CAMERA, *EXACT), KnownPose.within(BOARD, *EXACT)
     found = fit_zero_offsets(views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1])
-    (one,) = found.mixtures
+    (one,) = found.unobservable
     assert one.joint == "joint6" and one.words == "the offset of joint6 does not show in these views"
     assert np.isinf(one.sigma)
     held = fit_zero_offsets(
         views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1], hold=["joint6", "joint2"]
     )
-    assert held.mixtures == () and held.offsets[1] == held.sigma[1] == 0.0
+    assert held.unobservable == () and held.offsets[1] == held.sigma[1] == 0.0
 
 
 def test_a_pose_that_contradicts_the_others_is_named_and_not_believed(robot: Robot) -> None:
@@ -192,7 +192,7 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
     assert miss < 0.2 * size
 
 
-def test_what_cannot_be_is_told(robot: Robot) -> None:
+def test_what_cannot_be_is_reported(robot: Robot) -> None:
     views = views_of(robot, np.zeros(6), 4, 0)
     with pytest.raises(CalibrationError, match="3 views are too few"):
         fit(views[:3], robot)

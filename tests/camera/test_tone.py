@@ -105,8 +105,8 @@ def test_a_flat_light_becomes_a_flat_picture() -> None:
 
 def test_noise_is_as_strong_as_it_says() -> None:
     light, rng = np.full((200, 200), 60.0), np.random.default_rng(1)
-    grain = rng.normal(0.0, 1.0, light.shape)
-    assert LINEAR.developed(light, grain).std() == pytest.approx(4.0, rel=0.05)
+    unit_noise = rng.normal(0.0, 1.0, light.shape)
+    assert LINEAR.developed(light, unit_noise).std() == pytest.approx(4.0, rel=0.05)
     # Demosaicing averages neighbours.
     webcam = replace(WEBCAM, noise=4.0, sharpening=0.0, jpeg=None)
-    assert 1.5 < webcam.developed(light, grain).std() < 4.0
+    assert 1.5 < webcam.developed(light, unit_noise).std() < 4.0

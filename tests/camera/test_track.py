@@ -25,7 +25,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import random_pose, render_markers
 from robot_ik.camera.tracker import BranchMemory, MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.jobs.ar.scene import synthetic_stage
+from robot_ik.jobs.ar.scene import synthetic_scene
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
 SIZE, RATE = 0.05, 30.0
@@ -276,7 +276,7 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
 
 def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:
     """Cells of 2 px: read at the picture's own size, one in three of these boards lacks a marker."""
-    source, clock = synthetic_stage(640, 480)
+    source, clock = synthetic_scene(640, 480)
     layout = grid_body(2, 2, 0.05, 0.0125).markers
     sizes = {i: side for i, (side, _) in layout.items()}
     tracker = MarkerTracker(source.scene.intrinsics, "DICT_5X5_50", sizes, window=True)

@@ -25,7 +25,7 @@ def _opens(path: str) -> bool:
     return True
 
 
-def test_a_rate_without_a_terminal_constant_is_told_too(pty: PtyPort) -> None:
+def test_a_rate_without_a_terminal_constant_is_reported_too(pty: PtyPort) -> None:
     with serial.Serial(pty.path, 4_500_000):
         assert pty.client_baud() == 4_500_000
 

@@ -1,4 +1,4 @@
-"""The TOML file of faults: what it says, and what is said of a slip in it."""
+"""The TOML file of faults: what it says, and what is said of a mistake in it."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _entry(text: str) -> str:
         (_entry('kind = "silent"\nid = 1\njoint = "joint1"'), "faults[0].id", "say the same"),
     ],
 )
-def test_a_slip_is_named(text: str, key: str, said: str, arm_config: ArmConfig) -> None:
+def test_a_mistake_is_named(text: str, key: str, said: str, arm_config: ArmConfig) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_faults(text, arm_config, "faults.toml")
     message = str(caught.value)

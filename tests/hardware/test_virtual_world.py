@@ -51,7 +51,7 @@ class Rig:
         self.model = mujoco.MjModel.from_xml_string(ARM.format(mass=mass))
         self.clock = VirtualClock()
         self.bus = VirtualBus.from_config(self.config, self.clock, start)
-        if twin is not None and twin.shadow:  # mounted the other way round, and told so
+        if twin is not None and twin.shadow:  # mounted the other way round, and the file says so
             self.bus.servo(twin.id).memory.set("secondary_id", 1)
             self.bus.servo(twin.id).memory.set("drive_mode", 1)
             self.bus.servo(twin.id).shaft.turn_by(-2 * (shoulder.to_ticks(start[0])))

@@ -145,7 +145,7 @@ def test_a_board_that_is_nowhere_is_an_error(request_for: ArRequest, tmp_path: P
 
 
 @pytest.mark.parametrize("name", sorted(catalogue()))
-def test_all_of_a_robot_is_in_the_pictures_of_the_stage(
+def test_all_of_a_robot_is_in_the_pictures_of_the_scene(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     width, height = 640, 360
@@ -170,9 +170,9 @@ def test_what_is_neither_film_nor_picture_nor_folder_is_an_error(
     request_for: ArRequest, tmp_path: Path
 ) -> None:
     for name in ("a.webm", "a.csv"):
-        with pytest.raises(OutputError, match="of this kind") as told:
+        with pytest.raises(OutputError, match="of this kind") as reported:
             run_ar(replace(request_for, out=tmp_path / name))
-        assert ".mp4" in told.value.hint and ".png" in told.value.hint
+        assert ".mp4" in reported.value.hint and ".png" in reported.value.hint
     assert not list(tmp_path.iterdir())
     (tmp_path / "run.1").mkdir()
     assert run_ar(replace(request_for, out=tmp_path / "run.1")).file == tmp_path / "run.1"
@@ -186,9 +186,9 @@ def test_pictures_of_an_earlier_run_are_kept_or_replaced_but_never_mixed(
     (folder / "000777.png").write_bytes(b"older")
     (folder / "notes.txt").write_text("mine")
     before = {f.name: f.read_bytes() for f in folder.iterdir()}
-    with pytest.raises(OutputError, match=r"it holds 000000\.png, …") as told:
+    with pytest.raises(OutputError, match=r"it holds 000000\.png, …") as reported:
         run_ar(once)
-    assert "--overwrite" in told.value.hint
+    assert "--overwrite" in reported.value.hint
     with pytest.raises(ConfigError, match="dance"):  # it fails before its first picture
         run_ar(replace(once, overwrite=True, motion="dance"))
     assert {f.name: f.read_bytes() for f in folder.iterdir()} == before
@@ -206,7 +206,7 @@ def test_two_runs_at_once_into_one_folder_are_not_mixed(request_for: ArRequest, 
     assert run_ar(request, second).pictures == COUNT == len(list((tmp_path / "o").iterdir()))
 
 
-def test_a_robot_out_of_view_is_told(request_for: ArRequest, tmp_path: Path) -> None:
+def test_a_robot_out_of_view_is_reported(request_for: ArRequest, tmp_path: Path) -> None:
     far = replace(request_for, base=(30.0, 0.0, 0.0, 0.0), out=tmp_path / "far")
     report = run_ar(far)
     assert report.drawn == COUNT and "nothing of the robot is in view" in report.notice
@@ -237,7 +237,7 @@ def test_motions(request_for: ArRequest, tmp_path: Path) -> None:
         run_ar(replace(request_for, occluder_geoms=("link9",)))
 
 
-def test_the_synthetic_stage_and_a_marker_that_is_followed(tmp_path: Path) -> None:
+def test_the_synthetic_scene_and_a_marker_that_is_followed(tmp_path: Path) -> None:
     request = ArRequest(
         motion="follow", size=(640, 480), seconds=1 / 30, out=tmp_path / "a.png", overwrite=True
     )
@@ -248,7 +248,7 @@ def test_the_synthetic_stage_and_a_marker_that_is_followed(tmp_path: Path) -> No
         run_ar(replace(request, marker=(2, 0.05)))
 
 
-def test_the_stages_clock_stands_until_the_next_picture() -> None:
+def test_the_scenes_clock_stands_until_the_next_picture() -> None:
     clock = SteppedClock(50.0)
     assert clock.now() == clock.now() == 0.0
     clock.ticks += 5
@@ -292,7 +292,7 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
         end[0] = np.deg2rad(20.0)
         for q in moved.q[moved.times > moved.duration - 0.3]:
             np.testing.assert_allclose(q, end, atol=4e-3)
-        # the made-up film is as long as the script
+        # the synthetic film is as long as the script
         count = job._open(ArRequest(size=(64, 48)), motion, stack)[2]
         assert count == round(30 * moved.duration)
         with pytest.raises(ConfigError, match="is a script of tabletop_puma, and puma560 is drawn"):

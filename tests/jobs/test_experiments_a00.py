@@ -1,4 +1,4 @@
-"""A00's courses: goals that can be met, moving as his did; the judge is no solver; losses are told."""
+"""A00's courses: goals that can be met, moving as his did; the judge is no solver; losses are reported."""
 
 from __future__ import annotations
 
@@ -176,9 +176,9 @@ def test_the_solver_is_not_believed() -> None:
 def test_an_interruption_keeps_what_is_done() -> None:
     report, seen = a00.ask_a00([4, 5], ["lm"], frames=5), []
 
-    def progress(stage: str, share: float) -> None:
+    def progress(phase: str, share: float) -> None:
         seen.append(share)
-        if stage.startswith("test 5"):
+        if phase.startswith("test 5"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -188,13 +188,13 @@ def test_an_interruption_keeps_what_is_done() -> None:
 
 
 def test_a_gauge_ends_at_one() -> None:
-    told: list[tuple[str, float]] = []
-    gauge = Gauge(lambda stage, share: told.append((stage, share)), 2)
+    reported: list[tuple[str, float]] = []
+    gauge = Gauge(lambda phase, share: reported.append((phase, share)), 2)
     for name in ("a", "b"):
         gauge.begin(name, 4)
         gauge.tick(1)
         gauge.tick(3)
-    assert told == [("a", 0.0), ("a", 0.125), ("a", 0.5), ("b", 0.5), ("b", 0.625), ("b", 1.0)]
+    assert reported == [("a", 0.0), ("a", 0.125), ("a", 0.5), ("b", 0.5), ("b", 0.625), ("b", 1.0)]
 
 
 def test_what_is_not_there_is_said() -> None:

@@ -61,12 +61,12 @@ class Drawn(ClosingSource):
 @pytest.fixture(autouse=True)
 def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small pictures that are quickly made."""
-    stage_for = handeye.stage_for
+    scene_for = handeye.scene_for
 
     def small(*arguments: Any) -> Any:
-        return replace(stage_for(*arguments), intrinsics=STANDARD_CAMERA)
+        return replace(scene_for(*arguments), intrinsics=STANDARD_CAMERA)
 
-    monkeypatch.setattr(handeye, "stage_for", small)
+    monkeypatch.setattr(handeye, "scene_for", small)
     monkeypatch.setattr(handeye, "SyntheticSource", Drawn)
     monkeypatch.setattr(handeye, "CarriedSource", Drawn)
 
@@ -83,9 +83,11 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
     assert position < 2e-3 and angle < np.deg2rad(0.4)
     assert position < 5 * result.sigma_position
     # joint angles are those of the servos' registers, not those that were asked for
-    assert any(np.abs(q - asked).max() > 0.0 for q, asked in zip(report.samples.q, report.stops, strict=True))
+    assert any(
+        np.abs(q - asked).max() > 0.0 for q, asked in zip(report.samples.q, report.stations, strict=True)
+    )
     assert all(
-        np.abs(q - asked).max() < 0.01 for q, asked in zip(report.samples.q, report.stops, strict=True)
+        np.abs(q - asked).max() < 0.01 for q, asked in zip(report.samples.q, report.stations, strict=True)
     )
     # the place and the samples on file say the same
     report.place().save(tmp_path / "place.toml")
@@ -136,16 +138,16 @@ def test_an_interruption_keeps_what_was_measured(monkeypatch: pytest.MonkeyPatch
     assert len(kept[-1]) == 2
 
 
-def test_a_board_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_board_that_is_not_there_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Drawn, "blind", True)
-    with pytest.raises(MarkerNotFoundError, match="at 0 of 4 stops"):
+    with pytest.raises(MarkerNotFoundError, match="at 0 of 4 stations"):
         run_handeye(HandEyeRequest(mounting="eye_in_hand", bus="none", views=4))
 
 
 def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Drawn, "read", None)
     report = run_handeye(HandEyeRequest(mounting="eye_in_hand", bus="none", views=4), dry_run=True)
-    assert len(report.stops) == 4 and report.result is None and len(report.samples) == 0
+    assert len(report.stations) == 4 and report.result is None and len(report.samples) == 0
 
 
 @pytest.mark.parametrize(
@@ -156,7 +158,7 @@ def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"board": parse_board("marker:7:50")}, ConfigError, "a board of its own"),
     ],
 )
-def test_what_is_missing_is_told_before_anything_moves(
+def test_what_is_missing_is_reported_before_anything_moves(
     changes: dict[str, Any], error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error, match=words):
@@ -164,7 +166,7 @@ def test_what_is_missing_is_told_before_anything_moves(
 
 
 @pytest.mark.parametrize("text", [None, "{", "{}", '{"schema": 1, "mounting": "beside"}'])
-def test_a_file_without_samples_is_told(tmp_path: Path, text: str | None) -> None:
+def test_a_file_without_samples_is_reported(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / "some.json"
     if text is not None:
         path.write_text(text)

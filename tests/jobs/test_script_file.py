@@ -1,4 +1,4 @@
-"""A script as it is written: what is taken, and what is said of slips, with the place and the close names."""
+"""A script as it is written: what is taken, and mistakes with the place and the close names."""
 
 from __future__ import annotations
 
@@ -89,13 +89,13 @@ def error_of(text: str) -> ConfigError:
         (with_step("do = 'expect'", "state = 'parked'"), "steps[0].state", "'fault'"),
     ],
 )
-def test_a_slip_is_told_with_its_place(text: str, key: str, said: str) -> None:
+def test_a_mistake_is_reported_with_its_place(text: str, key: str, said: str) -> None:
     error = error_of(text)
     assert error.key == key
     assert said in str(error)
 
 
-def test_no_toml_and_no_file_are_told(tmp_path: Path) -> None:
+def test_no_toml_and_no_file_are_reported(tmp_path: Path) -> None:
     assert "not valid TOML" in str(error_of("schema = ="))
     with pytest.raises(ConfigError, match="cannot be read"):
         load_script(tmp_path / "missing.toml")
@@ -125,7 +125,7 @@ def test_no_toml_and_no_file_are_told(tmp_path: Path) -> None:
         (("do = 'inject'", "kind = 'drop'", "joint = 'joint2'", "value = 0.1"), "joint", "not of one servo"),
     ],
 )
-def test_what_this_arm_has_not_is_told_before_anything_moves(
+def test_what_this_arm_has_not_is_reported_before_anything_moves(
     rows: tuple[str, ...], key: str, said: str
 ) -> None:
     with pytest.raises(ConfigError) as caught:
@@ -207,7 +207,7 @@ def toml(value: object) -> str:
 
 @settings(max_examples=150)
 @given(do=st.sampled_from(sorted(STEPS)), rest=st.dictionaries(st.sampled_from(WORDS), VALUES, max_size=6))
-def test_whatever_is_written_is_taken_or_told_in_one_sentence(do: str, rest: dict[str, object]) -> None:
+def test_whatever_is_written_is_taken_or_reported_in_one_sentence(do: str, rest: dict[str, object]) -> None:
     rows = [f"{key} = {toml(value)}" for key, value in ({"do": do} | rest).items()]
     with contextlib.suppress(ConfigError):
         parse_script(with_step(*rows), "fuzz.toml")

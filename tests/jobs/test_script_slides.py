@@ -54,7 +54,7 @@ def test_slides_count_in_millimetres(tmp_path: Path) -> None:
     assert report.steps[0].name == "joints pan 10° rail 30 mm"
     assert report.steps[2].numbers["joint_off_mm"] == pytest.approx(4.0, abs=0.1)
     assert "rail 4.0" in report.steps[2].found and "0.50 mm" in report.steps[2].found
-    for wrong, told in [
+    for wrong, reported in [
         ("joints_deg = { rail = 1.0 }", "joints_deg.rail: a slide counts in millimetres; allowed: joints_mm"),
         ("joints_mm = { pan = 1.0 }", "joints_mm.pan: a hinge counts in degrees; allowed: joints_deg"),
         (
@@ -70,4 +70,4 @@ def test_slides_count_in_millimetres(tmp_path: Path) -> None:
     ]:
         with pytest.raises(ConfigError) as caught:
             steps(f'do = "joints"\n{wrong}')
-        assert told in f"{caught.value} {caught.value.hint}"
+        assert reported in f"{caught.value} {caught.value.hint}"

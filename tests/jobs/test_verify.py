@@ -1,4 +1,4 @@
-"""The check of an arm by a camera, through the simulated arm: errors, hidden zeros found, what is told."""
+"""The check of an arm by a camera, through the simulated arm: errors, hidden zeros found, reports."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def _drawn() -> Iterator[None]:
 
 def _draw_lightly(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (handeye, verify):
-        stage_for = module.stage_for  # type: ignore[attr-defined]
+        scene_for = module.scene_for  # type: ignore[attr-defined]
         monkeypatch.setattr(
-            module, "stage_for", lambda *of, make=stage_for: replace(make(*of), intrinsics=STANDARD_CAMERA)
+            module, "scene_for", lambda *of, make=scene_for: replace(make(*of), intrinsics=STANDARD_CAMERA)
         )
     monkeypatch.setattr(handeye, "SyntheticSource", Drawn)
 
@@ -109,7 +109,7 @@ def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_
         )
     )
     assert found.by_arm and found.fit is not None
-    assert "joint1" in {one.joint for one in found.fit.mixtures} and "joint1" not in found.offsets()
+    assert "joint1" in {one.joint for one in found.fit.unobservable} and "joint1" not in found.offsets()
     assert found.passed(2e-3)
     other = replace(place, intrinsics_hash="0" * 12)
     other.save(tmp_path / "other.toml")
@@ -126,7 +126,7 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
 
     def opened(name: str, **rest: Any) -> Drawn:
         setup = made[0]
-        return Drawn(handeye.stage_for(setup.robot, setup.frame).scene(setup.robot), setup.true_q)
+        return Drawn(handeye.scene_for(setup.robot, setup.frame).synthetic(setup.robot), setup.true_q)
 
     monkeypatch.setattr(vision, "open_source", opened)
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
@@ -134,21 +134,21 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     CameraExtrinsics(
         report.camera.pose, "world", report.camera.covariance, 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
     ).save(place)
-    stage = handeye.stage_for(report.robot, "gripper")
+    scene = handeye.scene_for(report.robot, "gripper")
     found = run_verify(
         VerifyRequest(
-            "tabletop_puma", camera="0", intrinsics=lens, extrinsics=place, views=4, frame=stage.cube_frame,
-            board=MarkerBoard(dict(stage.cube), stage.dictionary), pose_frame_board=stage.cube_offset,
+            "tabletop_puma", camera="0", intrinsics=lens, extrinsics=place, views=4, frame=scene.cube_frame,
+            board=MarkerBoard(dict(scene.cube), scene.dictionary), pose_frame_board=scene.cube_offset,
         )
     )  # fmt: skip
-    assert found.true_offsets is None and not found.by_arm and found.frame == stage.cube_frame
+    assert found.true_offsets is None and not found.by_arm and found.frame == scene.cube_frame
     assert len(found.samples) == len(found.errors) == 4 and found.passed(2e-3)
 
 
 def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verify, "measure_stops", None)
+    monkeypatch.setattr(verify, "measure_stations", None)
     found = run_verify(VerifyRequest("tabletop_puma", views=4), dry_run=True)
-    assert len(found.stops) == 4 and found.errors == () and found.fit is None
+    assert len(found.stations) == 4 and found.errors == () and found.fit is None
     monkeypatch.setattr(Drawn, "blind", (7,))
     with pytest.raises(MarkerNotFoundError, match="marker on the table is hidden"):
         run_verify(VerifyRequest("tabletop_puma", views=4), dry_run=True)
@@ -163,12 +163,12 @@ def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytes
         ({"extrinsics": Path("nowhere.toml")}, CalibrationError, "nowhere.toml"),
     ],
 )
-def test_what_is_missing_is_told_before_anything_moves(
+def test_what_is_missing_is_reported_before_anything_moves(
     changes: dict[str, Any], error: type[Exception], words: str
 ) -> None:
-    with pytest.raises(error) as told:
+    with pytest.raises(error) as reported:
         run_verify(VerifyRequest("tabletop_puma", **changes))
-    assert words in str(told.value)
+    assert words in str(reported.value)
 
 
 def test_sums_are_over_halves_of_the_space() -> None:

@@ -148,7 +148,7 @@ def test_what_cannot_be_written_leaves_everything_as_it_was(
     assert [path.name for path in twins.parent.iterdir()] == ["arm.toml"]
 
 
-def test_an_unknown_joint_is_told(twins: Path) -> None:
+def test_an_unknown_joint_is_reported(twins: Path) -> None:
     with pytest.raises(UnknownJointError, match="joint9"):
         zeros_moved(ArmConfig.load(twins), {"joint9": 0.1})
 

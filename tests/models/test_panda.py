@@ -1,4 +1,4 @@
-"""The Panda against the maker's numbers: DH product, limits, hand; identified masses; markers and stage."""
+"""The Panda against the maker's numbers: DH product, limits, hand; identified masses; markers and scene."""
 
 import math
 import tomllib

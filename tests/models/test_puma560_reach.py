@@ -1,4 +1,4 @@
-"""The stage of `robot-ik reach` with the PUMA 560: reachable markers, and a camera that sees what it must."""
+"""The scene of `robot-ik reach` with the PUMA 560: reachable markers, and a camera that sees what it must."""
 
 import math
 import tomllib
@@ -23,8 +23,8 @@ def load(name: str) -> mujoco.MjModel:
 
 @cache
 def settings() -> dict[str, Any]:
-    stage: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text())["reach"]
-    return stage
+    scene: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text())["reach"]
+    return scene
 
 
 def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
@@ -89,7 +89,7 @@ def test_markers_on_the_table_are_reached_elbow_up(x: float, y: float, yaw_deg: 
 
 
 def camera() -> tuple[Array, Array]:
-    """Position and (3, 3) rotation of the stage's camera; columns right, down, forward."""
+    """Position and (3, 3) rotation of the scene's camera; columns right, down, forward."""
     shot = settings()["camera"]
     eye = np.array(shot["position"])
     forward = np.array(shot["look_at"]) - eye

@@ -1,4 +1,4 @@
-"""The UR5e against the maker's numbers: DH product, limits, masses; its tools, markers and stage."""
+"""The UR5e against the maker's numbers: DH product, limits, masses; its tools, markers and scene."""
 
 import math
 import tomllib

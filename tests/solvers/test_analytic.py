@@ -1,4 +1,4 @@
-"""Closed forms: arms made up from lines in space, so that nothing but the geometry can be recognised."""
+"""Closed forms: random arms of lines in space, so that nothing but the geometry can be recognised."""
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def row(values):
     return " ".join(repr(float(v)) for v in values)
 
 
-def made_up(rng, tmp_path, family, **options):
+def random_arm(rng, tmp_path, family, **options):
     return arm_from_axes(rng, tmp_path / "arm.xml", *axes_of(rng, family), **options)
 
 
@@ -88,7 +88,7 @@ def made_up(rng, tmp_path, family, **options):
 @pytest.mark.parametrize("seed", range(8))
 def test_every_branch_meets_the_goal_and_the_sampled_one_is_among_them(family, seed, tmp_path):
     rng = np.random.default_rng([seed, ARMS.index(family)])
-    robot = made_up(rng, tmp_path, family)
+    robot = random_arm(rng, tmp_path, family)
     for _ in range(6):
         q = rng.uniform(-np.pi, np.pi, 6)
         goal = PoseGoal.at("tool", robot.forward(q))
@@ -151,9 +151,9 @@ def test_a_stretched_elbow_is_solved():
 
 def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
     rng = np.random.default_rng(6)
-    robot = made_up(rng, tmp_path, "spherical", limit=0.4)
+    robot = random_arm(rng, tmp_path, "spherical", limit=0.4)
     beyond = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
-    free = made_up(np.random.default_rng(6), tmp_path, "spherical")
+    free = random_arm(np.random.default_rng(6), tmp_path, "spherical")
     goal = PoseGoal.at("tool", free.forward(beyond))
     assert solve_all(robot, goal) == ()
     assert len(solve_all(robot, goal, limits=False)) >= 1
@@ -168,7 +168,7 @@ def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_appr
 @pytest.mark.parametrize(("name", "off"), [("auto", 1e-4), ("analytic", 1e-6)])
 def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
     rng = np.random.default_rng(8)
-    robot = made_up(rng, tmp_path, "spherical", limit=6.2)
+    robot = random_arm(rng, tmp_path, "spherical", limit=6.2)
     q0 = rng.uniform(-0.5, 0.5, 6)
     problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT)
     solver, q = make_solver(name), q0
@@ -234,7 +234,7 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
     seed, family, tmp_path_factory
 ):
     rng = np.random.default_rng(seed)
-    robot = made_up(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
+    robot = random_arm(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
     solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
     problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance)
     for _ in range(40):

@@ -34,7 +34,7 @@ def chain_witness(links: int, target: Pose, *, oriented: bool) -> Array:
 
     Args:
         links: How many.
-        target: Pose of the tip, world; of its orientation nothing is heeded unless ``oriented``.
+        target: Pose of the tip, world; its orientation does not count unless ``oriented``.
         oriented: Whether the last link has to be turned as ``target`` says.
 
     Raises:
@@ -360,7 +360,7 @@ def ask_a00(
     )
 
 
-def run_a00(report: A00Report, progress: Progress = lambda stage, share: None) -> A00Report:
+def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -> A00Report:
     """Runs what the report asks for and has not yet, and fills it in."""
     gauge = Gauge(progress, len(report.numbers) * len(report.solvers))
     for number in report.numbers:

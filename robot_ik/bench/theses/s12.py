@@ -164,7 +164,7 @@ def steps_of(name: str, track: Track) -> float:
     return track.iterations * (SEGMENTS if name == "ccd" else 1)
 
 
-def run_s12(report: S12Report, progress: Progress = lambda stage, share: None) -> S12Report:
+def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
     """Runs all cases and fills the report in."""
     gauge = Gauge(progress, len(CASES) * sum(len(v.methods) for v in VARIANTS))
     for case in CASES:

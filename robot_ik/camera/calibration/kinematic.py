@@ -22,11 +22,11 @@ from robot_ik.camera.calibration.handeye import (
 )
 from robot_ik.camera.calibration.least_squares import (
     JointNoise,
-    Mixture,
     Normal,
+    Unobservable,
     cost,
     estimate_joint_noise,
-    find_mixture,
+    find_unobservable,
     inverse,
     joint_information,
     normal_equations,
@@ -340,7 +340,7 @@ class ZeroOffsets:
         joints: Names, in the order of the rest.
         offsets: (nv,) to be added to the angles that the servos say, rad; 0 for those held.
         covariance: (nv, nv); zeros for those held, given which the others are known so well.
-        mixtures: What could not be told apart, and which joint is held for it.
+        unobservable: What could not be told apart, and which joint is held for it.
         pose_parent_camera, pose_other_board: The poses, refined.
         pose_covariance: (12, 12) of their twists.
         errors: Of each view, as the fit to all *other* views has it.
@@ -353,7 +353,7 @@ class ZeroOffsets:
     joints: tuple[str, ...]
     offsets: Array
     covariance: Array
-    mixtures: tuple[Mixture, ...]
+    unobservable: tuple[Unobservable, ...]
     pose_parent_camera: Pose
     pose_other_board: Pose
     pose_covariance: Array
@@ -412,18 +412,18 @@ def fit_zero_offsets(
     _check(views, robot, mounting, hold)
     model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, mounting)
     held = set(hold)
-    mixtures: list[Mixture] = []
+    unobservable: list[Unobservable] = []
     parent, other = (frame, "the world") if mounting == "eye_in_hand" else ("the world", frame)
     state = model.start()
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
         fitted = _fit(model, state, np.array([*free, *range(robot.nv, robot.nv + 12)]))
-        mixture = find_mixture(fitted.normal, robot.joints, unclear, parent, other)
-        if mixture is None:
+        worst = find_unobservable(fitted.normal, robot.joints, unclear, parent, other)
+        if worst is None:
             # With all joints held it is the arm's errors that are asked for, however large.
-            return _result(model, fitted, mixtures, judge=not set(hold) >= set(robot.joints))
-        mixtures.append(mixture)
-        held.add(mixture.joint)
+            return _result(model, fitted, unobservable, judge=not set(hold) >= set(robot.joints))
+        unobservable.append(worst)
+        held.add(worst.joint)
         # From the start again: an offset that nothing determines may have gone anywhere.
         state = model.start()
 
@@ -494,7 +494,9 @@ def _downhill(
     return np.zeros_like(step), damping
 
 
-def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture], *, judge: bool) -> ZeroOffsets:
+def _result(
+    model: ArmModel, fitted: _Fitted, unobservable: list[Unobservable], *, judge: bool
+) -> ZeroOffsets:
     n = model.robot.nv
     covariance = fitted.normal.spread_out(inverse(fitted.normal.matrix))
     errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
@@ -511,7 +513,7 @@ def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture], *, judge:
         joints=model.robot.joints,
         offsets=fitted.state.offsets,
         covariance=covariance[:n, :n],
-        mixtures=tuple(mixtures),
+        unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
         pose_covariance=covariance[n:, n:],

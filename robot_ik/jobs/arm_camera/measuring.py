@@ -38,7 +38,7 @@ class ArmCameraRequest:
         robot: Catalogue name, or path of an MJCF or URDF file.
         bus: ``sim``, ``pty`` or a serial port.
         arm_file: None: the one beside the model, else a generic one.
-        frame: What carries camera or board; None: the tool, or what carries the stage's markers.
+        frame: What carries camera or board; None: the tool, or what carries the scene's markers.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file; needed for a real camera.
         board: None: the simulated one.
@@ -72,7 +72,7 @@ class ArmCameraRequest:
 
 
 # ------------------------------------------------------------------------------------------
-# Drives an arm from stop to stop; at each it stands still, its joints are read and a picture is taken.
+# Drives an arm from station to station; at each it stands still, its joints are read and a picture is taken.
 
 
 Array = NDArray[np.float64]
@@ -84,8 +84,8 @@ _STILL_TICKS = 1.01
 
 
 @dataclass(frozen=True, eq=False)
-class Stop:
-    """The arm at one stop.
+class Station:
+    """The arm at one station.
 
     Attributes:
         number: From 0.
@@ -102,28 +102,28 @@ class Stop:
     frame: Frame
 
 
-def visit_stops(
+def visit_stations(
     setup: RobotSetup,
-    stops: Sequence[Array],
+    stations: Sequence[Array],
     take: Callable[[], Frame],
     *,
     speed: float = 1.0,
     progress: Callable[[int, float], None] = lambda number, share: None,
-) -> Iterator[Stop]:
-    """Goes to each stop in turn; a generator, so that what was seen before an interruption is kept.
+) -> Iterator[Station]:
+    """Goes to each station in turn; a generator, so that what was seen before an interruption is kept.
 
     Args:
         setup: Connected and energised (``setup.connected()``, ``setup.energise()``).
-        stops: (nq,) each, inside the limits; see ``plan_views``.
+        stations: (nq,) each, inside the limits; see ``plan_views``.
         take: Takes a picture.
         speed: Share of the joints' speed limits.
-        progress: Told the number of the stop and the share of the way to it.
+        progress: Called with the number of the station and the share of the way to it.
 
     Raises:
         TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm is left as its exit policy
             says.
     """
-    for number, asked in enumerate(stops):
+    for number, asked in enumerate(stations):
         trajectory = joint_move(
             setup.robot, setup.q, asked, speed=speed, rate=setup.rate,
             velocity=setup.velocity, acceleration=setup.acceleration,
@@ -139,7 +139,7 @@ def visit_stops(
         )  # fmt: skip
         before, still = _come_to_rest(setup)
         frame = take()
-        yield Stop(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
+        yield Station(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
 
 
 def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
@@ -174,7 +174,7 @@ class SampleSet:
         mounting: Which of the two.
         intrinsics: Of the pictures.
         date: ISO 8601.
-        q: (nq,) of each stop; ``views``: what was seen there.
+        q: (nq,) of each station; ``views``: what was seen there.
     """
 
     robot: str
@@ -190,7 +190,7 @@ class SampleSet:
         return len(self.q)
 
     def add(self, q: Array, view: BoardView) -> None:
-        """One stop more."""
+        """One station more."""
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
 

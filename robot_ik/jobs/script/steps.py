@@ -391,7 +391,7 @@ class MarkerStep(_Move):
         assert now.vision is not None
         seen = now.vision.find_target()
         assert seen.true_pose is not None  # the camera is synthetic
-        true = seen.true_pose.compose(now.vision.stage.pose_marker_tool)
+        true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)
         off = float(np.linalg.norm(seen.goal.target.position - true.position))
         result.numbers["seen_off_mm"] = round(1e3 * off, 4)
         goal = seen.goal
@@ -720,7 +720,7 @@ class FollowStep(_Framed, Action):
         now.repeat(_ARRIVE)
         seen = now.vision.find_target_again()
         assert seen.true_pose is not None
-        true = seen.true_pose.compose(now.vision.stage.pose_marker_tool)
+        true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)
         at = now.robot.measure(now.arm.read().q, now.setup.frame)
         off = 1e3 * float(np.linalg.norm(at.position - true.position))
         result.numbers["off_mm"] = round(off, 4)
@@ -733,7 +733,7 @@ def _true_goal(now: RunState) -> Array:
     """(3,) where the tool belongs at this moment, which only the scene knows."""
     assert now.vision is not None and now.vision.path is not None
     marker = now.vision.path(now.setup.clock.now())
-    return marker.compose(now.vision.stage.pose_marker_tool).position
+    return marker.compose(now.vision.scene.pose_marker_tool).position
 
 
 # ------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from robot_ik.errors import (
 from robot_ik.geometry import Pose
 from robot_ik.jobs import vision as vision_module
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.vision import Wandering
 from robot_ik.ports import RealClock, VirtualClock
 from robot_ik.robot import load_robot
@@ -35,23 +35,23 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """photo.png, blank.png, film.avi (the marker moves 2 mm a picture), pictures/ and the calibration."""
     folder = tmp_path_factory.mktemp("photos")
     robot = load_robot("puma560")
-    stage = stage_for(robot)
-    scene = stage.scene(robot)
-    source = SyntheticSource(scene, lambda: robot.home, quality="fast")
-    stage.intrinsics.save(folder / "camera.yaml")
+    scene = scene_for(robot)
+    synthetic = scene.synthetic(robot)
+    source = SyntheticSource(synthetic, lambda: robot.home, quality="fast")
+    scene.intrinsics.save(folder / "camera.yaml")
     cv2.imwrite(str(folder / "photo.png"), source.read().image)
-    source.scene = scene.blank(stage.marker_id)
+    source.scene = synthetic.blank(scene.marker_id)
     cv2.imwrite(str(folder / "blank.png"), source.read().image)
     (folder / "pictures").mkdir()
     cv2.imwrite(str(folder / "pictures" / "a1.png"), cv2.imread(str(folder / "blank.png")))
     cv2.imwrite(str(folder / "pictures" / "a2.png"), cv2.imread(str(folder / "photo.png")))
     film = cv2.VideoWriter(
-        str(folder / "film.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 15, stage.intrinsics.size
+        str(folder / "film.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 15, scene.intrinsics.size
     )
-    home = stage.pose_world_marker
+    home = scene.pose_world_marker
     for k in range(12):
         moved = Pose(np.add(home.position, [0.002 * k, 0.0, 0.0]), home.wxyz)
-        source.scene = scene.with_marker(stage.marker_id, pose=moved)
+        source.scene = synthetic.with_marker(scene.marker_id, pose=moved)
         film.write(source.read().image)
     film.release()
     return folder
@@ -100,15 +100,15 @@ def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachR
     report = look(name)
     assert report.reached and report.by_camera is None and "recorded" in report.verdict
     assert report.seen.true_pose is None
-    stage = report.vision.stage
-    assert report.seen.pose_world_marker.distance(stage.pose_world_marker)[0] < 1.5e-3
-    camera = stage.pose_world_camera.inverse().compose(stage.pose_world_marker)
+    scene = report.vision.scene
+    assert report.seen.pose_world_marker.distance(scene.pose_world_marker)[0] < 1.5e-3
+    camera = scene.pose_world_camera.inverse().compose(scene.pose_world_marker)
     assert report.seen.observation.pose.distance(camera)[0] < 1.5e-3
 
 
 def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None:
-    stage = healthy.vision.stage  # type: ignore[union-attr]
-    moved = Pose(np.add(stage.pose_world_camera.position, [0.02, 0.0, 0.0]), stage.pose_world_camera.wxyz)
+    scene = healthy.vision.scene  # type: ignore[union-attr]
+    moved = Pose(np.add(scene.pose_world_camera.position, [0.02, 0.0, 0.0]), scene.pose_world_camera.wxyz)
     report = look("photo.png", pose_world_camera=moved)
     shift = report.target.position - healthy.target.position  # type: ignore[union-attr]
     np.testing.assert_allclose(shift, [0.02, 0, 0], atol=1e-3)
@@ -125,7 +125,7 @@ def test_a_photograph_without_the_marker_ends(look: Any) -> None:
 def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
     report = look("film.avi", follow=1.5, bus="sim")
     assert report.reached
-    home = report.vision.stage.pose_world_marker.position
+    home = report.vision.scene.pose_world_marker.position
     np.testing.assert_allclose(report.seen.pose_world_marker.position - home, [0.022, 0, 0], atol=2e-3)
     tool = report.robot.forward(report.setup.true_q(), "gripper").position
     assert np.linalg.norm(tool - report.target.position) < 3e-3
@@ -168,7 +168,7 @@ def test_the_pushed_marker_rests_wanders_and_rests() -> None:
 
 
 class Counting:
-    """A goal source that counts; raises what it is told to."""
+    """A goal source that counts; raises what it is asked to."""
 
     def __init__(self, delay: float = 0.0) -> None:
         self.count, self.delay, self.error = 0, delay, None
