@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -29,7 +30,9 @@ from robot_ik.files import LARGEST_NUMBER, read_text
 from robot_ik.geometry import Pose, rotation_entries, rotation_exp, turn_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.robot_file import RobotFile
-from robot_ik.urdf import Urdf
+
+if TYPE_CHECKING:
+    from robot_ik.urdf import Urdf
 
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
@@ -89,9 +92,9 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
     """
     urdf = None
     if isinstance(source, Path):
-        urdf = Urdf.of_text(_text_of(source), source.parent)
+        urdf = _urdf_of(_text_of(source), source.parent)
     elif isinstance(source, str):
-        urdf = Urdf.of_text(source)
+        urdf = _urdf_of(source)
     try:
         with _warnings_noted(path):
             if isinstance(source, mujoco.MjSpec):
@@ -103,6 +106,15 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
     except (ValueError, RuntimeError) as error:
         raise _unreadable(path, error) from error
     return compile_model(spec, path), {} if urdf is None else urdf.velocity
+
+
+def _urdf_of(text: str, folder: Path = Path()) -> Urdf | None:
+    """The URDF in a text; None where it is something else, of which the reader is not even loaded."""
+    if "<robot" not in text:
+        return None
+    from robot_ik.urdf import Urdf
+
+    return Urdf.of_text(text, folder)
 
 
 def _text_of(path: Path) -> str:

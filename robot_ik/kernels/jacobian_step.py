@@ -20,7 +20,7 @@ import math
 
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.loop import step_bounds
-from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.residuals import clamp_residual, goal_jacobian
 from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
@@ -30,35 +30,6 @@ _EXTRA_DAMPING = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
 # motion out of its plane, a joint that is pinned.
 NEGLIGIBLE = 1e-9
-
-
-@pure
-def goal_end(goal, g, rows):
-    """The row after the last one of goal ``g``; goals own their rows one after the other."""
-    return goal.row[g + 1] if g + 1 < goal.row.shape[0] else rows
-
-
-@outlined
-def clamp_residual(goal, residual, wanted, clamp, alike):
-    """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most.
-
-    ``alike``: all by the factor of the longest, so that the way down stays the same.
-    """
-    m = residual.shape[0]
-    least = 1.0
-    for g in range(goal.row.shape[0]):
-        first, end = goal.row[g], goal_end(goal, g, m)
-        square = 0.0
-        for r in range(first, end):
-            square += residual[r] * residual[r]
-        norm = math.sqrt(square)
-        share = clamp / norm if norm > clamp else 1.0
-        least = min(least, share)
-        for r in range(first, end):
-            wanted[r] = share * residual[r]
-    if alike:
-        for r in range(m):
-            wanted[r] = least * residual[r]
 
 
 @outlined

@@ -20,13 +20,19 @@ from numba import types
 from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
-from robot_ik.kernels.jacobian_step import clamp_residual
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, step_bounds
 from robot_ik.kernels.priorities import run_levels
-from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, goal_jacobian, open_goals
+from robot_ik.kernels.residuals import (
+    ORIENTATION,
+    PARTIAL,
+    POSITION,
+    clamp_residual,
+    goal_jacobian,
+    open_goals,
+)
 from robot_ik.kernels.rotations import curvature
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import (
