@@ -21,7 +21,7 @@ from robot_ik.camera.tracker import MarkerTracker, Sighting, drawn
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import open_sink
-from robot_ik.jobs.recording import Recording, open_recording
+from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -227,7 +227,5 @@ def film(
 def _write(rows: Recording, view: View) -> None:
     """Angles of each robot, and the ball."""
     for k, one in enumerate(view.instances):
-        rows.write(
-            view.now, commanded=one.q, goal=view.ball, text=view.message if k == 0 else "",
-            robot=k + 1 if view.count > 1 else 0,
-        )  # fmt: skip
+        text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
+        rows.write(Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot))

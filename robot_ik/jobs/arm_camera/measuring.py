@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.calibration.extrinsics import today
@@ -27,7 +27,7 @@ from robot_ik.jobs.reach import ReachRequest, Rehearsal
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.robot import Robot, load_robot
-from robot_ik.tables import config_error
+from robot_ik.tables import Pair, Place, Several, Table, Wxyz, config_error
 
 
 @dataclass(frozen=True)
@@ -240,9 +240,18 @@ class SampleSet:
         Raises:
             ValueError (pydantic's ValidationError among them), RobotIkError: It is something else.
         """
-        file = _HandEyeFile.model_validate(data)
+        of_verify = isinstance(data, dict) and data.get("job") == "verify"
+        return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
+
+    @classmethod
+    def of_file(cls, file: _SampleFile) -> SampleSet:
+        """What the file says.
+
+        Raises:
+            ValueError, RobotIkError: It says something impossible.
+        """
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
-        found = cls(file.robot, tuple(file.joints), file.frame, file.mounting, lens, file.date)
+        found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date)
         for k, one in enumerate(file.samples):
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
@@ -268,43 +277,36 @@ class SampleSet:
         return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-
-Place = Annotated[list[float], Field(min_length=3, max_length=3)]
-Turn = Annotated[list[float], Field(min_length=4, max_length=4)]
-
-
-class _Lens(_Table):
+class _Lens(Table):
     width: int
     height: int
     fx: float
     fy: float
     cx: float
     cy: float
-    distortion: list[float]
+    distortion: Several[float]
     model: str
 
 
-class _Sample(_Table):
-    q: list[float]
-    points: list[Place]
-    pixels: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+class _Sample(Table):
+    q: Several[float]
+    points: Several[Place]
+    pixels: Several[Pair]
     sigma: float
     position: Place
-    wxyz: Turn
+    wxyz: Wxyz
 
 
-class _HandEyeFile(_Table):
+class _SampleFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
+    job: str
     robot: str
-    joints: list[str]
+    joints: Several[str]
     frame: str
     mounting: Mounting
     intrinsics: _Lens
     date: str
-    samples: list[_Sample]
+    samples: Several[_Sample]
 
 
 Made = TypeVar("Made")
@@ -388,7 +390,7 @@ class VerifySamples:
         file = _VerifyFile.model_validate(data)
         offsets = file.true_offsets
         return cls(
-            SampleSet.of_values(data),
+            SampleSet.of_file(file),
             _pose_of(file.camera),
             _pose_of(file.board),
             file.by_arm,
@@ -434,29 +436,24 @@ def _pose_of(data: _Known) -> KnownPose:
     return KnownPose(Pose(data.position, data.wxyz), np.array(data.covariance))
 
 
-_Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+_Six = Annotated[Several[float], Field(min_length=6, max_length=6)]
 
 
-class _Known(BaseModel):
-    model_config = ConfigDict(strict=True)
-
+class _Known(Table):
     position: Place
-    wxyz: Turn
-    covariance: Annotated[list[_Six], Field(min_length=6, max_length=6)]
+    wxyz: Wxyz
+    covariance: Annotated[Several[_Six], Field(min_length=6, max_length=6)]
 
 
-class _Servo(BaseModel):
+class _Servo(Table):
     model_config = ConfigDict(extra="allow")
 
     name: str
 
 
-class _VerifyFile(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    job: str
+class _VerifyFile(_SampleFile):
     camera: _Known
     board: _Known
     by_arm: bool
-    true_offsets: list[float] | None
-    servos: list[_Servo]
+    true_offsets: Several[float] | None
+    servos: Several[_Servo]

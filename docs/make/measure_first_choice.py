@@ -1,7 +1,7 @@
 """Measures which method is quicker for which arm: what ``auto`` asks first.
 
-    python -m robot_ik.bench.methods.first_choice            prints a table
-    python -m robot_ik.bench.methods.first_choice --write    and makes solvers/first_choice.py from it
+    python docs/make/measure_first_choice.py            prints a table
+    python docs/make/measure_first_choice.py --write    and makes robot_ik/solvers/first_choice.py from it
 
 For each arm that ships and has a closed form for poses, and for one built as the KUKA LBR iiwa is: ``cold``
 poses from home and ``warm`` ones along a path, the closed form, ``lm`` and ``auto`` in turn on the same ones.
