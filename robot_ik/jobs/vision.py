@@ -357,8 +357,7 @@ def open_vision(
     Raises:
         CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
     """
-    synthetic = request.camera == "synthetic"
-    if not synthetic:
+    if request.camera != "synthetic":
         return None if request.goal is not None else _real_vision(request, setup, frame, stack)
     try:
         scene = _scene(request, setup, frame)
@@ -369,9 +368,8 @@ def open_vision(
     synthetic = scene.synthetic(setup.robot)
     if request.rehearsal.blank_marker:
         synthetic = synthetic.blank(scene.marker_id)
-    source = stack.enter_context(
-        SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
-    )
+    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
+    stack.enter_context(source)
     metal = setup.arm is not None and setup.arm.virtual_bus is None
     vision = Vision(
         scene, source, scene.intrinsics, scene.pose_world_camera, setup, frame, synthetic=source,

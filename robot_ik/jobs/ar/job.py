@@ -333,8 +333,8 @@ def _open(
                 clock.ticks += 1
 
         return made(), source.scene.intrinsics, count, scene
-    source, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
-    return _limited(source, request.seconds), lens, 0, None
+    real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
+    return _limited(real, request.seconds), lens, 0, None
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

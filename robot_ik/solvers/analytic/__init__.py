@@ -381,7 +381,7 @@ class Analytic(Solver):
     def _require(self, problem: Problem) -> Prepared:
         prepared = self.prepare(problem)
         if prepared is None:
-            from robot_ik.solvers import able_solvers
+            from robot_ik.solvers import able_solvers  # as in ``Solver.require_support``
 
             self.require_support(problem)
             raise UnsupportedGoalError(
