@@ -25,7 +25,6 @@ from robot_ik.hardware.virtual.servo import VirtualServo
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.ports import Array
 
 
 # ------------------------------------------------------------------------------------------
@@ -355,16 +354,6 @@ class _Joint:
             self._held = float(self._world.data.qpos[self.at])
         elif not held:
             self._held = None
-
-
-def joint_torques(world: World) -> Array:
-    """(n,) N m at the joints that hold the arm at its present pose, from MuJoCo's inverse dynamics."""
-    data = mujoco.MjData(world.model)
-    data.qpos[:] = world.data.qpos
-    data.qvel[:] = 0.0
-    data.qacc[:] = 0.0
-    mujoco.mj_inverse(world.model, data)
-    return np.array([float(data.qfrc_inverse[joint.dof]) for joint in world._joints])
 
 
 # ------------------------------------------------------------------------------------------

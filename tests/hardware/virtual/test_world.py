@@ -17,7 +17,7 @@ from robot_ik.hardware.joint_map import Twin
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
-from robot_ik.hardware.virtual.world import World, joint_torques
+from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
 
 TABLE = CONTROL_TABLES["XM430-W350"]
@@ -36,6 +36,16 @@ ARM = """
   </worldbody>
 </mujoco>
 """
+
+
+def joint_torques(world: World) -> np.ndarray:
+    """(n,) N m at the joints that hold the arm at its present pose, from MuJoCo's inverse dynamics."""
+    data = mujoco.MjData(world.model)
+    data.qpos[:] = world.data.qpos
+    data.qvel[:] = 0.0
+    data.qacc[:] = 0.0
+    mujoco.mj_inverse(world.model, data)
+    return np.array([float(data.qfrc_inverse[joint.dof]) for joint in world._joints])
 
 
 class Rig:

@@ -17,7 +17,7 @@ from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import BatchResult
 
 # Made-up limbs are made there.
-_spec = importlib.util.spec_from_file_location("limbs", Path(__file__).with_name("test_analytic_limb.py"))
+_spec = importlib.util.spec_from_file_location("limbs", Path(__file__).with_name("test_limb.py"))
 limbs = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(limbs)
 make_limb, random_limits = limbs.make_limb, limbs.random_limits
