@@ -58,7 +58,7 @@ _SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
 
 
 @dataclass(frozen=True)
-class Frame:
+class ModelFrame:
     """A named frame: rigidly fixed to a body of the model at ``local``."""
 
     name: str
@@ -248,24 +248,24 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
 
 
-def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
+def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame]:
     """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts.
 
     Raises:
         UnknownFrameError: A tool names a site or body that the model does not have.
     """
-    sites: dict[str, Frame] = {}
+    sites: dict[str, ModelFrame] = {}
     for s in range(model.nsite):
         name = model.site(s).name
         if name:
             local = Pose(model.site_pos[s], model.site_quat[s])
-            sites[name] = Frame(name, int(model.site_bodyid[s]), local)
+            sites[name] = ModelFrame(name, int(model.site_bodyid[s]), local)
     bodies = {
-        model.body(b).name: Frame(model.body(b).name, b, Pose())
+        model.body(b).name: ModelFrame(model.body(b).name, b, Pose())
         for b in range(1, model.nbody)
         if model.body(b).name
     }
-    found: dict[str, Frame] = {}
+    found: dict[str, ModelFrame] = {}
     for tool, target in file.tools.items():
         where = sites if target.site else bodies
         wanted = target.site or target.body or ""
@@ -277,7 +277,7 @@ def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
     return found
 
 
-def guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
+def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
     """Default frame of a model without robot.toml: a telling name, else the last site or body."""
     for wanted in _TOOL_NAMES:
         for name in frames:

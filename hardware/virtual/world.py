@@ -54,7 +54,7 @@ class Seat(NamedTuple):
     changed: Callable[[], None]
 
 
-class Motor:
+class JointMotor:
     """One servo on a joint of the world; the ``Body`` of its shaft.
 
     Args:
@@ -282,7 +282,7 @@ class _Joint:
         )
         world.data.qpos[self.at] = start
         seat = Seat(model, world.data, self.at, self.dof, self.look)
-        self.motors = [Motor(seat, row, bus.servo(row.id), start) for row in joint.servos]
+        self.motors = [JointMotor(seat, row, bus.servo(row.id), start) for row in joint.servos]
         strength = sum(motor.strength for motor in self.motors)
         if not model.dof_frictionloss[self.dof]:
             model.dof_frictionloss[self.dof] = FRICTION_SHARE * strength

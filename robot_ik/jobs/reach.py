@@ -45,7 +45,7 @@ from robot_ik.jobs.verdict import (
     judge_read_back,
     quantisation,
 )
-from robot_ik.jobs.vision import Seen, Vision, open_vision
+from robot_ik.jobs.vision import SeenTarget, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.problem import Problem
@@ -162,7 +162,7 @@ class ReachReport:
     frame: str
     setup: RobotSetup
     vision: Vision | None
-    seen: Seen | None = None
+    seen: SeenTarget | None = None
     goal: Goal | None = None
     target: Pose | None = None
     solution: Solution | None = None

@@ -99,7 +99,7 @@ _WANDER = 0.4
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenTarget:
     """The target marker in one picture.
 
     Attributes:
@@ -161,7 +161,7 @@ class Vision:
         sides = {id: side for id, (side, _) in scene.cube.items()}
         self._cubes = MarkerTracker(intrinsics, scene.dictionary, sides)
         self._goals = self.goal_source(self._source)
-        self._followed: Seen | None = None
+        self._followed: SeenTarget | None = None
         self._moving: SyntheticSource | None = None
         self._cover_gripper = False
 
@@ -178,7 +178,7 @@ class Vision:
         """Takes a picture and looks for nothing."""
         return self._source.read().image
 
-    def find_target(self) -> Seen:
+    def find_target(self) -> SeenTarget:
         """The target marker in the next pictures.
 
         Raises:
@@ -199,7 +199,7 @@ class Vision:
             tries -= 1
         raise self._not_found()
 
-    def find_target_again(self) -> Seen:
+    def find_target_again(self) -> SeenTarget:
         """The target where it is now: after following, the last one of a recording, else a new look.
 
         Raises:
@@ -284,11 +284,11 @@ class Vision:
             window=window,
         )
 
-    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> Seen:
+    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> SeenTarget:
         """What an observation means for this arm."""
         true_pose = (truth or {}).get("pose_world_marker", {}).get(self.scene.marker_id)
         pose = self.pose_world_camera.compose(observation.pose)
-        return Seen(self.for_arm(goal), observation, pose, true_pose)
+        return SeenTarget(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
@@ -321,7 +321,7 @@ class _Aimed:
     def __init__(self, vision: Vision, source: WithoutTruth) -> None:
         self._vision, self._source = vision, source
         self._goals = vision.goal_source(source, follow=True)
-        self.seen: Seen | None = None
+        self.seen: SeenTarget | None = None
 
     @property
     def delays(self) -> tuple[Delays, Delays]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import BusCorruptError, BusNotOpenError, BusTimeoutError, ServoRefusedError
-from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, Status
+from robot_ik.hardware.bus import BROADCAST_ID, BusStatus, ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.simulated import SimBus
@@ -30,7 +30,7 @@ def test_simbus_moves_the_arm_on_virtual_time(
     sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig, clock: VirtualClock
 ) -> None:
     goal = np.array([0.5, -0.5, 0.25, 1.0, -1.0, 0.1])
-    assert sim.write(BROADCAST_ID, TORQUE, 1) == Status(BROADCAST_ID, None)
+    assert sim.write(BROADCAST_ID, TORQUE, 1) == BusStatus(BROADCAST_ID, None)
     sim.sync_write(GOAL, {j.id: j.to_ticks(q) for j, q in zip(arm_config.joints, goal, strict=True)})
     clock.sleep_until(10.0)
     read = sim.sync_read(arm_config.ids, PRESENT)
@@ -87,7 +87,7 @@ def test_simbus_sync_read_keeps_who_answered(sim: SimBus, arm_bus: VirtualBus, a
     arm_bus.inject(Fault("silent", 2), Fault("overload", 5))
     read = sim.sync_read(arm_config.ids, PRESENT)
     assert list(read) == list(arm_config.ids)
-    assert read[2] == Status(2, None)
+    assert read[2] == BusStatus(2, None)
     assert [id for id, status in read.items() if status.alert] == [5]
     assert read[5].data == 2048  # an alert is information: the data are good
     assert (sim.counters.timeouts, sim.counters.cycles, sim.counters.retries) == (1, 1, 2)
@@ -96,16 +96,16 @@ def test_simbus_sync_read_keeps_who_answered(sim: SimBus, arm_bus: VirtualBus, a
 def test_simbus_sync_read_carries_refusals(sim: SimBus) -> None:
     # Current Limit is at 38 on an XM430 and nothing is there on an XL430 (id 4).
     read = sim.sync_read([1, 4], TABLE["current_limit"])
-    assert read == {1: Status(1, 1193), 4: Status(4, None, 7)}
+    assert read == {1: BusStatus(1, 1193), 4: BusStatus(4, None, 7)}
 
 
 def test_simbus_reboot_clears_an_overload(sim: SimBus, arm_bus: VirtualBus) -> None:
     sim.write(5, CONTROL_TABLES["XL430-W250"]["torque_enable"], 1)
     arm_bus.inject(Fault("overload", 5))
-    assert sim.read(5, TABLE["hardware_error_status"]) == Status(5, 32, 0, True)
+    assert sim.read(5, TABLE["hardware_error_status"]) == BusStatus(5, 32, 0, True)
     assert sim.read(5, TORQUE).data == 0
     sim.reboot(5)
-    assert sim.read(5, TABLE["hardware_error_status"]) == Status(5, 0, 0, False)
+    assert sim.read(5, TABLE["hardware_error_status"]) == BusStatus(5, 0, 0, False)
 
 
 @pytest.mark.parametrize("fault", ["corrupt", "truncate", "drop", "garbage"])

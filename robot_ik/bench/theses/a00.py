@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
+from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
@@ -151,7 +151,7 @@ class Course:
 
     def witness_miss(self) -> tuple[float, float]:
         """Farthest that a witness is from its goal by MuJoCo's forward pass: metres, radians."""
-        judge = Judge(self.robot, self.goal)
+        judge = CourseJudge(self.robot, self.goal)
         metres, radians = np.max(list(map(judge.miss, self.witnesses, self.targets)), axis=0)
         return float(metres), float(radians)
 

@@ -83,7 +83,7 @@ class Gauge:
         self._progress(self._phase, share)
 
 
-class Judge:
+class CourseJudge:
     """MuJoCo's forward pass, again and again: ``Robot.measure`` without new memory for each frame."""
 
     def __init__(self, robot: Robot, goal: Goal) -> None:
@@ -115,7 +115,7 @@ def track(
         return Track(len(targets), refused=True)
     problem.retarget(targets[0])
     solver.solve(problem, start)  # compiles what is not compiled yet: not to be counted
-    judge, allowed = Judge(problem.robot, problem.goals[0]), problem.tolerance
+    judge, allowed = CourseJudge(problem.robot, problem.goals[0]), problem.tolerance
     q, solved, lost, seconds, iterations, restarts = start, 0, None, 0.0, 0, 0
     for k, target in enumerate(targets):
         problem.retarget(target)

@@ -22,10 +22,9 @@ from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.ar.motion import Motion, Replay, Standing, make_motion
+from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
 from robot_ik.jobs.ar.output import open_sink
-from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardScene, synthetic_scene
-from robot_ik.jobs.ar.scene import Motion as BoardMotion
+from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.robot import load_robot
@@ -133,7 +132,7 @@ class ArReport:
 
 
 Progress = Callable[[int, int], None]
-Mover = Callable[["Robot", DrawnRobot], Motion]
+Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
 
 
 def run_ar(
@@ -239,7 +238,7 @@ def _usual_scale(request: ArRequest, robot: Robot) -> float:
 
 
 def _scale_in_view(
-    request: ArRequest, robot: Robot, motion: Motion, scene: BoardScene, pictures: int
+    request: ArRequest, robot: Robot, motion: DrawnMotion, scene: BoardScene, pictures: int
 ) -> float:
     """The usual scale, or the largest at which the whole robot is in all pictures of the scene.
 
@@ -312,7 +311,7 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
 
 
 def _open(
-    request: ArRequest, motion: Motion, stack: contextlib.ExitStack
+    request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack
 ) -> tuple[Iterator[Frame], CameraIntrinsics, int, BoardScene | None]:
     """Frames, their optics, how many there will be (0: nobody knows), and the synthetic scene or None."""
     if request.camera == "synthetic":

@@ -13,7 +13,7 @@ from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
-from robot_ik.camera.synthetic.scene import Table
+from robot_ik.camera.synthetic.scene import TableTop
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -59,7 +59,7 @@ class Furniture:
 
 
 @dataclass(frozen=True)
-class Motion:
+class BoardMotion:
     """How the board is moved about: sines with an amplitude and a rate each.
 
     Attributes:
@@ -83,7 +83,7 @@ class Motion:
 
 
 #: The board lies still in the middle, so that its frame is the table's.
-AT_REST = Motion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
+AT_REST = BoardMotion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class BoardScene:
 
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
-    motion: Motion
+    motion: BoardMotion
 
     def pose_board_camera(self, t: float) -> Pose:
         """The camera seen from the board at time t."""
@@ -121,7 +121,7 @@ def synthetic_scene(
     height: int = 720,
     *,
     rate_hz: float = 30.0,
-    motion: Motion | None = None,
+    motion: BoardMotion | None = None,
     occluders: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
@@ -145,7 +145,7 @@ def synthetic_scene(
         eye: Where the camera is; ``look`` where it looks.
         look: See ``eye``.
     """
-    way = motion or Motion()
+    way = motion or BoardMotion()
     board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
@@ -164,7 +164,7 @@ def synthetic_scene(
         lens(width, height),
         look_at(eye, look),
         tuple(markers),
-        table=Table(0.0, (-0.55, 0.55), (-0.40, 0.45)),
+        table=TableTop(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = SteppedClock(rate_hz)
     source = SyntheticSource(

@@ -23,7 +23,7 @@ from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.script.file import ObjectTable
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
 from robot_ik.jobs.script.state import Context, RunState, Script, StepFailed, error_classes
-from robot_ik.jobs.script.steps import Action, Step
+from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
@@ -245,7 +245,7 @@ def _report_leaving(now: RunState, row: StepResult) -> None:
         row.found += f"; {left.doubt}"
 
 
-def run_step(now: RunState, step: Step, result: StepResult) -> None:
+def run_step(now: RunState, step: ScriptStep, result: StepResult) -> None:
     """One step; how it went is in ``result``."""
     begin = now.setup.clock.now()
     wanted = step.raises if isinstance(step, Action) else None

@@ -1,6 +1,6 @@
 """What steps share: a name, a check, a run; joints, frames and grippers by name, and how far off they are.
 
-A subclass of ``Step`` that has a key ``do`` is a kind of step.  Lengths are metres, angles degrees
+A subclass of ``ScriptStep`` that has a key ``do`` is a kind of step.  Lengths are metres, angles degrees
 (``_deg``), tolerances millimetres and degrees, times seconds.
 """
 
@@ -47,11 +47,11 @@ Word = Annotated[str, Field(min_length=1)]
 ErrorClass = Annotated[Word, AfterValidator(_error_class)]
 
 
-STEPS: dict[str, type[Step]] = {}
+STEPS: dict[str, type[ScriptStep]] = {}
 """Every kind of step by the value of ``do``; classes enter themselves."""
 
 
-class Step(Table):
+class ScriptStep(Table):
     """What every step has.
 
     Attributes:
@@ -116,7 +116,7 @@ class Step(Table):
         raise NotImplementedError
 
 
-def step_class(table: Mapping[str, Any]) -> type[Step]:
+def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
     """The class of a step by what stands in its table.
 
     Raises:
@@ -129,7 +129,7 @@ def step_class(table: Mapping[str, Any]) -> type[Step]:
     return STEPS[table["do"]]
 
 
-class Action(Step):
+class Action(ScriptStep):
     """A step that takes time.
 
     Attributes:
@@ -163,7 +163,7 @@ def per_unit(robot: Robot, joint: str) -> float:
     return 1e-3 if slides(robot, joint) else float(np.radians(1.0))
 
 
-class Framed(Step):
+class Framed(ScriptStep):
     """A step for a frame of the robot; by default its tool."""
 
     frame: str | None = None
@@ -181,7 +181,7 @@ def require_keyframe(robot: Robot, keyframe: str | None) -> None:
         raise WrongKey.unknown("keyframe", keyframe, known, "keyframe")
 
 
-class JointValues(Step):
+class JointValues(ScriptStep):
     """Joints at angles, slides at millimetres."""
 
     joints_deg: Annotated[dict[str, float], Field(min_length=1)] | None = None
@@ -217,7 +217,7 @@ class JointValues(Step):
                     raise WrongKey(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
 
 
-class Tolerant(Step):
+class Tolerant(ScriptStep):
     """A step that judges where something is.
 
     Attributes:
@@ -273,7 +273,7 @@ def current_for(joint: JointMap, newtons: float, fingers: int) -> float:
     return wanted if joint.current is None else min(wanted, joint.current)
 
 
-class GripperWidth(Step):
+class GripperWidth(ScriptStep):
     """Something about the width between fingers that slide."""
 
     width_mm: NotNegative | None = None

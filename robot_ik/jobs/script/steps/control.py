@@ -10,7 +10,7 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import Context, RunState, StepFailed
-from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, Step, Word
+from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep, Word
 
 PATIENCE = 2.0
 """s to wait for a port that has gone."""
@@ -25,7 +25,7 @@ class WaitStep(Action):
     seconds: Annotated[float, Field(ge=0.0, le=LONGEST)]
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         if now.movable:
             now.repeat(self.seconds)
         else:
@@ -38,12 +38,12 @@ class HoldStep(Action):
     do: Literal["hold"]
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         now.arm.hold()
         now.stand()
 
 
-class InjectStep(Step):
+class InjectStep(ScriptStep):
     """Lets a fault of the virtual bus happen.
 
     Attributes:
@@ -72,16 +72,16 @@ class InjectStep(Step):
         return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
 
     def check(self, context: Context) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         super().check(context)
         self.fault.require_servo(context.config)
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         now.servos.inject(self.fault)
 
 
-class ClearStep(Step):
+class ClearStep(ScriptStep):
     """Takes back the faults that were injected, all or those of one kind; restarts servos that shut down."""
 
     words = ("kind",)
@@ -91,7 +91,7 @@ class ClearStep(Step):
     kind: str | None = None
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         result.numbers["cleared"] = now.servos.clear(self.kind)
 
 

@@ -98,7 +98,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
         return self
 
     def check(self, context: Context) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         super().check(context)
         robot = context.robot
         if self.shafts and not context.simulated:

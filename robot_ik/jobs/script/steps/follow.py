@@ -63,7 +63,7 @@ class FollowStep(Framed, Action):
 
     @property
     def looks(self) -> bool:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         return self.path == "marker"
 
     def run(self, now: RunState, result: StepResult) -> None:

@@ -172,7 +172,7 @@ class MarkerStep(Move):
 
     @property
     def looks(self) -> bool:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         return True
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
@@ -248,7 +248,7 @@ class KeyframeStep(Move):
     keyframe: Word = "home"
 
     def check(self, context: Context) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         super().check(context)
         require_keyframe(context.robot, self.keyframe)
 
@@ -281,7 +281,7 @@ class GripStep(GripperWidth, Move):
         return self
 
     def check(self, context: Context) -> None:
-        """See ``Step``."""
+        """See ``ScriptStep``."""
         super().check(context)
         self.check_gripper(context)
 

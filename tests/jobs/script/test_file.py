@@ -26,7 +26,7 @@ from robot_ik.jobs.script import (
 from robot_ik.jobs.script.file import ScriptFile
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState
-from robot_ik.jobs.script.steps import STEPS, Step
+from robot_ik.jobs.script.steps import STEPS, ScriptStep
 
 HEAD = 'schema = 1\nname = "trial"\n'
 
@@ -154,13 +154,13 @@ def test_nothing_is_broken_on_a_real_port(rows: tuple[str, ...]) -> None:
 def test_every_kind_of_step_is_known_everywhere() -> None:
     for name, kind in STEPS.items():
         assert typing.get_args(kind.model_fields["do"].annotation) == (name,)
-        assert kind.run is not Step.run
+        assert kind.run is not ScriptStep.run
 
 
 def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steps, "STEPS", dict(STEPS))
 
-    class CountStep(Step):
+    class CountStep(ScriptStep):
         words = ("number",)
         do: Literal["count"]
         number: int
@@ -178,7 +178,7 @@ def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_the_page_tells_every_step_and_every_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", page[page.index("| `do` |") :], re.MULTILINE))
     everywhere = {"do", "name", "time_limit_s", "raises", "speed", "tolerance_mm", "tolerance_deg"}
     for name, kind in STEPS.items():

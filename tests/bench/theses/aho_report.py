@@ -1,7 +1,7 @@
 """Where A00's update loses the goal, and why.
 
-python tests/jobs/aho_report.py            the tables of docs/theory/experiments.md
-python tests/jobs/aho_report.py FILE.png   and the picture (needs matplotlib)
+python tests/bench/theses/aho_report.py            the tables of docs/theory/experiments.md
+python tests/bench/theses/aho_report.py FILE.png   and the picture (needs matplotlib)
 """
 
 from __future__ import annotations
