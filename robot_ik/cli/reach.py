@@ -129,7 +129,7 @@ def run(options: ReachOptions) -> int:
     from robot_ik.jobs.reach_files import FILES
 
     if options.film:
-        from robot_ik.jobs.reach import require_films
+        from robot_ik.jobs.reach_files import require_films
 
         require_films()
     # Before anything moves: a run whose results cannot be kept is not started.
@@ -156,7 +156,7 @@ def _save_and_print(report: ReachReport, folder: Path, options: ReachOptions) ->
 
     files = save_reach(report, folder)
     if options.film:
-        from robot_ik.jobs.reach import save_film
+        from robot_ik.jobs.reach_files import save_film
 
         with console.busy("drawing the film"):
             film = save_film(report, folder / "reach.mp4")

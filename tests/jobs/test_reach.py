@@ -263,7 +263,7 @@ def test_progress_only_grows_within_a_phase(reach: Any) -> None:
 
 def test_the_film_shows_the_whole_motion(arms: dict[str, Path], reach: Any, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra `video`")
-    from robot_ik.jobs.reach import FILM_RATE_HZ, save_film
+    from robot_ik.jobs.reach_files import FILM_RATE_HZ, save_film
 
     report = reach(bus="none", robot=str(arms["planar"]))
     path = save_film(report, tmp_path / "reach.mp4")

@@ -1,8 +1,5 @@
 """The closed forms of a limb for less than a pose: a point of the hand to a place, an axis aimed."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,12 +12,7 @@ from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import BatchResult
-
-# Made-up limbs are made there.
-_spec = importlib.util.spec_from_file_location("limbs", Path(__file__).with_name("test_limb.py"))
-limbs = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(limbs)
-make_limb, random_limits = limbs.make_limb, limbs.random_limits
+from tests.solvers.analytic.test_limb import make_limb, random_limits
 
 EXACT = Tolerance(position=1e-9, angle=1e-9)
 KINDS = ("position", "x", "-z", (1.0, 2.0, 3.0))
