@@ -108,7 +108,11 @@ def test_the_api_page_lists_every_public_name() -> None:
 
 @pytest.mark.parametrize(
     ("contract_id", "package", "first"),
-    [("layers", "", "cli"), ("camera-layers", "robot_ik.camera.", "synthetic.moving")],
+    [
+        ("layers", "", "cli"),
+        ("camera-layers", "robot_ik.camera.", "synthetic.moving"),
+        ("hardware-layers", "robot_ik.hardware.", "health"),
+    ],
 )
 def test_the_layers_drawn_are_the_layers_checked(contract_id: str, package: str, first: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
