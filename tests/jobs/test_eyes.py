@@ -22,7 +22,6 @@ from robot_ik.errors import (
     MarkerNotFoundError,
 )
 from robot_ik.geometry import Pose
-from robot_ik.jobs import vision as vision_module
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.scene import stage_for
 from robot_ik.jobs.vision import Wandering
