@@ -83,7 +83,7 @@ def two_arms(links: list[tuple[str, float]]) -> str:
 
 
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
-# Both were given stages on which the arm's own markers covered the target.
+# Both were given scenes in which the arm's own markers covered the target.
 SEVEN = [(Y, 0.117), (Z, 0.06), (Z, 0.253), (Y, 0.278), (Y, 0.232), (Y, 0.186), (X, 0.254)]
 THREE = [(Z, 0.175), (X, 0.2), (Z, 0.087)]
 

@@ -135,7 +135,7 @@ _LIGHT_STRIDE = 8
 
 
 @dataclass(frozen=True)
-class Table:
+class TableTop:
     """A rectangular table on the floor; world frame, metres.
 
     Attributes:
@@ -157,7 +157,7 @@ class Table:
         return 0.0 if self.height > 0.2 else self.height - 0.7
 
 
-def _environment(table: Table | None, floor: float) -> mujoco.MjModel:
+def _environment(table: TableTop | None, floor: float) -> mujoco.MjModel:
     """Floor and table as a model of their own: geom 0 floor, 1 table top, then legs."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], pos=[0, 0, floor])
@@ -192,7 +192,11 @@ class StillPicture:
 # A picture of 1280x720 takes 37 MB and half a second.
 @lru_cache(maxsize=2)
 def still_picture(
-    intrinsics: CameraIntrinsics, pose_world_camera: Pose, table: Table | None, lights: Lights, subject: Point
+    intrinsics: CameraIntrinsics,
+    pose_world_camera: Pose,
+    table: TableTop | None,
+    lights: Lights,
+    subject: Point,
 ) -> StillPicture:
     """The (cached) empty scene that a camera sees; its arrays are not to be written to.
 
@@ -213,7 +217,7 @@ class _StillScene:
         self,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        table: Table | None,
+        table: TableTop | None,
         lights: Lights,
         subject: Point,
     ) -> None:
