@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.figure import GRAVITY, Figure, Rows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
-from robot_ik.figure.poses import AT_BALL, BEND, REACH, Pose, find_pose
+from robot_ik.figure.poses import AT_BALL, BEND, REACH, Pose, find_pose, nearest_pose
 from robot_ik.kernels.jit import cache_folder
+from robot_ik.motion.pose_prior import mirrored
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,9 @@ _GRID = 0.15  # m
 # So far aside of the palm may the ball be of a jump, which leans a little, m (docs/theory/figure.md); and the
 # least rise of the centre of mass, m.
 ASIDE, _HOP = 0.05, 0.01
-_VERSION = 3
+# An arm that is stretched at the apex as far as it goes has nothing left to correct with, m.
+_SPARE = 0.04
+_VERSION = 4
 ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
 # From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
@@ -38,8 +41,11 @@ _FARTHEST = 1.7
 MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
+_PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
 _SLACK = 0.08
+# Poses from which a ball is tried.
+_STARTS = 3
 # A point that misses by more has no ball in its cell that is not surely out of reach, m.
 _NO_DOUBT = 0.16
 
@@ -51,10 +57,22 @@ class Map:
     Attributes:
         origin: (3,) first point of the grid.
         miss: (i, j, k) m; -1 where the hand comes there, but not in an admissible pose.
+        poses: (n, nq) of the points in reach, in the order of the grid: where to begin for a ball nearby.
     """
 
     origin: Array
     miss: NDArray[np.float32]
+    poses: Array
+
+    @cached_property
+    def points(self) -> Array:
+        """(n, 3) points in reach."""
+        return np.asarray(self.origin + np.argwhere(self.miss == 0.0) * _GRID)
+
+    def nearby(self, ball: Array, count: int = _STARTS) -> Array:
+        """(count, nq) poses that reach the nearest points, the nearest first."""
+        away = ((self.points - ball) ** 2).sum(axis=1)
+        return np.asarray(self.poses[np.argsort(away, kind="stable")[:count]])
 
     def nearest(self, ball: Array) -> tuple[float, float]:
         """Miss of the nearest grid point (inf outside the grid) and how far that point is."""
@@ -95,6 +113,7 @@ class Abilities:
     maps: dict[tuple[str, str], Map]
     ahead: float
     raised: dict[str, tuple[Array, float]] = field(repr=False)
+    _latest: dict[tuple[str, str], Pose] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def shoulders(self) -> dict[str, Array]:
@@ -109,8 +128,16 @@ class Abilities:
         """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
         if self.maps[kind, arm].surely_out(ball):
             return None
-        pose = find_pose(self.figure, ball, arm, kind)
+        pose = self.pose(kind, ball, arm)
         return None if pose.flaw else pose
+
+    def pose(self, kind: str, ball: Array, arm: str) -> Pose:
+        """The pose nearest to a ball; asked for the same ball again it is the same."""
+        known = self._latest.get((kind, arm))
+        if known is None or not np.array_equal(known.ball, ball):
+            known = find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
+            self._latest[kind, arm] = known
+        return known
 
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
@@ -129,7 +156,7 @@ class Abilities:
             palm = palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP)
         elif palm[2] < least:
             palm = palm_over_center(self.figure, arm, over[:2], least, 0.05)
-        rise = float(np.clip(over[2] - palm[2], _HOP, over[2] - least))
+        rise = float(np.clip(over[2] - palm[2] + _SPARE, _HOP, over[2] - least))
         aside = float(np.linalg.norm(palm[:2] - over[:2]))
         reached = aside <= ASIDE and palm[2] >= least - 1e-3
         return float(np.sqrt(2 * GRAVITY * rise)) if reached else None
@@ -214,13 +241,27 @@ def load_abilities(
     where = folder or cache_folder().parents[1] / "abilities"
     digest = _digest(figure)
     kept = where / f"{figure.robot.name}-{digest}.npz"
-    keys = [(kind, arm) for arm in figure.hands for kind in (REACH, BEND)]
+    symmetric = _is_mirrored(figure)
+    arms = [arm for arm in figure.hands if not symmetric or arm == "right"]
+    keys = [(kind, arm) for arm in arms for kind in (REACH, BEND)]
     found = next((m for f in (figure.robot.folder / MAP_FILE, kept) if (m := _read(f, digest, keys))), None)
     if found is None and keys:
         found = _make_maps(figure, keys, progress)
         write_maps(kept, digest, found)
+    found = found or {}
+    if symmetric:
+        found |= {(kind, "left"): _reflected(figure, found[kind, "right"]) for kind in (REACH, BEND)}
     raised = {arm: _raised(figure, arm) for arm in figure.hands}
-    return Abilities(figure, found or {}, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+    return Abilities(figure, found, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+
+
+def _reflected(figure: Figure, right: Map) -> Map:
+    """The other arm's map: the grid is its own mirror image."""
+    place = np.full(right.miss.shape, -1)
+    place[right.miss == 0.0] = np.arange(len(right.poses))
+    flipped = place[:, ::-1]
+    poses = mirrored(figure.robot, right.poses[flipped[flipped >= 0]])
+    return Map(right.origin, right.miss[:, ::-1].copy(), poses)
 
 
 def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[str, str], Map] | None:
@@ -233,12 +274,15 @@ def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[st
         for kind, arm in keys:
             code = stored[f"{kind}-{arm}"]
             miss = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
-            out[kind, arm] = Map(stored["origin"], miss)
+            out[kind, arm] = Map(stored["origin"], miss, stored[f"poses-{kind}-{arm}"] / _PER_UNIT)
     return out
 
 
 def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
-    """Maps as whole millimetres; -1000 mm is -1, what is not worth a look is ``_FAR``."""
+    """Misses as whole millimetres, poses as tenths of a milliradian or of a millimetre.
+
+    -1000 mm is -1, what is not worth a look is ``_FAR``.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
     for (kind, arm), found in maps.items():
@@ -246,7 +290,8 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
         near = np.isfinite(found.miss)
         # Rounded down: a miss that is told too small only costs a solve.
         code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
-        arrays |= {f"{kind}-{arm}": code, "origin": found.origin}
+        coarse = np.rint(found.poses * _PER_UNIT).astype(np.int16)
+        arrays |= {f"{kind}-{arm}": code, f"poses-{kind}-{arm}": coarse, "origin": found.origin}
     part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
     np.savez_compressed(part, allow_pickle=False, **arrays)
     part.replace(file)
@@ -271,23 +316,24 @@ def _digest(figure: Figure) -> str:
 def _make_maps(
     figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
 ) -> dict[tuple[str, str], Map]:
-    """Every map; of a figure that is its own mirror image one arm's, and the other's by reflection."""
-    mirrored = _is_mirrored(figure)
-    arms = [arm for arm in figure.hands if not mirrored or arm == "right"]
-    jobs = {arm: _points_near(figure, arm) for arm in arms}
-    flat = {key: np.full(len(POINTS), np.inf, dtype=np.float32) for key in keys}
+    """Every map: each point by itself, then those at the rim from their neighbours."""
+    jobs = {arm: _points_near(figure, arm) for arm in dict.fromkeys(arm for _, arm in keys)}
+    miss = {key: np.full(len(POINTS), np.inf, dtype=np.float32) for key in keys}
+    poses = {key: np.full((len(POINTS), figure.robot.nq), np.nan) for key in keys}
     chunks = [(arm, part) for arm, at in jobs.items() for part in np.array_split(at, max(1, len(at) // 100))]
     workers = min(2, os.cpu_count() or 1)
 
     def work(chunk: tuple[str, NDArray[np.int64]], mine: Figure) -> int:
         arm, at = chunk
         for i in at:
-            # What is out of reach for a bend, is so standing; and a palm that misses a point by so much
-            # misses
-            # all points nearer to that one.
-            bent = _bound(flat[BEND, arm], i)
-            flat[BEND, arm][i] = bent = bent if bent > _NO_DOUBT else grade(mine, POINTS[i], arm, BEND)
-            flat[REACH, arm][i] = bent if bent > 0.0 else grade(mine, POINTS[i], arm, REACH)
+            # A palm that misses a point by so much misses all points nearer to that one.
+            miss[BEND, arm][i] = _bound(miss[BEND, arm], i)
+            if miss[BEND, arm][i] <= _NO_DOUBT:
+                miss[BEND, arm][i], poses[BEND, arm][i] = grade(mine, POINTS[i], arm, BEND)
+            # What is out of reach for a bend, is so standing.
+            miss[REACH, arm][i] = miss[BEND, arm][i]
+            if miss[BEND, arm][i] <= 0.0:
+                miss[REACH, arm][i], poses[REACH, arm][i] = grade(mine, POINTS[i], arm, REACH)
         return len(at)
 
     figures, done = [figure.copy() for _ in range(workers)], 0
@@ -297,12 +343,29 @@ def _make_maps(
                 done += count
                 if progress is not None:
                     progress(done, sum(len(at) for at in jobs.values()))
-    maps = {key: Map(ORIGIN, values.reshape(SHAPE)) for key, values in flat.items()}
-    if mirrored:  # the grid is its own mirror image
-        maps |= {
-            (kind, "left"): Map(ORIGIN, maps[kind, "right"].miss[:, ::-1].copy()) for kind in (REACH, BEND)
-        }
-    return maps
+    for key in keys:
+        _spread(figure, key, miss[key], poses[key])
+    return {key: Map(ORIGIN, miss[key].reshape(SHAPE), poses[key][miss[key] == 0.0]) for key in keys}
+
+
+def _spread(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], poses: Array) -> None:
+    """Points that are missed, again from the poses of the nearest points in reach, as long as that helps."""
+    kind, arm = key
+    fresh = np.flatnonzero(miss == 0.0)
+    while len(fresh):
+        reached, fresh_places, found = np.flatnonzero(miss == 0.0), POINTS[fresh], []
+        for i in np.flatnonzero((miss != 0.0) & (miss < _NO_DOUBT)):
+            if np.abs(fresh_places - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
+                continue
+            near = reached[np.argsort(((POINTS[reached] - POINTS[i]) ** 2).sum(axis=1))[:_STARTS]]
+            tried = [nearest_pose(figure, POINTS[i], arm, kind, q) for q in poses[near]]
+            best = min(tried, key=lambda pose: (bool(pose.flaw), pose.miss))
+            if not best.flaw:
+                miss[i], poses[i] = 0.0, best.q
+                found.append(i)
+            elif best.miss > AT_BALL:
+                miss[i] = min(miss[i], best.miss) if miss[i] > 0.0 else miss[i]
+        fresh = np.array(found, dtype=int)
 
 
 def _bound(known: NDArray[np.float32], i: int) -> float:
@@ -313,13 +376,13 @@ def _bound(known: NDArray[np.float32], i: int) -> float:
     return float((known[at] - np.linalg.norm(POINTS[at] - POINTS[i], axis=1)).max())
 
 
-def grade(figure: Figure, point: Array, arm: str, kind: str) -> float:
-    """What the map says of a point.
+def grade(figure: Figure, point: Array, arm: str, kind: str) -> tuple[float, Array]:
+    """What the map says of a point, and the pose (nq,) that comes nearest.
 
     0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m.
     """
     pose = find_pose(figure, point, arm, kind)
-    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
+    return (0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0), pose.q
 
 
 def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:

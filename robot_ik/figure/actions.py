@@ -13,10 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import compensate, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, Slices, minimum_jerk, rotation
+from robot_ik.figure.balance import compensate, smooth, zero_moment_slices
+from robot_ik.figure.figure import (
+    GRAVITY,
+    RATE,
+    Figure,
+    Frames,
+    Rows,
+    Slices,
+    finished,
+    minimum_jerk,
+    rotation,
+)
 from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
-from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned
+from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 
 Array = NDArray[np.float64]
@@ -28,8 +38,9 @@ _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
 _GLANCE = 2.5
 # Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
 _UPRIGHT = 0.966
-# A zero-moment point off its plan by less than this, m, is let be.
-_STEADY = 0.015
+# A zero-moment point so far inside the soles, m, is let be; else the frames are corrected, so often, and
+# planned again so much slower.
+_INSIDE, _ROUNDS, _SLOWER = 0.005, 3, (1.0, 1.35, 1.8)
 # A motion that is left decays into the next in this time, s.
 BLEND = 0.4
 
@@ -124,25 +135,37 @@ def _duration(distance: float, speed: float) -> float:
 
 def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
     """Back to standing at ease, the feet where they are."""
+    return finished(rest_slices(figure, q, look=look, dt=dt))
+
+
+def rest_slices(
+    figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE
+) -> Slices[Motion]:
+    """``rest``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
     way = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
-    duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
-    t = _times(duration, 0.1, dt)
-    s = minimum_jerk(t / duration)
+    least = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
     turn = figure.pose(start, figure.trunk)[1]
 
-    def solve(center: Array) -> Frames:
-        rows = Rows(figure, len(t))
-        pinned(figure, start, rows)
-        rows.center(_flat(center), axes="xy")
-        rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
-        if look is not None:
-            _look(figure, rows, start, seen_from(stance, look), t)
-        return rows.solve(start + (figure.home - start) * s[:, None], figure.stiffnesses(STIFF), start, dt=dt)
+    def plan(duration: float) -> Slices[tuple[Frames, float]]:
+        t = _times(duration, 0.1, dt)
+        s = minimum_jerk(t / duration)
 
-    frames = _balanced(figure, solve, here + (home - here) * s[:, None], dt)
+        def solve(center: Array) -> Slices[Frames]:
+            rows = Rows(figure, len(t))
+            pinned(figure, start, rows)
+            rows.center(_flat(center), axes="xy")
+            rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
+            if look is not None:
+                _look(figure, rows, start, seen_from(stance, look), t)
+            posture = start + (figure.home - start) * s[:, None]
+            return rows.slices(posture, figure.stiffnesses(STIFF), start, dt=dt)
+
+        return _balanced(figure, solve, here + (home - here) * s[:, None], dt)
+
+    frames = yield from _slow_enough(plan, least)
     return placed_motion(figure, _standing("rest", frames, home), stance)
 
 
@@ -152,16 +175,39 @@ def _turned(start: Array, end: Array, s: Array) -> Array:
     return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
 
 
-def _balanced(figure: Figure, solve: Callable[[Array], Frames], center: Array, dt: float) -> Frames:
-    """Frames over a planned centre of mass (n, 2), corrected once by the whole body's own dynamics."""
-    frames = solve(center)
-    points, _ = zero_moment_points(figure, frames.q, dt)
-    error = smooth(np.clip(points - center, -0.12, 0.12), 0.02 / dt)
-    error[:2], error[-2:] = 0.0, 0.0
-    if np.abs(error).max() < _STEADY:
-        return frames
-    omega2 = np.full(len(error), GRAVITY / figure.center_at_home[2])
-    return solve(center + compensate(error, omega2, dt))
+def _balanced(
+    figure: Figure, solve: Callable[[Array], Slices[Frames]], point: Array, dt: float
+) -> Slices[tuple[Frames, float]]:
+    """Frames whose zero-moment point follows ``point`` (n, 2), and how far inside the soles it stays, m.
+
+    The centre of mass follows it at first, and is corrected by what the whole body's own dynamics say.
+    """
+    _, normal, offset = support(figure)
+    omega2 = np.full(len(point), GRAVITY / figure.center_at_home[2])
+    center = point
+    for left in reversed(range(_ROUNDS)):
+        frames = yield from solve(center)
+        found, _ = yield from zero_moment_slices(figure, frames.q, dt)
+        inside = float((found[1:-1] @ normal.T - offset).min())
+        if inside >= _INSIDE or not left:
+            break
+        error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
+        error[:2], error[-2:] = 0.0, 0.0
+        center = center + compensate(error, omega2, dt)
+    return frames, inside
+
+
+def _slow_enough(plan: Callable[[float], Slices[tuple[Frames, float]]], duration: float) -> Slices[Frames]:
+    """The fastest of some plans that keeps its balance; a plan is made for a duration, s."""
+    best: tuple[Frames, float] | None = None
+    for slower in _SLOWER:
+        found = yield from plan(slower * duration)
+        if best is None or found[1] > best[1]:
+            best = found
+        if best[1] >= 0.0:
+            break
+    assert best is not None
+    return best[0]
 
 
 def _flat(xy: Array) -> Array:
@@ -169,53 +215,72 @@ def _flat(xy: Array) -> Array:
 
 
 def reach(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
-) -> Motion:
-    """The hand to the ball, standing, along a nearly straight line of least jerk."""
-    return _take(figure, q, ball, arm, REACH, hold, dt)
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, end: Array | None = None,
+    hold: float = 0.2, dt: float = 1.0 / RATE,
+) -> Motion:  # fmt: skip
+    """The hand to the ball, standing, along a nearly straight line of least jerk.
+
+    Args:
+        figure: Who.
+        q: (nq,) where it begins.
+        ball: (3,) in the world.
+        arm: Which hand.
+        end: (nq,) the pose at the ball, seen from the feet (``Abilities.pose``); default: searched for.
+        hold: How long the hand stays there, s.
+        dt: Time between frames, s.
+    """
+    return finished(take_slices(figure, q, ball, arm, REACH, end=end, hold=hold, dt=dt))
 
 
 def bend(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
-) -> Motion:
-    """The hand to a low ball, hips back."""
-    return _take(figure, q, ball, arm, BEND, hold, dt)
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, end: Array | None = None,
+    hold: float = 0.2, dt: float = 1.0 / RATE,
+) -> Motion:  # fmt: skip
+    """The hand to a low ball, hips back; arguments as those of ``reach``."""
+    return finished(take_slices(figure, q, ball, arm, BEND, end=end, hold=hold, dt=dt))
 
 
-def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: float, dt: float) -> Motion:
-    """The hand to the ball: the end is solved for first, and the posture led there.
+def take_slices(
+    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None,
+    hold: float = 0.2, dt: float = 1.0 / RATE,
+) -> Slices[Motion]:  # fmt: skip
+    """``reach`` or ``bend``, a few milliseconds at a time.
 
-    A hand that must follow its line asks too much of the joints on the way; this one is drawn to it.
+    The end is solved for first, and the posture led there: a hand that must follow its line asks too much of
+    the joints on the way; this one is drawn to it.
     """
     start, stance = to_stance(figure, q)
     ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
-    end = find_pose(figure, ball, arm, kind).q
+    goal = find_pose(figure, ball, arm, kind).q if end is None else end
     # A hand that is led along a line while the trunk leans far straightens elbow and knees on the way.
-    upright = kind == REACH and figure.pose(end, figure.trunk)[1][2, 2] > _UPRIGHT
-    way = figure.robot.difference(start, end)[6:]
+    upright = kind == REACH and figure.pose(goal, figure.trunk)[1][2, 2] > _UPRIGHT
+    way = figure.robot.difference(start, goal)[6:]
     limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
     slowest = 1.875 * float((np.abs(way) / limit).max())
-    duration = max(
-        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if upright else _BEND_SPEED), slowest
-    )
-    t = _times(duration, hold, dt)
-    s = minimum_jerk(t / duration)
-    here, there = figure.center(start)[:2], figure.center(end)[:2]
-    turns = _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s)
+    length = float(np.linalg.norm(ball - hand))
+    here, there = figure.center(start)[:2], figure.center(goal)[:2]
+    turns = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
-    def solve(center: Array) -> Frames:
-        rows = Rows(figure, len(t))
-        pinned(figure, start, rows)
-        rows.center(_flat(center), axes="xy")
-        rows.turned(figure.trunk, turns, 20.0 if upright else 3.0)
-        if upright:
-            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-        _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
-        return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
+    def plan(duration: float) -> Slices[tuple[Frames, float]]:
+        t = _times(duration, hold, dt)
+        s = minimum_jerk(t / duration)
 
-    frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+        def solve(center: Array) -> Slices[Frames]:
+            rows = Rows(figure, len(t))
+            pinned(figure, start, rows)
+            rows.center(_flat(center), axes="xy")
+            rows.turned(figure.trunk, _turned(*turns, s), 20.0 if upright else 3.0)
+            if upright:
+                rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
+            _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
+            return rows.slices(start + (goal - start) * s[:, None], stiff, start, dt=dt)
+
+        return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+
+    least = max(_duration(length, _REACH_SPEED if upright else _BEND_SPEED), slowest)
+    frames = yield from _slow_enough(plan, least)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 
 

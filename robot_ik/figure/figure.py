@@ -169,6 +169,7 @@ class Figure:
         speeds: (nv,) joint speed limits, rad/s, by name of the set.
         stance: (3,) x, y, heading of the middle between the feet at home.
         apart: Half the distance of the feet at home.
+        workspace: Tables that solves fill in, by name; a copy has its own.
     """
 
     robot: Robot
@@ -184,6 +185,7 @@ class Figure:
     apart: float
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
+    workspace: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -491,26 +493,34 @@ class Rows:
         steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
     ) -> Slices[Frames]:  # fmt: skip
         """As ``solve``, some frames at a time: the same bits."""
-        figure, n = self.figure, self.frames
-        groups = len(self._kind)
-        target = np.ascontiguousarray(np.stack(self._target, axis=1).reshape(-1, 12))
-        weight = np.ascontiguousarray(np.stack(self._weight, axis=1))
-        postures = np.ascontiguousarray(np.broadcast_to(posture, (n, figure.robot.nq)))
-        q, miss, used = np.empty((n, figure.robot.nq)), np.empty(n), np.empty(n, dtype=np.int64)
-        body = self._table(
-            stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits
-        )
-        before, here = (start if second is None else second).copy(), start.copy()
+        ready = self.prepare(posture, stiffness, limits=limits, speeds=speeds, dt=dt)
+        n, nq = self.frames, self.figure.robot.nq
+        found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
+        before, here = np.array(start if second is None else second), np.array(start)
         for a in range(0, n, SLICE):
             b = min(n, a + SLICE)
-            whole_body.solve_frames(
-                figure.robot.tree.handle, body, target[a * groups : b * groups], weight[a:b], postures[a:b],
-                q[a:b], here, before, steps, rest, close, miss[a:b], used[a:b],
-            )  # fmt: skip
+            ready.solve(found, a, b, here, before, steps, rest, close)
             if b < n:
-                before, here = (q[b - 2] if b > a + 1 else here).copy(), q[b - 1].copy()
+                before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
                 yield
-        return Frames(q, miss, used)
+        return found
+
+    def prepare(
+        self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
+        speeds: str | None = "daily", dt: float = 1.0 / RATE,
+    ) -> Prepared:  # fmt: skip
+        """The rows with their tables, for many solves; arguments as those of ``solve``."""
+        robot = self.figure.robot
+        stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
+        ready = Prepared(
+            robot.tree.handle,
+            np.ascontiguousarray(np.stack(self._target, axis=1)),
+            np.ascontiguousarray(np.stack(self._weight, axis=1)),
+            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
+            np.array(stiffness),
+        )
+        ready.body = self._table(ready.stiffness, stride, limits)
+        return ready
 
     def _table(
         self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
@@ -542,6 +552,35 @@ class Rows:
         }.items():  # fmt: skip
             arrays[name] = np.zeros(shape)
         return whole_body.WHOLE_BODY.pack(arrays)
+
+
+@dataclass(eq=False)
+class Prepared:
+    """Rows with their tables.  All but the tables may change between solves, in place.
+
+    Attributes:
+        tree, body: Tables of the kernel.
+        target: (frames, groups, 12), in the order in which the rows were added.
+        weight: (frames, groups).
+        posture: (frames, nq).
+        stiffness: (nv,).
+    """
+
+    tree: NDArray[np.int64]
+    target: Array
+    weight: Array
+    posture: Array
+    stiffness: Array
+    body: NDArray[np.int64] = field(init=False, repr=False)
+
+    def solve(
+        self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
+    ) -> None:
+        """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
+        whole_body.solve_frames(
+            self.tree, self.body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
+            found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

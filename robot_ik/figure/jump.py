@@ -42,12 +42,14 @@ height; what is left of the legs at take-off; m; and how long the body takes to 
 s."""
 _PITCH_DEG, _LANDED = 50.0, 0.75
 """Sole at take-off, and the share of it at landing."""
-_TUCK = 0.07
-"""How far the feet are drawn up in flight, m."""
+_TUCK = 0.02
+"""How far the feet are drawn up in flight, m: feet drawn up, and an idle arm held up, leave the acting one
+less high over the centre of mass."""
 _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
 _FINE = 0.002
+LAND = 0.8
 _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
 _HEELS = 0.6
@@ -146,7 +148,7 @@ def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
     high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
     crouch = _CROUCH * float(np.clip(speed / 2.0, 0.5, 1.0))
     low, d = wait - crouch, high - wait + crouch
-    landed = high - 0.8 * d
+    landed = high - LAND * d
     push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
     brake = 1.35 * speed**2 / (1.6 * d)
     rise = min(0.7, float(np.sqrt(17 * (wait - landed) / brake)))  # longer overshoots: a0 <= 20 d / T²
@@ -281,7 +283,7 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
                 w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
     for joint, values in {
-        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 1.3, 1.3, 0.9, 0.5, 0.02],
+        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02],
         f"{other}_elbow_pitch": [0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3],
     }.items():
         if joint in figure.robot.joints:

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import hull, hull_margin, inset
-from robot_ik.figure.figure import Figure, Rows, lowest_points, rotation
+from robot_ik.figure.balance import hull, inset
+from robot_ik.figure.figure import Figure, Frames, Rows, lowest_points, rotation
 from robot_ik.kernels.whole_body import HARD
 
 Array = NDArray[np.float64]
@@ -37,6 +37,8 @@ _HOPELESS = 0.3
 # first more, then less.
 _BLOCK, _BLOCKS, _DAMPING = 3, 20, (1.0, 0.1)
 _STAND, _PULL = 3e3, 300.0
+# A block that leaves more of the miss than this share comes no nearer.
+_GAIN = 0.93
 # A hand that stays nearer than this is tried from other poses, so many.
 _NEARLY, _FRESH = 0.02, 6
 
@@ -53,6 +55,11 @@ def support_middle(figure: Figure) -> Array:
     """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
     sole = figure.feet["left"].sole
     return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
+
+
+def limits_of(figure: Figure, kind: str) -> tuple[Array, Array]:
+    """(nv,) lower and upper joint limits of a ``reach`` or a ``bend``."""
+    return upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
 
 
 def upright_limits(figure: Figure) -> tuple[Array, Array]:
@@ -91,65 +98,83 @@ class Pose:
 
     Attributes:
         q: (nq,) at home in its own frame.
+        ball: (3,) the ball.
         miss: Distance of palm and ball, m.
         flaw: Why it is not admissible, in words; empty where it is.
     """
 
     q: Array
+    ball: Array
     miss: float
     flaw: str
 
 
-def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
+def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> Pose:
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
 
-    Feet where they are.  First the natural one; where it does not do, that one stretched as far as balance
-    allows, another swivel of the arm, and some poses that are far from it.
+    Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``).
+    Without those it searches: the natural one stretched as far as balance allows, another swivel of the arm,
+    and some poses that are far from it, which takes a hundred times as long.
+
+    Args:
+        figure: Who.
+        ball: (3,) seen from the feet.
+        arm: Which hand.
+        kind: ``reach`` or ``bend``.
+        starts: (n, nq) poses that reach balls nearby, the nearest first (``abilities.Map.nearby``).
     """
-    limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
-    best = _attempt(figure, ball, arm, kind, limits)
-    if not best.flaw or best.miss > _HOPELESS:
+    best = _attempt(figure, ball, arm, kind)
+    if not best.flaw:
         return best
-    for pose in _stretched(figure, ball, arm, kind, limits, best.q):
-        if not pose.flaw:
-            return pose
-        best = min(best, pose, key=lambda one: one.miss)
-    if best.miss <= AT_BALL:  # another swivel of the arm, or a flat hand
-        flat = best.flaw.endswith("floor")
-        for aside in (0.0,) if flat else (0.7, 1.2):
-            pose = _attempt(figure, ball, arm, kind, limits, aside=aside, flat=flat)
-            if pose.flaw and pose.miss < _HOPELESS:
-                pose = _polished(figure, ball, arm, limits, pose.q)
+    polish = _polish(figure, arm, kind)
+    if starts is not None and len(starts):
+        for q in starts:
+            pose = polish(q, ball)
             if not pose.flaw:
                 return pose
-    if best.miss < _NEARLY:
+            best = min(best, pose, key=lambda one: one.miss)
+        return best
+    return best if best.miss > _HOPELESS else _searched(figure, ball, arm, kind, best)
+
+
+def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: Pose) -> Pose:
+    """The first admissible pose from the natural one and from others, or the nearest of all."""
+    polish, natural = _polish(figure, arm, kind), best
+
+    def stretched() -> Iterator[Pose]:
+        yield polish(natural.q, ball)
+        for share in (1.0, 0.3) if kind == BEND else (1.0,):
+            yield polish(_attempt(figure, ball, arm, kind, upright=0.5, share=share).q, ball)
+
+    def swivelled() -> Iterator[Pose]:
+        flat = best.flaw.endswith("floor")
+        for aside in (0.0,) if flat else (0.7, 1.2):
+            pose = _attempt(figure, ball, arm, kind, aside=aside, flat=flat)
+            yield polish(pose.q, ball) if pose.flaw and pose.miss < _HOPELESS else pose
+
+    def scattered() -> Iterator[Pose]:
         rng = np.random.default_rng(0)
         for _ in range(_FRESH):
-            q = _scattered(figure, kind, limits, rng)
-            for pose in _stretched(figure, ball, arm, kind, limits, q, leaning=False):
-                if not pose.flaw:
-                    return pose
-                best = min(best, pose, key=lambda one: one.miss)
+            yield polish(_scattered(figure, kind, rng), ball)
+
+    for search, near in ((stretched, np.inf), (swivelled, AT_BALL), (scattered, _NEARLY)):
+        if best.miss > near:
+            continue
+        for pose in search():
+            if not pose.flaw:
+                return pose
+            best = min(best, pose, key=lambda one: one.miss)
     return best
 
 
-def _stretched(
-    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], q: Array, *,
-    leaning: bool = True,
-) -> Iterator[Pose]:  # fmt: skip
-    """Leaning and stretching as far as balance allows, from poses nearby."""
-    starts = [q]
-    if leaning:
-        starts += [
-            _attempt(figure, ball, arm, kind, limits, upright=0.5, share=share).q
-            for share in ((1.0, 0.3) if kind == BEND else (1.0,))
-        ]
-    for start in starts:
-        yield _polished(figure, ball, arm, limits, start)
+def nearest_pose(figure: Figure, ball: Array, arm: str, kind: str, start: Array) -> Pose:
+    """The pose nearest to a ball by short steps from a pose nearby (nq,)."""
+    return _polish(figure, arm, kind)(start, ball)
 
 
-def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.random.Generator) -> Array:
+def _scattered(figure: Figure, kind: str, rng: np.random.Generator) -> Array:
     """(nq,) a random pose about home, or between home and deeply bent."""
+    limits = limits_of(figure, kind)
     bend = float(rng.uniform(0.0, 1.0)) if kind == BEND else 0.0
     q = figure.home + bend * (figure.bent - figure.home)
     q[:2], q[3:7] = figure.home[:2], figure.home[3:7]
@@ -161,55 +186,92 @@ def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.r
     return np.asarray(q)
 
 
-def _polished(figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array) -> Pose:
+class _Polish:
     """From a pose nearby, with no posture of its own, by short steps: long ones get caught at limits.
 
     The centre of mass is free while it is far enough inside the soles, and held at the border else.
     """
-    feet, corners = figure.feet_at_home, _support(figure)
-    last, hard, held = np.inf, np.inf, None
-    for k in range(_BLOCKS):
+
+    def __init__(self, figure: Figure, arm: str, kind: str) -> None:
+        self.figure, self.arm = figure, arm
         rows = Rows(figure, _BLOCK)
-        # Hard rows of legs at their limits contradict each other until the hand is nearly there.
-        stand = HARD if last < AT_BALL else _STAND
-        for side, (place, turn) in feet.items():
-            rows.position(figure.feet[side].frame, place, stand)
-            rows.turned(figure.feet[side].frame, turn, stand)
-        rows.position(figure.hands[arm], ball, _PULL)
-        if held is not None:
-            rows.center(np.array([*held, 0.0]), _PULL, axes="xy")
-        damping = figure.stiffnesses({"*": _DAMPING[k > 1], "*toe*": 100.0})
-        frames = rows.solve(q, damping, q, limits=limits, speeds=None, steps=3)
-        q, hard = frames.q[-1], _feet_off(figure, frames.q[-1])
-        center = figure.center(q)[:2]
-        miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-        outside = hull_margin(corners, center) < BALANCED + 0.0005
-        if not outside and (
-            (miss < 0.5 * AT_BALL and hard < 3e-5) or (k > 3 and AT_BALL < miss > 0.93 * last)
-        ):
-            break
-        last = miss if k > 1 else np.inf
-        held = inset(corners, center, BALANCED + 0.001) if outside or held is not None else None
-    return _judged(figure, q, ball, arm, hard)
+        for side, (place, turn) in figure.feet_at_home.items():
+            rows.position(figure.feet[side].frame, place, _STAND)
+            rows.turned(figure.feet[side].frame, turn, _STAND)
+        rows.position(figure.hands[arm], np.zeros(3), _PULL)
+        rows.center(np.zeros(3), 0.0, axes="xy")
+        held = figure.stiffnesses({"*": 1.0, "*toe*": 0.0})
+        self.stiffness = np.outer(_DAMPING, held) + figure.stiffnesses({"*": 0.0, "*toe*": 100.0})
+        limits = limits_of(figure, kind)
+        self.ready = rows.prepare(figure.home, self.stiffness[0], limits=limits, speeds=None)
+        self.found = Frames(
+            np.empty((_BLOCK, figure.robot.nq)), np.empty(_BLOCK), np.empty(_BLOCK, dtype=np.int64)
+        )
+        self.feet = [
+            (figure.robot.frame(figure.feet[side].frame), place, turn)
+            for side, (place, turn) in figure.feet_at_home.items()
+        ]
+        self.hand = figure.robot.frame(figure.hands[arm])
+
+    def __call__(self, start: Array, ball: Array) -> Pose:
+        """The pose that comes nearest to a ball (3,) from ``start`` (nq,)."""
+        ready, normal, offset = self.ready, *support(self.figure)[1:]
+        feet = 2 * len(self.feet)
+        ready.target[:, feet, :3], ready.weight[:, feet + 1] = ball, 0.0
+        q, last, missed = np.array(start, dtype=float), np.inf, np.inf
+        for k in range(_BLOCKS):
+            # Hard rows of legs at their limits contradict each other until the hand is nearly there.
+            ready.weight[:, :feet] = HARD if missed < AT_BALL else _STAND
+            ready.stiffness[:] = self.stiffness[min(k // 2, 1)]
+            ready.posture[:] = q
+            ready.solve(self.found, 0, _BLOCK, q, q, 3, 1e-3, 1e-6)
+            q = self.found.q[-1].copy()
+            palm, center, off = self._measure(q)
+            missed, margin = float(np.linalg.norm(palm - ball)), float((normal @ center - offset).min())
+            outside = margin < BALANCED + 0.0005
+            if not outside and missed < 0.5 * AT_BALL and off < 3e-5:
+                break
+            short = missed + max(0.0, BALANCED - margin)  # of the ball, or of balance
+            if k > 3 and short > AT_BALL and short > _GAIN * last:
+                break
+            last = short if k > 1 else np.inf
+            if outside or ready.weight[0, feet + 1] > 0.0:
+                ready.weight[:, feet + 1] = _PULL
+                ready.target[:, feet + 1, :2] = inset(support(self.figure)[0], center, BALANCED + 0.001)
+        return _judged(self.figure, q, ball, self.arm, off)
+
+    def _measure(self, q: Array) -> tuple[Array, Array, float]:
+        """Palm, centre of mass (2,), and how far the feet are from where they stand, m or (roughly) rad."""
+        data, off = self.figure.data, 0.0
+        center = self.figure.center(q)
+        for frame, place, turn in self.feet:
+            rotated = data.xmat[frame.body].reshape(3, 3)
+            there = data.xpos[frame.body] + rotated @ frame.local.position
+            off = max(
+                off,
+                float(np.abs(there - place).max()),
+                float(np.abs(rotated @ frame.local.rotation - turn).max()),
+            )
+        palm = data.xpos[self.hand.body] + data.xmat[self.hand.body].reshape(3, 3) @ self.hand.local.position
+        return palm, center[:2], off
 
 
-def _feet_off(figure: Figure, q: Array) -> float:
-    """How far the feet are from where they stand at home, m or (roughly) rad."""
-    off = 0.0
-    for side, (place, turn) in figure.feet_at_home.items():
-        there, rotated = figure.pose(q, figure.feet[side].frame)
-        off = max(off, float(np.linalg.norm(there - place)), float(np.linalg.norm(rotated - turn)))
-    return off
+def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
+    key = f"polish {arm} {kind}"
+    if key not in figure.workspace:
+        figure.workspace[key] = _Polish(figure, arm, kind)
+    made: _Polish = figure.workspace[key]
+    return made
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
     miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-    return Pose(q, miss, flaw_of(figure, q, ball, arm, hard))
+    return Pose(q, ball, miss, flaw_of(figure, q, ball, arm, hard))
 
 
 def _attempt(
-    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], *,
-    aside: float = 0.0, flat: bool = False, upright: float = 30.0, share: float = 1.0,
+    figure: Figure, ball: Array, arm: str, kind: str, *, aside: float = 0.0, flat: bool = False,
+    upright: float = 30.0, share: float = 1.0,
 ) -> Pose:  # fmt: skip
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
     deep = 0.0 if kind == REACH else share * depth(figure, ball)
@@ -232,13 +294,16 @@ def _attempt(
         goal = figure.posture({f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside}, goal)
     posture = start + (goal - start) * s[:, None]
     stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
-    frames = rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=6)
+    frames = rows.solve(posture, stiff, start, limits=limits_of(figure, kind), speeds=None, steps=6)
     return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
 
-def _support(figure: Figure) -> Array:
-    """(h, 2) hull of the soles at home."""
-    known = figure.robot.memory.get("figure.support")
+def support(figure: Figure) -> tuple[Array, Array, Array]:
+    """Hull of the soles at home: (h, 2) corners, and its edges as (h, 2) normals and (h,) offsets.
+
+    A point p is inside by the least of ``normals @ p - offsets``.
+    """
+    known: tuple[Array, Array, Array] | None = figure.robot.memory.get("figure.support")
     if known is None:
         found, data = [], figure.data
         data.qpos[:] = figure.home
@@ -249,16 +314,20 @@ def _support(figure: Figure) -> Array:
                 _, points = lowest_points(figure.model, list(geoms), turn[2:3])
                 world = data.xpos[body] + points[0] @ turn.T
                 found.append(world[world[:, 2] < 0.003, :2])
-        known = figure.robot.memory["figure.support"] = hull(np.concatenate(found))
-    return np.asarray(known)
+        corners = hull(np.concatenate(found))
+        edge = np.concatenate([corners[1:], corners[:1]]) - corners
+        normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+        known = figure.robot.memory["figure.support"] = corners, normal, (normal * corners).sum(axis=1)
+    return known
 
 
 def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:
     """Why a pose is not admissible, by MuJoCo; empty where it is."""
     model, data = figure.model, figure.data
-    corners = _support(figure)
+    _, normal, offset = support(figure)
     data.qpos[:] = q
-    mujoco.mj_forward(model, data)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     hand = figure.robot.frame(figure.hands[arm])
     palm = data.xpos[hand.body] + data.xmat[hand.body].reshape(3, 3) @ hand.local.position
     miss = float(np.linalg.norm(palm - ball))
@@ -266,9 +335,9 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
         return f"the hand stays {100 * miss:.0f} cm away"
     if hard > 1e-4:
         return "the feet would move"
-    margin = hull_margin(corners, data.subtree_com[0][:2])
-    if margin < BALANCED:
+    if (normal @ data.subtree_com[0][:2] - offset).min() < BALANCED:
         return "balance would be lost"
+    mujoco.mj_collision(model, data)
     for c in range(data.ncon):
         if data.contact[c].dist < -TOUCHING:
             names = sorted(
@@ -282,12 +351,11 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
 def _lowest(figure: Figure, data: mujoco.MjData) -> str:
     """Name of a body that is under the floor; soles may touch it."""
     model = figure.model
-    soles = {body for foot in figure.feet.values() for body, _ in foot.parts}
-    for g in range(model.ngeom):
+    soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
+    near = (data.geom_xpos[:, 2] < model.geom_rbound) & (model.geom_contype != 0)
+    for g in np.flatnonzero(near & ~np.isin(model.geom_bodyid, soles)).tolist():
         body = int(model.geom_bodyid[g])
-        if model.geom_contype[g] and body not in soles and data.geom_xpos[g, 2] < model.geom_rbound[g]:
-            up = data.xmat[body].reshape(3, 3)[2:3]
-            low, _ = lowest_points(model, [g], up)
-            if low[0, 0] + data.xpos[body, 2] < 0.0:
-                return str(model.body(body).name).replace("_", " ")
+        low, _ = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
+        if low[0, 0] + data.xpos[body, 2] < 0.0:
+            return str(model.body(body).name).replace("_", " ")
     return ""
