@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.figure import GRAVITY, Figure, Rows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
-from robot_ik.figure.poses import AT_BALL, BEND, REACH, Pose, find_pose, nearest_pose
+from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, Pose, best_pose, find_pose
 from robot_ik.kernels.jit import cache_folder
 from robot_ik.motion.pose_prior import mirrored
 
@@ -31,10 +30,14 @@ _GRID = 0.15  # m
 # So far aside of the palm may the ball be of a jump, which leans a little, m (docs/theory/figure.md); and the
 # least rise of the centre of mass, m.
 ASIDE, _HOP = 0.05, 0.01
+# The girdle brings an arm by so much farther than its length, m.
+_GIRDLE = 0.06
+# A palm that stays farther from where a ball needs it, m, comes there in no other way.
+_RIM = 0.2
 # An arm that is stretched at the apex as far as it goes has nothing left to correct with, m.
 _SPARE = 0.04
 _VERSION = 4
-ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
+ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 19)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
 # From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
 _FARTHEST = 1.7
@@ -43,11 +46,10 @@ MAP_FILE = "abilities.npz"
 _FAR = -32768
 _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
-_SLACK = 0.08
-# Poses from which a ball is tried.
-_STARTS = 3
-# A point that misses by more has no ball in its cell that is not surely out of reach, m.
-_NO_DOUBT = 0.16
+_SLACK = 0.04
+# Poses from which a ball is tried that some pose nearby reaches; and those from which a point of the map is
+# tried that is farther than this from all that are reached.
+_STARTS, _FEW, _OUTSIDE = 8, 2, 1.9 * _GRID
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,18 +76,20 @@ class Map:
         away = ((self.points - ball) ** 2).sum(axis=1)
         return np.asarray(self.poses[np.argsort(away, kind="stable")[:count]])
 
-    def nearest(self, ball: Array) -> tuple[float, float]:
-        """Miss of the nearest grid point (inf outside the grid) and how far that point is."""
-        index = np.rint((ball - self.origin) / _GRID).astype(int)
-        if (index < 0).any() or (index >= self.miss.shape).any():
-            return np.inf, 0.0
-        away = float(np.linalg.norm(self.origin + index * _GRID - ball))
-        return float(self.miss[tuple(index)]), away
+    @cached_property
+    def _missed(self) -> tuple[Array, Array]:
+        """(m, 3) points out of reach, and (m,) by how much."""
+        out = np.isfinite(self.miss) & (self.miss > 0.0)
+        return self.origin + np.argwhere(out) * _GRID, self.miss[out].astype(float)
 
     def surely_out(self, ball: Array) -> bool:
-        """No pose reaches the ball: a point nearby is farther out of reach than it is away."""
-        miss, away = self.nearest(ball)
-        return miss > away + _SLACK
+        """No pose reaches the ball: some point is farther out of reach than it is away from the ball."""
+        top = self.origin + (np.array(self.miss.shape) - 0.5) * _GRID
+        if (ball < self.origin - 0.5 * _GRID).any() or (ball > top).any():
+            return True
+        points, miss = self._missed
+        away = ball - points
+        return bool((miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > _SLACK)
 
     def comfortable(self, z: float) -> Array:
         """(n, 2) grid points at that height that are in reach, and their neighbours."""
@@ -113,7 +117,6 @@ class Abilities:
     maps: dict[tuple[str, str], Map]
     ahead: float
     raised: dict[str, tuple[Array, float]] = field(repr=False)
-    _latest: dict[tuple[str, str], Pose] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def shoulders(self) -> dict[str, Array]:
@@ -126,18 +129,15 @@ class Abilities:
 
     def can(self, kind: str, ball: Array, arm: str) -> Pose | None:
         """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
-        if self.maps[kind, arm].surely_out(ball):
+        found = self.maps[kind, arm]
+        if found.surely_out(ball):
             return None
-        pose = self.pose(kind, ball, arm)
-        return None if pose.flaw else pose
+        pose = best_pose(self.figure, ball, arm, kind, found.nearby(ball), quick=True)
+        return None if pose is None or pose.flaw else pose
 
     def pose(self, kind: str, ball: Array, arm: str) -> Pose:
-        """The pose nearest to a ball; asked for the same ball again it is the same."""
-        known = self._latest.get((kind, arm))
-        if known is None or not np.array_equal(known.ball, ball):
-            known = find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
-            self._latest[kind, arm] = known
-        return known
+        """The natural pose at a ball, or the one that comes nearest."""
+        return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
 
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
@@ -148,18 +148,32 @@ class Abilities:
         shoulder, length = self.raised[arm]
         over = ball - [self.ahead, 0.0, highest_take_off(self.figure)]
         least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
-        aside = float(np.linalg.norm(over[:2] - shoulder[:2]))
-        if aside > length + 2 * ASIDE or least > shoulder[2] + length + ASIDE or over[2] <= 0.0:
+        aside = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - ASIDE, 0.0)
+        if over[2] <= 0.0 or np.hypot(aside, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
             return None
+        for palm in self._palms(arm, over, least, shoulder[:2]):
+            if float(np.linalg.norm(palm[:2] - over[:2])) <= ASIDE and palm[2] >= least - 1e-3:
+                rise = float(np.clip(over[2] - palm[2] + _SPARE, _HOP, over[2] - least))
+                return float(np.sqrt(2 * GRAVITY * rise))
+        return None
+
+    def _palms(self, arm: str, over: Array, least: float, shoulder: Array) -> Iterator[Array]:
+        """Places of the palm over the centre of mass, one of which a ball may need.
+
+        As high as it comes there, or lower for a ball that needs hardly a jump; for one at the rim nearer to
+        the shoulder, and as low as a jump allows.
+        """
         palm = palm_over_center(self.figure, arm, over[:2], None)
-        if palm[2] >= over[2] - _HOP:  # no jump would do; a small one does
-            palm = palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP)
-        elif palm[2] < least:
-            palm = palm_over_center(self.figure, arm, over[:2], least, 0.05)
-        rise = float(np.clip(over[2] - palm[2] + _SPARE, _HOP, over[2] - least))
-        aside = float(np.linalg.norm(palm[:2] - over[:2]))
-        reached = aside <= ASIDE and palm[2] >= least - 1e-3
-        return float(np.sqrt(2 * GRAVITY * rise)) if reached else None
+        low = palm[2] >= over[2] - _HOP  # no jump would do; a small one does
+        yield palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP) if low else palm
+        if np.linalg.norm(palm[:2] - over[:2]) > _RIM or palm[2] < least - _RIM:
+            return
+        inwards = shoulder - over[:2]
+        inwards *= 0.9 * ASIDE / max(float(np.linalg.norm(inwards)), ASIDE)
+        if palm[2] < least:
+            yield palm_over_center(self.figure, arm, over[:2] + inwards, None)
+        yield palm_over_center(self.figure, arm, over[:2], least, 0.05)
+        yield palm_over_center(self.figure, arm, over[:2] + inwards, least, 0.05)
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
@@ -316,82 +330,84 @@ def _digest(figure: Figure) -> str:
 def _make_maps(
     figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
 ) -> dict[tuple[str, str], Map]:
-    """Every map: each point by itself, then those at the rim from their neighbours."""
-    jobs = {arm: _points_near(figure, arm) for arm in dict.fromkeys(arm for _, arm in keys)}
-    miss = {key: np.full(len(POINTS), np.inf, dtype=np.float32) for key in keys}
-    poses = {key: np.full((len(POINTS), figure.robot.nq), np.nan) for key in keys}
-    chunks = [(arm, part) for arm, at in jobs.items() for part in np.array_split(at, max(1, len(at) // 100))]
-    workers = min(2, os.cpu_count() or 1)
-
-    def work(chunk: tuple[str, NDArray[np.int64]], mine: Figure) -> int:
-        arm, at = chunk
-        for i in at:
-            # A palm that misses a point by so much misses all points nearer to that one.
-            miss[BEND, arm][i] = _bound(miss[BEND, arm], i)
-            if miss[BEND, arm][i] <= _NO_DOUBT:
-                miss[BEND, arm][i], poses[BEND, arm][i] = grade(mine, POINTS[i], arm, BEND)
-            # What is out of reach for a bend, is so standing.
-            miss[REACH, arm][i] = miss[BEND, arm][i]
-            if miss[BEND, arm][i] <= 0.0:
-                miss[REACH, arm][i], poses[REACH, arm][i] = grade(mine, POINTS[i], arm, REACH)
-        return len(at)
-
-    figures, done = [figure.copy() for _ in range(workers)], 0
-    with ThreadPoolExecutor(workers) as pool:
-        for first in range(0, len(chunks), workers):
-            for count in pool.map(work, chunks[first : first + workers], figures):
-                done += count
-                if progress is not None:
-                    progress(done, sum(len(at) for at in jobs.values()))
+    """Every map: point by point from the hand at home outwards, then those that are missed once more."""
+    at = {key: _points_near(figure, key[1]) for key in keys}
+    whole, done = sum(map(len, at.values())), 0
+    maps = {}
     for key in keys:
-        _spread(figure, key, miss[key], poses[key])
-    return {key: Map(ORIGIN, miss[key].reshape(SHAPE), poses[key][miss[key] == 0.0]) for key in keys}
+        miss = np.full(len(POINTS), np.inf, dtype=np.float32)
+        poses = np.full((len(POINTS), figure.robot.nq), np.nan)
+        for i in at[key]:
+            miss[i], poses[i] = _grade(figure, i, *key, miss, poses)
+            done += 1
+            if progress is not None and done % 50 == 0:
+                progress(done, whole)
+        _again(figure, key, miss, poses)
+        maps[key] = Map(ORIGIN, miss.reshape(SHAPE), poses[miss == 0.0])
+    return maps
 
 
-def _spread(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], poses: Array) -> None:
-    """Points that are missed, again from the poses of the nearest points in reach, as long as that helps."""
-    kind, arm = key
-    fresh = np.flatnonzero(miss == 0.0)
-    while len(fresh):
-        reached, fresh_places, found = np.flatnonzero(miss == 0.0), POINTS[fresh], []
-        for i in np.flatnonzero((miss != 0.0) & (miss < _NO_DOUBT)):
-            if np.abs(fresh_places - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
-                continue
-            near = reached[np.argsort(((POINTS[reached] - POINTS[i]) ** 2).sum(axis=1))[:_STARTS]]
-            tried = [nearest_pose(figure, POINTS[i], arm, kind, q) for q in poses[near]]
-            best = min(tried, key=lambda pose: (bool(pose.flaw), pose.miss))
-            if not best.flaw:
-                miss[i], poses[i] = 0.0, best.q
-                found.append(i)
-            elif best.miss > AT_BALL:
-                miss[i] = min(miss[i], best.miss) if miss[i] > 0.0 else miss[i]
-        fresh = np.array(found, dtype=int)
+def _nearest(i: int, miss: NDArray[np.float32]) -> tuple[NDArray[np.int64], float]:
+    """The points in reach that are nearest to a point, and the distance of the first, m."""
+    reached = np.flatnonzero(miss == 0.0)
+    if not len(reached):
+        return reached, 0.0
+    away = np.linalg.norm(POINTS[reached] - POINTS[i], axis=1)
+    order = np.argsort(away, kind="stable")[:_STARTS]
+    return reached[order], float(away[order[0]])
 
 
-def _bound(known: NDArray[np.float32], i: int) -> float:
-    """What the points graded so far say that the miss at a point is at least."""
-    at = np.flatnonzero(np.isfinite(known) & (known > 0.0))
-    if not len(at):
-        return 0.0
-    return float((known[at] - np.linalg.norm(POINTS[at] - POINTS[i], axis=1)).max())
+def _grade(
+    figure: Figure, i: int, kind: str, arm: str, miss: NDArray[np.float32], poses: Array
+) -> tuple[float, Array]:
+    near, away = _nearest(i, miss)
+    if away > _OUTSIDE:
+        pose = best_pose(figure, POINTS[i], arm, kind, poses[near[:_FEW]])
+        assert pose is not None
+        return _told(pose), pose.q
+    return grade(figure, POINTS[i], arm, kind, poses[near])
 
 
-def grade(figure: Figure, point: Array, arm: str, kind: str) -> tuple[float, Array]:
+def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> tuple[float, Array]:
     """What the map says of a point, and the pose (nq,) that comes nearest.
 
     0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m.
     """
-    pose = find_pose(figure, point, arm, kind)
-    return (0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0), pose.q
+    pose = find_pose(figure, point, arm, kind, starts)
+    if pose.flaw and pose.miss < NEARLY:
+        found = find_pose(figure, point, arm, kind)
+        pose = pose if found.flaw and found.miss > pose.miss else found
+    return _told(pose), pose.q
+
+
+def _told(pose: Pose) -> float:
+    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
+
+
+def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], poses: Array) -> None:
+    """Points that are missed, from the nearest that are not, as long as that brings more into reach."""
+    kind, arm = key
+    fresh = np.flatnonzero(miss == 0.0)
+    while len(fresh):
+        found, places = [], POINTS[fresh]
+        for i in np.flatnonzero((miss != 0.0) & (miss < 2.0 * _GRID)).tolist():
+            if np.abs(places - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
+                continue
+            best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss)[0]])
+            assert best is not None
+            if not best.flaw:
+                miss[i], poses[i] = 0.0, best.q
+                found.append(i)
+            elif miss[i] > 0.0:
+                miss[i] = min(float(miss[i]), max(best.miss, AT_BALL))
+        fresh = np.array(found, dtype=int)
 
 
 def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:
-    """Points that an arm and what the trunk can do may bring a palm to, in a random order.
-
-    The first tell most.
-    """
+    """Points that an arm and what the trunk can do may bring a palm to, those near the hand at home first."""
     near = np.flatnonzero(np.linalg.norm(POINTS - shoulder_of(figure, arm), axis=1) < _FARTHEST)
-    return np.asarray(np.random.default_rng(0).permutation(near))
+    away = np.linalg.norm(POINTS[near] - figure.hands_at_home[arm], axis=1)
+    return np.asarray(near[np.argsort(away, kind="stable")])
 
 
 def _is_mirrored(figure: Figure) -> bool:

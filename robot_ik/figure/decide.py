@@ -214,11 +214,12 @@ class Decider:
     def _walk(self, ball: Array, stance: Array) -> Decision:
         """To the cheapest free stand point from which the ball can be had, on a free path."""
         for kind, verb in ((REACH, "reached"), (BEND, "reached bending"), ("jump", "reached jumping")):
+            able: dict[tuple[str, bytes], bool] = {}  # many stand points see the ball alike
             for stand, arm, local in self._stands(kind, ball, stance)[:_TRIES]:
-                if kind == "jump":
-                    if self.abilities.take_off(local, arm) is None:
-                        continue
-                elif self.abilities.can(kind, local, arm) is None:
+                seen = arm, local.tobytes()
+                if seen not in able:
+                    able[seen] = self._able(kind, local, arm)
+                if not able[seen]:
                     continue
                 way = self.path(stance, stand)
                 if way is not None:
@@ -230,6 +231,11 @@ class Decider:
         return Decision(
             "nothing", None, f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
         )
+
+    def _able(self, kind: str, local: Array, arm: str) -> bool:
+        if kind == "jump":
+            return self.abilities.take_off(local, arm) is not None
+        return self.abilities.can(kind, local, arm) is not None
 
     def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""

@@ -40,8 +40,9 @@ _CROUCH, _READY, _STRETCH, _CALM = 0.18, 0.02, 0.015, 0.4
 """How far the centre goes down before the push; how much lower than home it waits, for straight knees hold no
 height; what is left of the legs at take-off; m; and how long the body takes to turn upright after landing,
 s."""
-_PITCH_DEG, _LANDED = 50.0, 0.75
-"""Sole at take-off, and the share of it at landing."""
+_PITCH_DEG, _LANDED, _ABSORB = 50.0, 0.85, 0.7
+"""Sole at take-off, and the share of it at landing; depth of the landing as a share of the push: deeper,
+ankles reach their limit before the heels are down."""
 _TUCK = 0.02
 """How far the feet are drawn up in flight, m: feet drawn up, and an idle arm held up, leave the acting one
 less high over the centre of mass."""
@@ -49,7 +50,6 @@ _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
 _FINE = 0.002
-LAND = 0.8
 _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
 _HEELS = 0.6
@@ -148,9 +148,9 @@ def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
     high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
     crouch = _CROUCH * float(np.clip(speed / 2.0, 0.5, 1.0))
     low, d = wait - crouch, high - wait + crouch
-    landed = high - LAND * d
+    landed = high - _ABSORB * d
     push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
-    brake = 1.35 * speed**2 / (1.6 * d)
+    brake = 1.35 * speed**2 / (2 * (high - landed))
     rise = min(0.7, float(np.sqrt(17 * (wait - landed) / brake)))  # longer overshoots: a0 <= 20 d / T²
     ends = np.cumsum([0.45, 0.5, push, flight, absorb, rise])
     return JumpPlan(figure, ready, ball, arm, speed, wait, low, high, landed, ends, 0.7 * push)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
 from robot_ik.figure.figure import Figure, Frames, Rows, lowest_points, rotation
-from robot_ik.kernels.whole_body import HARD
 
 Array = NDArray[np.float64]
 
@@ -33,14 +32,15 @@ STIFF = {
 _STEPS = 12
 # A hand that stays farther away comes no nearer by leaning, m; frames of the last millimetres.
 _HOPELESS = 0.3
-# Frames of a block of the last millimetres, how many blocks, and how much each holds on to the one before:
-# first more, then less.
-_BLOCK, _BLOCKS, _DAMPING = 3, 20, (1.0, 0.1)
-_STAND, _PULL = 3e3, 300.0
-# A block that leaves more of the miss than this share comes no nearer.
-_GAIN = 0.93
-# A hand that stays nearer than this is tried from other poses, so many.
-_NEARLY, _FRESH = 0.02, 6
+# Most damped steps to a ball, and the damping of the first.
+_MOST, _DAMPING = 60, 1.0
+# No progress: so many steps that each leave more than this share of what is short.  A ball that is still far
+# after so many steps from a pose nearby is out of reach.
+_PATIENCE, _GAIN, _QUICK = 3, 0.97, 8
+_STAND, _PULL = 3e4, 300.0
+NEARLY = 0.02
+"""A hand that stays nearer to a ball than this, m, is tried from other poses."""
+_FRESH = 6
 
 
 def pinned(figure: Figure, q: Array, rows: Rows) -> None:
@@ -123,18 +123,30 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
         kind: ``reach`` or ``bend``.
         starts: (n, nq) poses that reach balls nearby, the nearest first (``abilities.Map.nearby``).
     """
-    best = _attempt(figure, ball, arm, kind)
-    if not best.flaw:
-        return best
-    polish = _polish(figure, arm, kind)
-    if starts is not None and len(starts):
-        for q in starts:
-            pose = polish(q, ball)
-            if not pose.flaw:
-                return pose
-            best = min(best, pose, key=lambda one: one.miss)
-        return best
-    return best if best.miss > _HOPELESS else _searched(figure, ball, arm, kind, best)
+    natural = _attempt(figure, ball, arm, kind)
+    if not natural.flaw:
+        return natural
+    if starts is None:
+        return natural if natural.miss > _HOPELESS else _searched(figure, ball, arm, kind, natural)
+    best = best_pose(figure, ball, arm, kind, starts) or natural
+    return best if not best.flaw or best.miss < natural.miss else natural
+
+
+def best_pose(
+    figure: Figure, ball: Array, arm: str, kind: str, starts: Array, *, quick: bool = False
+) -> Pose | None:
+    """The first admissible pose by short steps from ``starts`` (n, nq), or the nearest; None without starts.
+
+    Starts nearby agree on what is out of reach: a ball that is missed by far is not tried again.  ``quick``:
+    nor is it told by how much.
+    """
+    best: Pose | None = None
+    for k, start in enumerate(starts):
+        pose = _polish(figure, arm, kind)(start, ball, _QUICK if quick else _MOST)
+        best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
+        if not pose.flaw or pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3):
+            break
+    return best
 
 
 def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: Pose) -> Pose:
@@ -157,7 +169,7 @@ def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: Pose) -> P
         for _ in range(_FRESH):
             yield polish(_scattered(figure, kind, rng), ball)
 
-    for search, near in ((stretched, np.inf), (swivelled, AT_BALL), (scattered, _NEARLY)):
+    for search, near in ((stretched, np.inf), (swivelled, AT_BALL), (scattered, NEARLY)):
         if best.miss > near:
             continue
         for pose in search():
@@ -165,11 +177,6 @@ def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: Pose) -> P
                 return pose
             best = min(best, pose, key=lambda one: one.miss)
     return best
-
-
-def nearest_pose(figure: Figure, ball: Array, arm: str, kind: str, start: Array) -> Pose:
-    """The pose nearest to a ball by short steps from a pose nearby (nq,)."""
-    return _polish(figure, arm, kind)(start, ball)
 
 
 def _scattered(figure: Figure, kind: str, rng: np.random.Generator) -> Array:
@@ -187,58 +194,65 @@ def _scattered(figure: Figure, kind: str, rng: np.random.Generator) -> Array:
 
 
 class _Polish:
-    """From a pose nearby, with no posture of its own, by short steps: long ones get caught at limits.
+    """From a pose nearby to a ball, with no posture of its own: damped steps that each come nearer.
 
-    The centre of mass is free while it is far enough inside the soles, and held at the border else.
+    The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3): a step
+    that comes no nearer is taken back and tried shorter.  The centre of mass is free while it is far enough
+    inside the soles, and held at the border else.
     """
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
         self.figure, self.arm = figure, arm
-        rows = Rows(figure, _BLOCK)
+        rows = Rows(figure, 1)
         for side, (place, turn) in figure.feet_at_home.items():
             rows.position(figure.feet[side].frame, place, _STAND)
             rows.turned(figure.feet[side].frame, turn, _STAND)
         rows.position(figure.hands[arm], np.zeros(3), _PULL)
         rows.center(np.zeros(3), 0.0, axes="xy")
-        held = figure.stiffnesses({"*": 1.0, "*toe*": 0.0})
-        self.stiffness = np.outer(_DAMPING, held) + figure.stiffnesses({"*": 0.0, "*toe*": 100.0})
-        limits = limits_of(figure, kind)
-        self.ready = rows.prepare(figure.home, self.stiffness[0], limits=limits, speeds=None)
-        self.found = Frames(
-            np.empty((_BLOCK, figure.robot.nq)), np.empty(_BLOCK), np.empty(_BLOCK, dtype=np.int64)
-        )
+        self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 100.0})
+        self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
+        self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
         self.feet = [
             (figure.robot.frame(figure.feet[side].frame), place, turn)
             for side, (place, turn) in figure.feet_at_home.items()
         ]
         self.hand = figure.robot.frame(figure.hands[arm])
 
-    def __call__(self, start: Array, ball: Array) -> Pose:
+    def __call__(self, start: Array, ball: Array, patience: int = _MOST) -> Pose:
         """The pose that comes nearest to a ball (3,) from ``start`` (nq,)."""
-        ready, normal, offset = self.ready, *support(self.figure)[1:]
-        feet = 2 * len(self.feet)
-        ready.target[:, feet, :3], ready.weight[:, feet + 1] = ball, 0.0
-        q, last, missed = np.array(start, dtype=float), np.inf, np.inf
-        for k in range(_BLOCKS):
-            # Hard rows of legs at their limits contradict each other until the hand is nearly there.
-            ready.weight[:, :feet] = HARD if missed < AT_BALL else _STAND
-            ready.stiffness[:] = self.stiffness[min(k // 2, 1)]
-            ready.posture[:] = q
-            ready.solve(self.found, 0, _BLOCK, q, q, 3, 1e-3, 1e-6)
-            q = self.found.q[-1].copy()
-            palm, center, off = self._measure(q)
-            missed, margin = float(np.linalg.norm(palm - ball)), float((normal @ center - offset).min())
-            outside = margin < BALANCED + 0.0005
-            if not outside and missed < 0.5 * AT_BALL and off < 3e-5:
+        ready, center_row = self.ready, 2 * len(self.feet) + 1
+        ready.target[0, center_row - 1, :3] = ball
+        q, damping, gains = np.array(start, dtype=float), _DAMPING, [0.0]
+        short, off, outside = self._short(q, ball)
+        for tried in range(1, _MOST + 1):
+            ready.weight[0, center_row] = 0.0 if outside is None else _PULL
+            if outside is not None:
+                ready.target[0, center_row, :2] = outside
+            ready.stiffness[:] = damping * self.even + self.toes
+            ready.posture[0] = q
+            ready.solve(self.found, 0, 1, q, q, 1, 0.0, 0.0)
+            new = self.found.q[0].copy()
+            found = self._short(new, ball)
+            if found[0] < short:
+                gains.append(found[0] / short)
+                q, (short, off, outside), damping = new, found, max(0.2 * damping, 1e-4)
+                if short < 0.4 * AT_BALL and off < 3e-5 and outside is None:
+                    break
+            else:
+                damping *= 5.0
+            stalled = len(gains) >= _PATIENCE and min(gains[-_PATIENCE:]) > _GAIN
+            if damping > 1e3 or (short > AT_BALL and (stalled or (tried >= patience and short > NEARLY))):
                 break
-            short = missed + max(0.0, BALANCED - margin)  # of the ball, or of balance
-            if k > 3 and short > AT_BALL and short > _GAIN * last:
-                break
-            last = short if k > 1 else np.inf
-            if outside or ready.weight[0, feet + 1] > 0.0:
-                ready.weight[:, feet + 1] = _PULL
-                ready.target[:, feet + 1, :2] = inset(support(self.figure)[0], center, BALANCED + 0.001)
         return _judged(self.figure, q, ball, self.arm, off)
+
+    def _short(self, q: Array, ball: Array) -> tuple[float, float, Array | None]:
+        """What is short of the ball (with feet and balance), how far the feet are off, where balance is."""
+        corners, normal, offset = support(self.figure)
+        palm, center, off = self._measure(q)
+        missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
+        away = palm - ball
+        short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2))
+        return short, off, inset(corners, center, BALANCED + 0.001) if missing else None
 
     def _measure(self, q: Array) -> tuple[Array, Array, float]:
         """Palm, centre of mass (2,), and how far the feet are from where they stand, m or (roughly) rad."""
