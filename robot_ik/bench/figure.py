@@ -19,7 +19,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
 from robot_ik.figure.gait import (
     AIR,
     FLAT,
@@ -86,11 +86,12 @@ class MotionMeasure:
 
 @dataclass(frozen=True)
 class _Soles:
-    """Lowest points of both feet in every frame, in the world."""
+    """Lowest points of both feet's shapes in every frame, in the world, and all that may touch the floor."""
 
     height: tuple[Array, Array]  # (n, g) of each side
     point: tuple[Array, Array]  # (n, g, 3)
     body: tuple[NDArray[np.int64], NDArray[np.int64]]  # (g,)
+    ends: tuple[Array, Array]  # (n, k, 3)
 
 
 def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
@@ -101,18 +102,25 @@ def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
         place[i], turn[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
-    heights, points, bodies = [], [], []
+    heights, points, bodies, ends = [], [], [], []
     for name in SIDES:
-        h, p, b = [], [], []
+        h, p, b, e = [], [], [], []
         for body, geoms in figure.feet[name].parts:
             low, local = lowest_points(model, list(geoms), turn[:, body, 2, :])
             h.append(low + place[:, body, 2:3])
             p.append(np.einsum("nij,ngj->ngi", turn[:, body], local) + place[:, None, body])
             b += [body] * len(geoms)
+            shapes = np.concatenate([shape_points(model, g, turn[:, body, 2, :]) for g in geoms])
+            e.append(np.einsum("nij,knj->nki", turn[:, body], shapes) + place[:, None, body])
+        ends.append(np.concatenate(e, axis=1))
         heights.append(np.concatenate(h, axis=1))
         points.append(np.concatenate(p, axis=1))
         bodies.append(np.array(b))
-    return _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1])), place, turn
+    return (
+        _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1]), (ends[0], ends[1])),
+        place,
+        turn,
+    )
 
 
 def measure_motion(
@@ -126,8 +134,8 @@ def measure_motion(
     margins: list[float] = []
     for i in range(1, len(q) - 1):
         near = [
-            points[i][heights[i] < _NEAR, :2]
-            for side, (heights, points) in enumerate(zip(soles.height, soles.point, strict=True))
+            ends[i][ends[i, :, 2] < _NEAR, :2]
+            for side, ends in enumerate(soles.ends)
             if contact[i, side] != AIR
         ]
         under = np.concatenate(near) if near else np.zeros((0, 2))

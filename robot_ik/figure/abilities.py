@@ -47,9 +47,11 @@ _FAR = -32768
 _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
 # A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
 _SLACK = 0.04
-# Poses from which a ball is tried that some pose nearby reaches; and those from which a point of the map is
-# tried that is farther than this from all that are reached.
-_STARTS, _FEW, _OUTSIDE = 8, 2, 1.9 * _GRID
+# Poses from which a ball is tried, and from which a point of the map is.
+_STARTS, _FEW = 8, 3
+# Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
+# them is out of reach: half a diagonal of the grid, and as much for points that were not found.
+_SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +85,11 @@ class Map:
         return self.origin + np.argwhere(out) * _GRID, self.miss[out].astype(float)
 
     def surely_out(self, ball: Array) -> bool:
-        """No pose reaches the ball: some point is farther out of reach than it is away from the ball."""
-        top = self.origin + (np.array(self.miss.shape) - 0.5) * _GRID
-        if (ball < self.origin - 0.5 * _GRID).any() or (ball > top).any():
+        """No pose reaches the ball.
+
+        It is far from all points in reach, or some point is farther out of reach than it is away from it.
+        """
+        if not len(self.points) or float(((self.points - ball) ** 2).sum(axis=1).min()) > _FAR_OFF**2:
             return True
         points, miss = self._missed
         away = ball - points
@@ -330,42 +334,38 @@ def _digest(figure: Figure) -> str:
 def _make_maps(
     figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
 ) -> dict[tuple[str, str], Map]:
-    """Every map: point by point from the hand at home outwards, then those that are missed once more."""
+    """Every map: from the hand at home outwards and a shell round what is in reach, then all misses again."""
     at = {key: _points_near(figure, key[1]) for key in keys}
-    whole, done = sum(map(len, at.values())), 0
-    maps = {}
-    for key in keys:
+    whole, maps = sum(map(len, at.values())), {}
+    for done, key in enumerate(keys):
         miss = np.full(len(POINTS), np.inf, dtype=np.float32)
         poses = np.full((len(POINTS), figure.robot.nq), np.nan)
-        for i in at[key]:
-            miss[i], poses[i] = _grade(figure, i, *key, miss, poses)
-            done += 1
-            if progress is not None and done % 50 == 0:
-                progress(done, whole)
+        graded = -1
+        while graded < (graded := int(np.isfinite(miss).sum())):
+            for i in at[key][~np.isfinite(miss[at[key]])]:
+                near, away = _nearest(i, miss == 0.0)
+                if away > _SHELL:
+                    continue
+                miss[i], poses[i] = grade(figure, POINTS[i], key[1], key[0], poses[near[:_FEW]])
+                if progress is not None:
+                    progress(int(done * whole / len(keys) + np.isfinite(miss).sum()), whole)
         _again(figure, key, miss, poses)
+        # A palm that comes to a point comes as near to all others as they are from there.
+        for i in np.flatnonzero(np.isfinite(miss)):
+            nearer = max(float(miss[i]), 0.0) + np.linalg.norm(POINTS - POINTS[i], axis=1)
+            miss = np.where(np.isfinite(miss), np.minimum(miss, nearer), miss).astype(np.float32)
         maps[key] = Map(ORIGIN, miss.reshape(SHAPE), poses[miss == 0.0])
     return maps
 
 
-def _nearest(i: int, miss: NDArray[np.float32]) -> tuple[NDArray[np.int64], float]:
-    """The points in reach that are nearest to a point, and the distance of the first, m."""
-    reached = np.flatnonzero(miss == 0.0)
+def _nearest(i: int, which: NDArray[np.bool_]) -> tuple[NDArray[np.int64], float]:
+    """Those points that are nearest to a point, and the distance of the first, m."""
+    reached = np.flatnonzero(which)
     if not len(reached):
         return reached, 0.0
     away = np.linalg.norm(POINTS[reached] - POINTS[i], axis=1)
     order = np.argsort(away, kind="stable")[:_STARTS]
     return reached[order], float(away[order[0]])
-
-
-def _grade(
-    figure: Figure, i: int, kind: str, arm: str, miss: NDArray[np.float32], poses: Array
-) -> tuple[float, Array]:
-    near, away = _nearest(i, miss)
-    if away > _OUTSIDE:
-        pose = best_pose(figure, POINTS[i], arm, kind, poses[near[:_FEW]])
-        assert pose is not None
-        return _told(pose), pose.q
-    return grade(figure, POINTS[i], arm, kind, poses[near])
 
 
 def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> tuple[float, Array]:
@@ -393,7 +393,7 @@ def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], pose
         for i in np.flatnonzero((miss != 0.0) & (miss < 2.0 * _GRID)).tolist():
             if np.abs(places - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
                 continue
-            best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss)[0]])
+            best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss == 0.0)[0]])
             assert best is not None
             if not best.flaw:
                 miss[i], poses[i] = 0.0, best.q

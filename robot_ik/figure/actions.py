@@ -26,7 +26,7 @@ from robot_ik.figure.figure import (
     rotation,
 )
 from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
-from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support
+from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support, touches_itself
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 
 Array = NDArray[np.float64]
@@ -38,9 +38,15 @@ _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
 _GLANCE = 2.5
 # Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
 _UPRIGHT = 0.966
-# A zero-moment point so far inside the soles, m, is let be; else the frames are corrected, so often, and
-# planned again so much slower.
-_INSIDE, _ROUNDS, _SLOWER = 0.005, 3, (1.0, 1.35, 1.8)
+# A zero-moment point so far inside the soles, m, is let be; else the frames are corrected, so often.
+_INSIDE, _ROUNDS = 0.005, 3
+# Frames that lose balance or change a joint's speed by more than this, rad/s a frame, are planned again so
+# much slower; those that touch the body with the elbow so much farther from it, rad; so often.
+_ABRUPT, _SLOWER, _AWAY, _TRIES = 1.8, 1.35, 0.35, 4
+# A hand that the posture leads is drawn to its ball from this share of the way on, so strongly.
+_LATE, _CLOSE = 0.8, 300.0
+# Of these frames one each is looked at.
+_LOOK_EACH = 2
 # A motion that is left decays into the next in this time, s.
 BLEND = 0.4
 
@@ -149,7 +155,7 @@ def rest_slices(
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
     turn = figure.pose(start, figure.trunk)[1]
 
-    def plan(duration: float) -> Slices[tuple[Frames, float]]:
+    def plan(duration: float, aside: float) -> Slices[_Try]:
         t = _times(duration, 0.1, dt)
         s = minimum_jerk(t / duration)
 
@@ -161,11 +167,12 @@ def rest_slices(
             if look is not None:
                 _look(figure, rows, start, seen_from(stance, look), t)
             posture = start + (figure.home - start) * s[:, None]
+            posture += _elbows(figure, s, aside)
             return rows.slices(posture, figure.stiffnesses(STIFF), start, dt=dt)
 
         return _balanced(figure, solve, here + (home - here) * s[:, None], dt)
 
-    frames = yield from _slow_enough(plan, least)
+    frames = yield from _best(plan, least)
     return placed_motion(figure, _standing("rest", frames, home), stance)
 
 
@@ -175,10 +182,37 @@ def _turned(start: Array, end: Array, s: Array) -> Array:
     return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
 
 
+@dataclass(frozen=True, eq=False)
+class _Try:
+    """Frames and what is wrong with them.
+
+    Attributes:
+        frames: Found.
+        inside: How far inside the soles the zero-moment point stays, m.
+        change: Largest change of a joint's speed in a frame, rad/s.
+        touching: Whether the body touches itself on the way.
+    """
+
+    frames: Frames
+    inside: float
+    change: float
+    touching: bool
+
+    @property
+    def unsteady(self) -> bool:
+        """Whether it is too fast."""
+        return self.inside < 0.0 or self.change > _ABRUPT
+
+    @property
+    def order(self) -> tuple[bool, bool, float]:
+        """The larger the better."""
+        return not self.touching, not self.unsteady, self.inside
+
+
 def _balanced(
     figure: Figure, solve: Callable[[Array], Slices[Frames]], point: Array, dt: float
-) -> Slices[tuple[Frames, float]]:
-    """Frames whose zero-moment point follows ``point`` (n, 2), and how far inside the soles it stays, m.
+) -> Slices[_Try]:
+    """Frames whose zero-moment point follows ``point`` (n, 2).
 
     The centre of mass follows it at first, and is corrected by what the whole body's own dynamics say.
     """
@@ -194,20 +228,38 @@ def _balanced(
         error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
         error[:2], error[-2:] = 0.0, 0.0
         center = center + compensate(error, omega2, dt)
-    return frames, inside
+    change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
+    yield
+    return _Try(frames, inside, change, touches_itself(figure, frames.q[::_LOOK_EACH]))
 
 
-def _slow_enough(plan: Callable[[float], Slices[tuple[Frames, float]]], duration: float) -> Slices[Frames]:
-    """The fastest of some plans that keeps its balance; a plan is made for a duration, s."""
-    best: tuple[Frames, float] | None = None
-    for slower in _SLOWER:
-        found = yield from plan(slower * duration)
-        if best is None or found[1] > best[1]:
+def _best(plan: Callable[[float, float], Slices[_Try]], duration: float) -> Slices[Frames]:
+    """The fastest of some plans that keeps its balance and does not touch itself, or the best of all.
+
+    A plan is made for a duration, s, and for how far the elbow is held away from the body, rad.
+    """
+    best: _Try | None = None
+    aside = 0.0
+    for _ in range(_TRIES):
+        found = yield from plan(duration, aside)
+        if best is None or found.order > best.order:
             best = found
-        if best[1] >= 0.0:
+        if not found.unsteady and not found.touching:
             break
+        duration *= _SLOWER if found.unsteady else 1.0
+        aside += _AWAY if found.touching else 0.0
     assert best is not None
-    return best[0]
+    return best.frames
+
+
+def _elbows(figure: Figure, s: Array, aside: float, arm: str | None = None) -> Array:
+    """(n, nq) what is added to a posture so that elbows keep away from the body on the way."""
+    out = np.zeros((len(s), figure.robot.nq))
+    for side in figure.hands if arm is None else (arm,):
+        joint = f"{side}_shoulder_roll"
+        if aside and joint in figure.robot.joints:
+            out[:, figure.place(joint)[0]] = aside * 16 * (s * (1 - s)) ** 2
+    return out
 
 
 def _flat(xy: Array) -> Array:
@@ -263,7 +315,7 @@ def take_slices(
     turns = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
-    def plan(duration: float) -> Slices[tuple[Frames, float]]:
+    def plan(duration: float, aside: float) -> Slices[_Try]:
         t = _times(duration, hold, dt)
         s = minimum_jerk(t / duration)
 
@@ -274,13 +326,17 @@ def take_slices(
             rows.turned(figure.trunk, _turned(*turns, s), 20.0 if upright else 3.0)
             if upright:
                 rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
+            else:  # the last millimetres
+                last = minimum_jerk((t / duration - _LATE) / (1 - _LATE))
+                rows.position(figure.hands[arm], ball, _CLOSE * last)
             _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
-            return rows.slices(start + (goal - start) * s[:, None], stiff, start, dt=dt)
+            posture = start + (goal - start) * s[:, None] + _elbows(figure, s, aside, arm)
+            return rows.slices(posture, stiff, start, dt=dt)
 
         return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
 
     least = max(_duration(length, _REACH_SPEED if upright else _BEND_SPEED), slowest)
-    frames = yield from _slow_enough(plan, least)
+    frames = yield from _best(plan, least)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 
 

@@ -67,43 +67,54 @@ def minimum_jerk(s: ArrayLike) -> Array:
     return np.asarray(s * s * s * (10.0 + s * (6.0 * s - 15.0)))
 
 
-def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
-    """(a, g) heights and (a, g, 3) places of the lowest points of geoms, in their body's frame.
+def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
+    """(k, a, 3) points of a geom, in its body's frame, one of which is its lowest: ends, corners.
+
+    A shape that lies on the floor touches it with all of them.
 
     Args:
         model: The model.
-        geoms: Spheres, capsules, ellipsoids, boxes, cylinders.
+        g: A sphere, capsule, ellipsoid, box or cylinder.
         up: (a, 3) what is up, seen from the body.
 
     Raises:
         ModelError: A geom of another kind (a mesh has no exact lowest point here).
     """
-    places = np.empty((len(up), len(geoms), 3))
+    turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
+    mujoco.mju_quat2Mat(turn, model.geom_quat[g])
+    axes = turn.reshape(3, 3)
+    down = -up @ axes
+    ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])[:, None]
+    if kind == _GEOM.mjGEOM_SPHERE:
+        local = size[0] * down[None]
+    elif kind == _GEOM.mjGEOM_CAPSULE:
+        local = size[0] * down + ends
+    elif kind == _GEOM.mjGEOM_ELLIPSOID:
+        local = (size**2 * down / np.linalg.norm(size * down, axis=1, keepdims=True))[None]
+    elif kind == _GEOM.mjGEOM_BOX:
+        corners = size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+        local = np.broadcast_to(corners[:, None], (8, len(up), 3))
+    elif kind == _GEOM.mjGEOM_CYLINDER:
+        flat = down * [1.0, 1.0, 0.0]
+        local = size[0] * flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) + ends
+    else:
+        raise ModelError(
+            f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
+            hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
+        )
+    return np.asarray(model.geom_pos[g] + local @ axes.T)
+
+
+def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
+    """(a, g) heights and (a, g, 3) places of the lowest points of geoms; as ``shape_points``."""
+    height, place = np.empty((len(up), len(geoms))), np.empty((len(up), len(geoms), 3))
+    rows = np.arange(len(up))
     for index, g in enumerate(geoms):
-        turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
-        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
-        axes = turn.reshape(3, 3)
-        down = -up @ axes
-        if kind == _GEOM.mjGEOM_SPHERE:
-            local = size[0] * down
-        elif kind == _GEOM.mjGEOM_CAPSULE:
-            local = size[0] * down + np.sign(down[:, 2:]) * [0.0, 0.0, size[1]]
-        elif kind == _GEOM.mjGEOM_ELLIPSOID:
-            local = size**2 * down / np.linalg.norm(size * down, axis=1, keepdims=True)
-        elif kind == _GEOM.mjGEOM_BOX:
-            local = np.sign(down) * size
-        elif kind == _GEOM.mjGEOM_CYLINDER:
-            flat = np.linalg.norm(down[:, :2], axis=1, keepdims=True)
-            local = np.column_stack(
-                [size[0] * down[:, :2] / np.maximum(flat, 1e-12), np.sign(down[:, 2]) * size[1]]
-            )
-        else:
-            raise ModelError(
-                f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
-                hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
-            )
-        places[:, index] = model.geom_pos[g] + local @ axes.T
-    return np.einsum("agk,ak->ag", places, up), places
+        points = shape_points(model, g, up)
+        heights = np.einsum("kai,ai->ka", points, up)
+        low = heights.argmin(axis=0)
+        height[:, index], place[:, index] = heights[low, rows], points[low, rows]
+    return height, place
 
 
 @dataclass(frozen=True)

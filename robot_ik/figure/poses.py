@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, Frames, Rows, lowest_points, rotation
+from robot_ik.figure.figure import Figure, Frames, Rows, lowest_points, rotation, shape_points
 
 Array = NDArray[np.float64]
 
@@ -137,14 +137,14 @@ def best_pose(
 ) -> Pose | None:
     """The first admissible pose by short steps from ``starts`` (n, nq), or the nearest; None without starts.
 
-    Starts nearby agree on what is out of reach: a ball that is missed by far is not tried again.  ``quick``:
+    Starts nearby agree on what is out of reach: ``quick``, a ball that is missed by far is not tried again,
     nor is it told by how much.
     """
     best: Pose | None = None
     for k, start in enumerate(starts):
         pose = _polish(figure, arm, kind)(start, ball, _QUICK if quick else _MOST)
         best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
-        if not pose.flaw or pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3):
+        if not pose.flaw or (quick and (pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3))):
             break
     return best
 
@@ -209,7 +209,8 @@ class _Polish:
             rows.turned(figure.feet[side].frame, turn, _STAND)
         rows.position(figure.hands[arm], np.zeros(3), _PULL)
         rows.center(np.zeros(3), 0.0, axes="xy")
-        self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 100.0})
+        self.flat = [foot.toes[0] for foot in figure.feet.values() if foot.toes is not None]
+        self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
         self.feet = [
@@ -223,6 +224,7 @@ class _Polish:
         ready, center_row = self.ready, 2 * len(self.feet) + 1
         ready.target[0, center_row - 1, :3] = ball
         q, damping, gains = np.array(start, dtype=float), _DAMPING, [0.0]
+        q[self.flat] = self.figure.home[self.flat]
         short, off, outside = self._short(q, ball)
         for tried in range(1, _MOST + 1):
             ready.weight[0, center_row] = 0.0 if outside is None else _PULL
@@ -307,7 +309,7 @@ def _attempt(
     if aside:
         goal = figure.posture({f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside}, goal)
     posture = start + (goal - start) * s[:, None]
-    stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
+    stiff = np.minimum(figure.stiffnesses(STIFF), 0.1) + figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
     frames = rows.solve(posture, stiff, start, limits=limits_of(figure, kind), speeds=None, steps=6)
     return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
@@ -325,8 +327,8 @@ def support(figure: Figure) -> tuple[Array, Array, Array]:
         for foot in figure.feet.values():
             for body, geoms in foot.parts:
                 turn = data.xmat[body].reshape(3, 3)
-                _, points = lowest_points(figure.model, list(geoms), turn[2:3])
-                world = data.xpos[body] + points[0] @ turn.T
+                points = np.concatenate([shape_points(figure.model, g, turn[2:3])[:, 0] for g in geoms])
+                world = data.xpos[body] + points @ turn.T
                 found.append(world[world[:, 2] < 0.003, :2])
         corners = hull(np.concatenate(found))
         edge = np.concatenate([corners[1:], corners[:1]]) - corners
@@ -360,6 +362,18 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
             return f"its {names[0]} would run into its {names[1]}"
     low = _lowest(figure, data)
     return f"the {low} would go under the floor" if low else ""
+
+
+def touches_itself(figure: Figure, q: Array) -> bool:
+    """Whether bodies touch in any of some frames (n, nq), by MuJoCo."""
+    model, data = figure.model, figure.data
+    for row in q:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        if data.ncon and (data.contact.dist < 0.0).any():
+            return True
+    return False
 
 
 def _lowest(figure: Figure, data: mujoco.MjData) -> str:
