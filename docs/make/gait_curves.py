@@ -1,6 +1,6 @@
 """Draws the walk's joint curves beside the norm: `python docs/make/gait_curves.py`.
 
-It writes docs/images/figure/gait-curves.png: hip, knee and ankle of the figure's walk (5 m straight on, mean of
+It writes docs/images/figure/gait-curves.png: hip, knee and ankle of the walk (5 m straight on, mean of
 the middle strides of both legs) and of Schwartz, Rozumalski & Trost 2008, each 10 % of the cycle.  Nothing is
 timed, so the same program draws the same picture.  Needs matplotlib (the extra `plots`).
 """

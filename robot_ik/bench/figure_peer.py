@@ -1,8 +1,8 @@
 """Frames of a walk with equal goals by the figure's solver and by mink: misses first, then time.
 
-Both get, frame by frame, the poses of the feet, the centre of mass over the floor, pelvis (rotation and height),
-chest (rotation), gaze and a posture, all read off a solved walk, and begin where their frame before ended.
-mink weighs all rows; it steps until feet and centre of mass miss no more than ``MISS``, as often as need be.
+Both get, frame by frame, the poses of the feet, the centre of mass over the floor, the pelvis (its rotation
+and height), the rotation of the chest, gaze and a posture, all read off a solved walk, and begin where their
+frame before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``MISS``.
 """
 
 from __future__ import annotations

@@ -121,13 +121,22 @@ def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: f
     far = max(float(np.linalg.norm(ball - eyes)), 0.1)
     ahead, to = turn[:, 0], (ball - eyes) / far
     angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
-    s = minimum_jerk(t / max(within, 1.875 * angle / _GLANCE))[:, None]
+    s = minimum_jerk(t / max(within, _glance_time(figure, q, ball)))[:, None]
     # Along the arc: half way between two points that are seen in opposite directions lies the head.
     arc = (
         np.sin((1 - s) * angle) * ahead + np.sin(s * angle) * to if angle > 1e-3 else (1 - s) * ahead + s * to
     )
     arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
     rows.aim(figure.gaze, (eyes + far * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
+
+
+def _glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
+    """How long the eyes take to a ball, s: a motion that ends before would stop the neck."""
+    if figure.gaze is None or ball is None:
+        return 0.0
+    eyes, turn = figure.pose(q, figure.gaze)
+    to = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), 0.1)
+    return 1.875 * float(np.arccos(np.clip(turn[:, 0] @ to, -1.0, 1.0))) / _GLANCE
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
@@ -152,6 +161,8 @@ def rest_slices(
     way = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
     least = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
+    seen = None if look is None else seen_from(stance, look)
+    least = max(least, _glance_time(figure, start, seen))
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
     turn = figure.pose(start, figure.trunk)[1]
 
@@ -164,8 +175,8 @@ def rest_slices(
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
             rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
-            if look is not None:
-                _look(figure, rows, start, seen_from(stance, look), t)
+            if seen is not None:
+                _look(figure, rows, start, seen, t)
             posture = start + (figure.home - start) * s[:, None]
             posture += _elbows(figure, s, aside)
             return rows.slices(posture, figure.stiffnesses(STIFF), start, dt=dt)
@@ -336,6 +347,7 @@ def take_slices(
         return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
 
     least = max(_duration(length, _REACH_SPEED if upright else _BEND_SPEED), slowest)
+    least = max(least, _glance_time(figure, start, ball))
     frames = yield from _best(plan, least)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 

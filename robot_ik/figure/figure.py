@@ -38,8 +38,8 @@ _GEOM = mujoco.mjtGeom
 # Work that is done a little at a time yields between its parts and returns its result.
 _Result = TypeVar("_Result")
 Slices = Generator[None, None, _Result]
-SLICE = 60
-"""Frames solved between two yields: some 3 ms."""
+SLICE, _STEPS = 60, 8
+"""Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
 
 
 def finished(slices: Slices[_Result]) -> _Result:
@@ -475,7 +475,7 @@ class Rows:
     def solve(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
     ) -> Frames:  # fmt: skip
         """The frames.
 
@@ -501,15 +501,16 @@ class Rows:
     def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
     ) -> Slices[Frames]:  # fmt: skip
         """As ``solve``, some frames at a time: the same bits."""
         ready = self.prepare(posture, stiffness, limits=limits, speeds=speeds, dt=dt)
         n, nq = self.frames, self.figure.robot.nq
         found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
         before, here = np.array(start if second is None else second), np.array(start)
-        for a in range(0, n, SLICE):
-            b = min(n, a + SLICE)
+        some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
+        for a in range(0, n, some):
+            b = min(n, a + some)
             ready.solve(found, a, b, here, before, steps, rest, close)
             if b < n:
                 before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()

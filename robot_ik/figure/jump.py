@@ -291,7 +291,7 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     return out
 
 
-def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
+def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
     """(nq,) the arm's angles with the palm at its place beside the centre of mass, the trunk upright."""
     figure, arm = plan.figure, plan.arm
     q = figure.home
@@ -303,6 +303,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
         rows.turned(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
         q = rows.solve(figure.posture(raised), figure.stiffnesses(STIFF), q, speeds=None, steps=20).q[-1]
+        yield
     return q
 
 
@@ -355,7 +356,8 @@ def _frames(
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
     near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
     rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (_PULL * near - 3))
-    posture = _posture(plan, t, deep, palm, pitch, contact)
+    top = yield from _arm_at_apex(plan, palm)
+    posture = _posture(plan, t, deep, top, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
     frames = yield from rows.slices(posture, stiff, start, speeds="jump", dt=dt, steps=20)
@@ -363,7 +365,7 @@ def _frames(
 
 
 def _posture(
-    plan: JumpPlan, t: Array, deep: Array, palm: Array, pitch: Array, contact: NDArray[np.int64]
+    plan: JumpPlan, t: Array, deep: Array, top: Array, pitch: Array, contact: NDArray[np.int64]
 ) -> Array:
     figure = plan.figure
     out = np.tile(figure.home, (len(t), 1))
@@ -372,7 +374,7 @@ def _posture(
     back = minimum_jerk((t - plan.apex) / (plan.ends[3] - plan.apex))  # level again before they touch
     level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
     moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bent.items()}
-    moves |= _arms(plan, t, _arm_at_apex(plan, palm))
+    moves |= _arms(plan, t, top)
     for joint, angle in moves.items():
         if joint in figure.robot.joints:
             out[:, figure.place(joint)[0]] = angle
@@ -417,6 +419,7 @@ def jump_slices(
     error: tuple[Array, Array] | None = None
     for k in range(corrections + 1):
         forward = _forward(plan, error)
+        yield
         frames, contact = yield from _frames(plan, forward, t, start, dt)
         if k == corrections:
             break
