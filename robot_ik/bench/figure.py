@@ -385,7 +385,8 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Figur
         if told.action == "jump":
             motion = jump(figure, figure.home, ball, told.arm, told.speed or 0.0)
         else:
-            motion = (reach if told.action == "reach" else bend)(figure, figure.home, ball, told.arm)
+            end = abilities.pose(told.action, ball, told.arm).q
+            motion = (reach if told.action == "reach" else bend)(figure, figure.home, ball, told.arm, end=end)
         hand = figure.hands[told.arm]
         miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
         speeds = "jump" if told.action == "jump" else "daily"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cached_property
 from typing import Any, TypeVar, cast
@@ -180,7 +180,7 @@ class Figure:
         speeds: (nv,) joint speed limits, rad/s, by name of the set.
         stance: (3,) x, y, heading of the middle between the feet at home.
         apart: Half the distance of the feet at home.
-        workspace: Tables that solves fill in, by name; a copy has its own.
+        workspace: Tables that solves fill in, by name: one thread uses a figure at a time.
     """
 
     robot: Robot
@@ -202,10 +202,6 @@ class Figure:
     def model(self) -> mujoco.MjModel:
         """MuJoCo's model."""
         return self.robot.model
-
-    def copy(self) -> Figure:
-        """The same with work space of its own, for another thread."""
-        return replace(self, data=mujoco.MjData(self.model))
 
     @property
     def mass(self) -> float:

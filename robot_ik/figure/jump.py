@@ -291,6 +291,11 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     return out
 
 
+def _palm(plan: JumpPlan, forward: _Forward) -> Array:
+    """(3,) the ball seen from the centre of mass at the apex."""
+    return plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
+
+
 def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
     """(nq,) the arm's angles with the palm at its place beside the centre of mass, the trunk upright."""
     figure, arm = plan.figure, plan.arm
@@ -302,13 +307,15 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
         rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
         rows.turned(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
-        q = rows.solve(figure.posture(raised), figure.stiffnesses(STIFF), q, speeds=None, steps=20).q[-1]
+        stiff = figure.stiffnesses(STIFF)
+        frames = yield from rows.slices(figure.posture(raised), stiff, q, speeds=None, steps=20)
+        q = frames.q[-1]
         yield
     return q
 
 
 def _frames(
-    plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
+    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, dt: float
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
@@ -351,12 +358,11 @@ def _frames(
         rows.aim(
             figure.gaze, seen + (plan.ball - seen) * minimum_jerk(t / 0.6)[:, None], 6.0, figure.neck or None
         )
-    palm = plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
+    palm = _palm(plan, forward)
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
     near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
     rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (_PULL * near - 3))
-    top = yield from _arm_at_apex(plan, palm)
     posture = _posture(plan, t, deep, top, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
@@ -420,7 +426,9 @@ def jump_slices(
     for k in range(corrections + 1):
         forward = _forward(plan, error)
         yield
-        frames, contact = yield from _frames(plan, forward, t, start, dt)
+        if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
+            top = yield from _arm_at_apex(plan, _palm(plan, forward))
+        frames, contact = yield from _frames(plan, forward, top, t, start, dt)
         if k == corrections:
             break
         points, force = yield from zero_moment_slices(figure, frames.q, dt)

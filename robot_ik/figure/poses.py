@@ -98,13 +98,11 @@ class Pose:
 
     Attributes:
         q: (nq,) at home in its own frame.
-        ball: (3,) the ball.
         miss: Distance of palm and ball, m.
         flaw: Why it is not admissible, in words; empty where it is.
     """
 
     q: Array
-    ball: Array
     miss: float
     flaw: str
 
@@ -282,7 +280,7 @@ def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
     miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-    return Pose(q, ball, miss, flaw_of(figure, q, ball, arm, hard))
+    return Pose(q, miss, flaw_of(figure, q, ball, arm, hard))
 
 
 def _attempt(

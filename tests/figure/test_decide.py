@@ -205,7 +205,6 @@ def test_a_decision_takes_few_steps_at_the_edge_of_reach_too(
     for ball, _ in judged()[1]:
         solved.append(0)
         decider.decide(ball)
-    print(np.mean(solved), max(solved))
     assert np.mean(solved) <= 40 and max(solved) <= 500
 
 
