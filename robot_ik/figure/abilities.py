@@ -377,10 +377,10 @@ def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> t
     if pose.flaw and pose.miss < NEARLY:
         found = find_pose(figure, point, arm, kind)
         pose = pose if found.flaw and found.miss > pose.miss else found
-    return _told(pose), pose.q
+    return _graded(pose), pose.q
 
 
-def _told(pose: Pose) -> float:
+def _graded(pose: Pose) -> float:
     return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
 
 
