@@ -45,8 +45,9 @@ MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
 _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
-# A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
-_SLACK = 0.04
+# A ball that is so much nearer, m, to a point of the map than this share of that point's miss is out of reach:
+# local minima tell a miss too large, far misses more so.
+SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
 _STARTS, _FEW = 8, 3
 # Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
@@ -93,7 +94,7 @@ class Map:
             return True
         points, miss = self._missed
         away = ball - points
-        return bool((miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > _SLACK)
+        return bool((SHARE * miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > SLACK)
 
     def comfortable(self, z: float) -> Array:
         """(n, 2) grid points at that height that are in reach, and their neighbours."""
