@@ -45,7 +45,7 @@ MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
 _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
-# A ball that is so much nearer, m, to a point of the map than this share of that point's miss is out of reach:
+# A ball that is so much nearer, m, to a point of the map than this share of the miss there is out of reach:
 # local minima tell a miss too large, far misses more so.
 SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
