@@ -510,7 +510,9 @@ def tour(
         )
         runs[action] = [f for f in report.frames if f.action in (action, "stand") or action == "nothing"]
         shown = [f for f in report.frames if f.action == action] or report.frames
-        pick = shown[len(shown) // 2] if action in ("walk", "jump") else shown[-1]
+        pick = shown[len(shown) // 2] if action == "walk" else shown[-1]
+        if action == "jump":  # the palm at the ball
+            pick = min(shown, key=lambda frame: _hand_from_ball(figure, frame))
         save(f"decision-{action}", Painter(figure.robot, size=(480, 480)).paint(pick))
     only = lambda name: np.array([f.q for f in runs[name] if f.action == name])  # noqa: E731
     walked = only("walk")
@@ -523,6 +525,11 @@ def tour(
     steps = np.array([f.q for f in turned.frames if f.action == "walk"])
     save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
     return done
+
+
+def _hand_from_ball(figure: Figure, frame: FigureFrame) -> float:
+    hand = figure.hands[frame.decision.arm or "right"]
+    return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
 
 def decision_row(ball: Sequence[float], decision: Decision) -> dict[str, object]:
