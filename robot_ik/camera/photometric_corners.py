@@ -54,19 +54,18 @@ LINEAR, QUADRATIC = 3, 6
 # What is kept of a pixel: undistorted coordinates, their derivative by pixels (symmetric but for the focal
 # lengths), grey value, how many pixels it stands for.
 PIXEL_ROWS = 8
-# What is known beforehand: edge shift, its standard deviation, blur of the sides (px); where to start (blur,
-# shift, halo, terms of the light, noise), how far out of the sides (px); so many pixels are looked at, and of
-# them with an edge fitted; whether the residuals are asked for more unknowns.
-KNOWN_SHIFT, KNOWN_SIGMA, KNOWN_BLUR, START_BLUR, START_SHIFT, START_HALO, START_TERMS, START_NOISE = range(8)
-PUSH, LOOKED_AT, FITTED, ASK = 8, 9, 10, 11
-KNOWN_NUMBERS = 12
-# What was found: whether, blur, shift, its standard deviation, halo; part of the variance that is explained;
-# misread cells; terms of the light, whether there is a halo, noise; and how the last sums were made.
-FOUND, FOUND_BLUR, FOUND_SHIFT, SHIFT_SIGMA, FOUND_HALO, EXPLAINED, MISREAD, TERMS, WITH_HALO, NOISE = range(
-    10
-)
-AT_START, USED, EVERY, PLAIN_BLUR, PLAIN_SHIFT = 10, 11, 12, 13, 14
-ANSWER_NUMBERS = 15
+# What is known beforehand: edge shift, its standard deviation, blur of the sides (px); how far out of the
+# sides to start (px), with what noise and terms of the light; how many pixels are looked at, and fitted;
+# whether the residuals are asked for more unknowns; blur, edge shift, halo and light to start with.
+KNOWN_SHIFT, KNOWN_SIGMA, KNOWN_BLUR, PUSH, START_NOISE, START_TERMS = 0, 1, 2, 3, 4, 5
+LOOKED_AT, FITTED, ASK, START = 6, 7, 8, 9
+KNOWN_NUMBERS = START + 15
+# What was found: whether; blur, shift and its standard deviation, without a halo; part of the variance that
+# is explained; misread cells; noise, terms of the light, whether there is a halo; how sums were made; how
+# much the cells' mean residuals are in units of what noise alone leaves.
+FOUND, PLAIN_BLUR, PLAIN_SHIFT, SHIFT_SIGMA, EXPLAINED, MISREAD = 0, 1, 2, 3, 4, 5
+NOISE, TERMS, WITH_HALO, AT_START, USED, EVERY, TO_DROP, UNEVEN = 6, 7, 8, 9, 10, 11, 12, 13
+ANSWER_NUMBERS = 14
 # Rows of the work space: those of some pixels, so many at a time; equations; system; shares of cells along u
 # and v; shares and tones; unknowns that are held; step; places of the corners; how they follow the unknowns.
 _BLOCK = 64
@@ -81,8 +80,6 @@ _CAUCHY = 4.0
 _FLAT, _SLOPE = 6, 0.06
 # Least share of black or white: beyond, the inverse of the normal distribution says nothing.
 _LEAST_SHARE = 1e-5
-_LEAST_PLACE = 4.2648908
-_LEAST_BELL = math.exp(-0.5 * _LEAST_PLACE**2) / math.sqrt(2.0 * math.pi)
 # Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow.
 _HALO_BLUR = 1.2
 
@@ -96,7 +93,11 @@ _ASKED, _COARSE = 800, 3
 _STEPS, _DONE, _RESTLESS = 14, 0.2, 0.5
 # So is one that moves no corner by more than this, px, and ln blur, edge shift and halo not more than that:
 # the model is straight enough there for the place where it ends.
-_NEAR, _ALIKE = 0.03, 0.05
+_NEAR, _ALIKE = 0.05, 0.05
+# Where noise grows by more than this, the fit is not yet where it should be.
+_GROWN = 1.3
+# Pixels of a fit at least: twice the unknowns.
+_LEAST_PIXELS = 2 * (11 + 2 * 3)
 # Rounds in which noise is still estimated anew: later it would keep the fit from coming to rest.
 _NOISE_ROUNDS = 5
 # A step at most: px at a corner, ln blur, edge shift.
@@ -114,6 +115,9 @@ _SHIFT_ALIKE = 0.08
 _LEAST_SIGMA, _SHIFT_PART = 0.01, 0.05
 # What print, paper and lens leave, as a part of the standard deviation from noise alone.
 _MODEL = 0.25
+# Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt.  In squares of
+# what noise leaves of a cell's mean: usual pictures give 0.4 to 5, hard shadows over the print 7 to 36.
+_UNEVEN = 5.0
 # Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
 _LEAST_NOISE, _ANY_NOISE = 0.3, 1e4
 # Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
@@ -152,11 +156,11 @@ def cell_shares(place, width, count, shares):
         The first of those cells and the one after the last.
     """
     inverse = 1.0 / width
-    at, room = (place + 0.5) * count, _FAR * width * count
+    at, room, pitch = (place + 0.5) * count, _FAR * width * count, inverse / count
     first, last = max(math.floor(at - room), 0), min(math.floor(at + room) + 1, count)
     before, before_bell, before_z = 0.0, 0.0, 0.0
     for i in range(first, last + 1):
-        z = (place + 0.5 - i / count) * inverse
+        z = (at - i) * pitch
         below, bell = (1.0 if z > 0.0 else 0.0), 0.0
         if abs(z) < _FAR:
             below, bell = normal_at(z)
@@ -217,11 +221,11 @@ def normal_quantile(p):
 @outlined
 def toned(share, k, tone):
     """Fills ``tone`` (3,): G_k of a share of white, its derivatives by the share and by k."""
-    if share <= _LEAST_SHARE or share >= 1.0 - _LEAST_SHARE:  # most pixels
-        t, bell = math.copysign(_LEAST_PLACE, share - 0.5), _LEAST_BELL
-    else:
-        t = normal_quantile(share)
-        _, bell = normal_at(t)
+    if share <= _LEAST_SHARE or share >= 1.0 - _LEAST_SHARE:
+        tone[0], tone[1], tone[2] = 1.0 if share > 0.5 else 0.0, 0.0, 0.0
+        return
+    t = normal_quantile(share)
+    _, bell = normal_at(t)
     tone[0], tone[2] = normal_at(t + k)
     tone[1] = tone[2] / bell
 
@@ -267,13 +271,13 @@ def print_equations(pixels, count, black, to_print, x, answer, space, misses):
     """Sums the normal equations of one marker.
 
     Args:
-        pixels: (8, k) of ``take_print``.  Those that tell nothing are left out when NOISE is 0, and only
-            the rows of the light are summed.
+        pixels: (8, k) of ``take_print``.  With TO_DROP those that tell nothing are left out.
         count: How many of them.
         black: (n, n) 1 where the print is black.
         to_print: As in ``take_print``.
         x: (15,) blur in px, edge shift, halo, then dark and contrast, 6 numbers each.
-        answer: Of the model: TERMS, WITH_HALO, NOISE; one pixel in EVERY is used.  USED is written.
+        answer: Of the model: TERMS, WITH_HALO, NOISE (0: light alone); one pixel in EVERY is used.  USED is
+            written.
         space: Work space; its rows ``NORMAL`` take the result: lower triangle, and the right side in the row
             after the unknowns.
         misses: (2, k) out: residuals of the pixels that were used.
@@ -303,7 +307,7 @@ def print_equations(pixels, count, black, to_print, x, answer, space, misses):
         wide, high = math.sqrt(gux * gux + guy * guy), math.sqrt(gvx * gvx + gvy * gvy)
         r = (gux * gvx + guy * gvy) / (wide * high)
         blurred_print(u, v, wide * x[0], high * x[0], r, black, along, down, share)
-        if noise == 0.0:
+        if answer[TO_DROP] > 0.0:
             flat = abs(share[1] * gux + share[2] * gvx) + abs(share[1] * guy + share[2] * gvy) < _SLOPE
             if flat and p % _FLAT:
                 continue
@@ -483,8 +487,12 @@ def settle(pixels, count, black, lens, to_print, x, known, answer, space, misses
     size = math.inf
     for turn in range(_STEPS):
         print_equations(pixels, count, black, to_print, x, answer, space, misses)
-        noise_known = answer[NOISE] < _ANY_NOISE
-        if not noise_known:
+        if answer[TO_DROP] > 0.0:
+            count, answer[TO_DROP] = int(answer[USED]), 0.0
+            if count < _LEAST_PIXELS:
+                return False
+        noise = answer[NOISE]
+        if noise == _ANY_NOISE:
             answer[AT_START] = explained_part(pixels, answer, misses)
         if turn < _NOISE_ROUNDS:
             answer[NOISE] = max(1.4826 * median_size(misses, int(answer[USED])), _LEAST_NOISE)
@@ -494,7 +502,7 @@ def settle(pixels, count, black, lens, to_print, x, known, answer, space, misses
         way = take_step(space, answer, to_print, x)
         if not x[0] + abs(to_print[0, 0]) < math.inf:
             return False
-        if size < _DONE or (way < 1.0 and noise_known):
+        if size < _DONE or (way < 1.0 and noise < _ANY_NOISE and answer[NOISE] < _GROWN * noise):
             if answer[EVERY] == 1.0:
                 return True
             answer[EVERY] = 1.0
@@ -568,21 +576,18 @@ def misread_cells(pixels, n, to_print, contrast, answer, misses, sums):
         if min(column, row) >= 0 and max(column, row) < n:
             sums[0, row * n + column] += misses[0, p]
             sums[1, row * n + column] += 1.0
-    count = 0
+    count, cells, total = 0, 0.0, 0.0
     for i in range(n * n):
         count += 1 if abs(sums[0, i]) > 0.5 * abs(contrast) * sums[1, i] else 0
+        cells += 1.0 if sums[1, i] > 0.0 else 0.0
+        total += sums[0, i] * sums[0, i] / max(sums[1, i], 1.0)
+    answer[UNEVEN] = total / (max(cells, 1.0) * answer[NOISE] * answer[NOISE])
     return count
 
 
 @outlined
 def conclude(pixels, lens, to_print, x, known, answer, space, misses, corners, normalized, covariance):
-    """Takes over a fit that can be believed.
-
-    Args:
-        corners: (4, 2) px in: where the fit started; out, as what follows: where it ended.
-        normalized: (4, 2) the same without the lens.
-        covariance: (8, 8) of the corners, px^2.
-    """
+    """Takes over a fit that can be believed; ``corners`` come in as where it started."""
     places, by_unknown, unknowns = space[PLACES:SLOPES], space[SLOPES:], space[0:HOMOGRAPHY]
     explained = explained_part(pixels, answer, misses)
     if not x[9] > max(_LEAST_CONTRAST, 1.5 * answer[NOISE]) or explained < _EXPLAINED:
@@ -619,7 +624,8 @@ def conclude(pixels, lens, to_print, x, known, answer, space, misses, corners, n
         for i in range(2):
             normalized[k, i], corners[k, i] = places[k, i], places[k, 2 + i]
     answer[FOUND], answer[EXPLAINED] = 1.0, explained
-    answer[FOUND_BLUR], answer[FOUND_SHIFT], answer[FOUND_HALO] = x[0], x[1], x[2]
+    for i in range(15):
+        known[START + i] = x[i]
     if answer[WITH_HALO] == 0.0 or answer[PLAIN_BLUR] == 0.0:  # of edges as they seem to be
         answer[PLAIN_BLUR], answer[PLAIN_SHIFT] = x[0], x[1]
         answer[SHIFT_SIGMA] = math.sqrt(variance * print_system(space, x, known, answer, float(SHIFT)))
@@ -715,7 +721,7 @@ def fit_print(gray, lens, black, known, corners, normalized, covariance, answer)
         gray: (h, w) uint8, C-contiguous.
         lens: ``lens_vector``.
         black: (n, n) 1 where the print is black.
-        known: (KNOWN_NUMBERS,) what is known beforehand.
+        known: (KNOWN_NUMBERS,) what is known beforehand; where the print was found, what is known now.
         corners: (4, 2) px in, roughly; out where the print was found.
         normalized: (4, 2) the same, undistorted.
         covariance: (8, 8) out, px^2, of noise alone.
@@ -732,20 +738,21 @@ def fit_print(gray, lens, black, known, corners, normalized, covariance, answer)
     room = ((box[2] - box[0]) // every + 1) * (box[3] - box[1])
     pixels, misses, sums = np.empty((PIXEL_ROWS, room)), np.empty((2, room)), np.empty((2, n * n))
     count = take_print(gray, lens, box, every, to_print, reach, pixels)
-    x[0], x[1], x[2] = known[START_BLUR], known[START_SHIFT], known[START_HALO]
-    answer[TERMS] = known[START_TERMS]
+    for i in range(15):
+        x[i] = known[START + i]
+    answer[TERMS], answer[TO_DROP] = known[START_TERMS], 1.0
     answer[WITH_HALO], answer[EVERY] = 1.0 if x[2] != 0.0 else 0.0, 1.0
-    # Dark and contrast alone, which are linear; only pixels that tell something are kept.
-    for i in range(LIGHT):
-        space[HELD, i] = 1.0
-    answer[NOISE] = 0.0
-    print_equations(pixels, count, black, to_print, x, answer, space, misses)
-    count = int(answer[USED])
-    if count < 2 * (LIGHT + 2 * LINEAR) or not print_system(space, x, known, answer, -1.0) < math.inf:
-        return
-    take_step(space, answer, to_print, x)
+    if known[START_NOISE] == _ANY_NOISE:
+        # Dark and contrast alone, which are linear.
+        for i in range(LIGHT):
+            space[HELD, i] = 1.0
+        print_equations(pixels, count, black, to_print, x, answer, space, misses)
+        count = int(answer[USED])
+        if count < _LEAST_PIXELS or not print_system(space, x, known, answer, -1.0) < math.inf:
+            return
+        take_step(space, answer, to_print, x)
+        count, answer[TO_DROP] = thin_out(pixels, count, int(known[FITTED])), 0.0
     answer[NOISE] = known[START_NOISE]
-    count = thin_out(pixels, count, int(known[FITTED]))
     for turn in range(2):  # as it is; with what the residuals ask for
         if turn > 0 and not ask_for_more(pixels, count, black, to_print, x, known, answer, space, misses):
             break
@@ -903,29 +910,31 @@ def _fitted(
     """Corners by one print; where that fails those of the sides, with how much the print explains."""
     known, answer = np.zeros(KNOWN_NUMBERS), np.zeros(ANSWER_NUMBERS)
     blur = start.blur if start.refined else _BLUR
-    known[:START_BLUR] = expected.value, expected.sigma, blur
-    known[START_BLUR : PUSH + 1] = blur, expected.value, 0.0, LINEAR, _ANY_NOISE, 0.0
-    if start.refined:
-        known[PUSH] = blur * expected.value
+    known[:PUSH] = expected.value, expected.sigma, blur
+    known[PUSH:LOOKED_AT] = blur * expected.value, _ANY_NOISE, LINEAR
+    known[LOOKED_AT:START] = effort.looked_at, effort.fitted, before is None
+    known[START : START + 2] = blur, expected.value
     if before is not None and before.model is not None:
-        known[START_BLUR:PUSH] = before.model
-        known[PUSH] = before.blur * before.edge_shift if start.refined else 0.0
-    known[LOOKED_AT:] = effort.looked_at, effort.fitted, before is None
+        known[PUSH], known[START_NOISE:LOOKED_AT] = before.blur * before.edge_shift, before.model[:2]
+        known[START:] = before.model[2:]
+    if not start.refined:
+        known[PUSH] = 0.0
     corners, normalized, covariance = start.corners - origin, start.normalized.copy(), np.empty((8, 8))
     answer[EXPLAINED] = math.nan
     fit_print(gray, lens, black, known, corners, normalized, covariance, answer)
     misread = int(answer[MISREAD])
     if not answer[FOUND]:
         return replace(start, explained=float(answer[EXPLAINED]), misread=misread)
+    covariance *= max(1.0, float(answer[UNEVEN]) / _UNEVEN)
     way = corners - corners.mean(axis=0)
     outward = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(8)
     covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
     # With a halo the model's edges are others than those that four sides see.
-    plain = answer[[PLAIN_BLUR, PLAIN_SHIFT, SHIFT_SIGMA]].tolist()
+    plain = answer[PLAIN_BLUR:EXPLAINED].tolist()
     if before is not None and answer[WITH_HALO]:
         plain = [before.blur, before.edge_shift, before.edge_shift_sigma]
     return RefinedCorners(
         corners + origin, normalized, covariance, math.sqrt(covariance.trace() / 8), True,
         *plain, float(answer[EXPLAINED]), misread, True,
-        tuple(answer[[FOUND_BLUR, FOUND_SHIFT, FOUND_HALO, TERMS, NOISE]].tolist()),
+        (*answer[NOISE:WITH_HALO].tolist(), *known[START:].tolist()),
     )  # fmt: skip
