@@ -82,8 +82,6 @@ _FLAT, _SLOPE = 6, 0.06
 _LEAST_SHARE = 1e-5
 # Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow.
 _HALO_BLUR = 1.2
-
-
 # White round the black square that is looked at, in cells.
 _ROUND = 0.45
 # So many pixels say whether the model needs more unknowns; the first steps use one in so many.
@@ -463,14 +461,8 @@ def corner_slopes(lens, to_print, normalized, by_unknown):
         for i in range(2):
             e, f = (lens[FX] * xx, lens[FX] * xy) if i == 0 else (lens[FY] * xy, lens[FY] * yy)
             by_u, by_v, row = scale * (e * d - f * c), scale * (f * a - e * b), by_unknown[2 * k + i]
-            row[0], row[1], row[2], row[3], row[4], row[5] = (
-                by_u,
-                by_u * u,
-                by_u * v,
-                by_v,
-                by_v * u,
-                by_v * v,
-            )
+            row[0], row[1], row[2] = by_u, by_u * u, by_u * v
+            row[3], row[4], row[5] = by_v, by_v * u, by_v * v
             row[6], row[7] = (by_u * u + by_v * v) * u, (by_u * u + by_v * v) * v
     return True
 
@@ -729,7 +721,7 @@ def fit_print(gray, lens, black, known, corners, normalized, covariance, answer)
     """
     n, x = black.shape[0], np.zeros(15)
     to_print, box = np.empty((3, 3)), np.empty(4, np.int64)
-    space = np.zeros((SLOPES + 8, max(_BLOCK, n)))
+    space = np.zeros((SPACE_ROWS, max(_BLOCK, n)))
     back, reach = space[0:3], 0.5 + _ROUND / n
     print_from(lens, normalized, known[PUSH], back, to_print)
     every = box_of(gray, lens, back, reach, known[LOOKED_AT], box)
