@@ -8,8 +8,11 @@ STAMP4 := .venv-opencv4/.installed
 DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
-# A sourced ROS set-up puts its own packages and pytest plugins in front of ours.
-unexport PYTHONPATH PYTHONHOME
+# A sourced ROS set-up puts its own packages and pytest plugins in front of ours; without bytecode on disk
+# each of the hundreds of programs that the tests start would read all sources anew.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
+# The matrices here are small: OpenBLAS's threads would only wait for each other.
+export OPENBLAS_NUM_THREADS := 1
 
 # An editable install remembers where it was made: a moved checkout, or another PYTHON, is installed anew.
 ifneq ($(shell cat $(STAMP) 2>/dev/null),$(CURDIR))

@@ -1,4 +1,4 @@
-"""From words to a dataclass of options: tyro reads them, help is folded, slips are told in one sentence."""
+"""From words to a dataclass of options: tyro reads, help is folded, a mistake becomes one sentence."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
     gathered = gather(kind, words)
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
-        raise _Slip(kind, prog, gathered, said).error()
+        raise _Mistake(kind, prog, gathered, said).error()
     return options
 
 
@@ -106,7 +106,7 @@ def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
         if is_dataclass(hint):
             yield from _endless_options(hint, f"{flag}.")
         elif any(
-            (getattr(told, "metavar", "") or "").endswith("…") for told in getattr(hint, "__metadata__", ())
+            (getattr(note, "metavar", "") or "").endswith("…") for note in getattr(hint, "__metadata__", ())
         ):
             yield flag
 
@@ -210,10 +210,10 @@ def _fold_prose(paragraph: str, width: int) -> str:
     return "\n".join(folded)
 
 
-# ------------------------------------------------------------------------------------- slips
+# ------------------------------------------------------------------------------------- mistakes
 
 
-class _Slip:
+class _Mistake:
     """What tyro says about wrong words, said again in one sentence.
 
     Its text is for people and differs between versions: what is not recognized is passed on as it is.
@@ -232,8 +232,8 @@ class _Slip:
 
     def error(self) -> ConfigError:
         """The first of the sentences that fits."""
-        for tell in (self._unknown, self._missing, self._no_value, self._no_choice, self._unreadable):
-            if (found := tell()) is not None:
+        for report in (self._unknown, self._missing, self._no_value, self._no_choice, self._unreadable):
+            if (found := report()) is not None:
                 return found
         return wrong("", self._said, hint=self._hint)
 
@@ -264,11 +264,11 @@ class _Slip:
         rows = list(
             itertools.takewhile(lambda row: not row.startswith(("─", "--------")), self._rows[at + 1 :])
         )
-        told = [
+        missing = [
             f"{name} ({what.replace(' (required)', '')})"
             for name, what in zip(rows[::2], rows[1::2], strict=False)
         ]
-        return wrong("", f"missing: {', '.join(told)}", hint=self._hint)
+        return wrong("", f"missing: {', '.join(missing)}", hint=self._hint)
 
     def _no_value(self) -> ConfigError | None:
         if not (found := re.search(r"Missing value for argument '([^']*)'", self._all)):

@@ -30,7 +30,7 @@ _NEEDED = "(needed for a real camera)"
 
 @dataclass(frozen=True)
 class CameraVerifyOptions:
-    """Moves a board carried by the tool through poses, and tells how far it is from where the joints say.
+    """Moves a board carried by the tool through poses, and says how far it is from where the joints say.
 
     The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
     the arm. With no options everything is simulated. With --fit, joint zeros that are off are estimated; they
@@ -237,9 +237,9 @@ def _offsets(items: tuple[str, ...]) -> dict[str, float]:
 
 
 def print_plan(report: VerifyReport) -> None:
-    """The joint angles of all stops."""
+    """The joint angles of all stations."""
     rows = console.table("pose", *report.robot.joints, title="planned, degrees")
-    for number, q in enumerate(report.stops, 1):
+    for number, q in enumerate(report.stations, 1):
         rows.add_row(str(number), *(f"{math.degrees(v):.1f}" for v in q))
     console.out().print(rows)
 
@@ -256,7 +256,7 @@ def print_report(report: VerifyReport, allowed_mm: float) -> None:
         )
     if report.fit is not None:
         screen.print(_offset_table(report))
-        for one in report.fit.mixtures:
+        for one in report.fit.unobservable:
             screen.print(f"{one.words}: {one.joint} is held", soft_wrap=True)
         title = "with these zeros: each pose by the fit to all others"
         screen.print(_regions(title, report.judged(corrected=True)))
@@ -324,7 +324,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
         "robot": report.samples.robot,
         "joints": report.robot.joints,
         "frame": report.frame,
-        "stops": [q.tolist() for q in report.stops],
+        "stations": [q.tolist() for q in report.stations],
         "unseen": list(report.unseen),
     }
     if verdict is None:
@@ -340,7 +340,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
             "offsets_rad": fit.offsets,
             "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
             "true_rad": report.true_offsets,
-            "held": [{"joint": one.joint, "why": one.words} for one in fit.mixtures],
+            "held": [{"joint": one.joint, "why": one.words} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,
             "residual_px": fit.residual_px,

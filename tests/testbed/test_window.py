@@ -195,26 +195,26 @@ def test_a_display_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None
         WindowSink(load_robot("puma560"))
 
 
-# Shows a stage as `reach --view` does, and ends when its window is closed.
-STAGE = """
+# Shows a scene as `reach --view` does, and ends when its window is closed.
+SCENE = """
 import sys, threading
 import numpy as np
-from robot_ik.jobs.reach import stage_solids
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.reach import scene_solids
+from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import load_robot
 from robot_ik.testbed.frontends.window import WindowSink
 
 robot = load_robot(sys.argv[1])
-stage = stage_for(robot)
-marker = stage.pose_world_marker
-see = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
-with WindowSink(robot, solids=stage_solids(stage), see=see, eye=stage.pose_world_camera.position) as window:
+scene = scene_for(robot)
+marker = scene.pose_world_marker
+see = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
+with WindowSink(robot, solids=scene_solids(scene), see=see, eye=scene.pose_world_camera.position) as window:
     scene = window._viewer.user_scn
-    assert scene.ngeom > 8, "floor, table, paper, square, cells"
-    window.show_goal(marker.compose(stage.pose_marker_tool))
-    assert scene.ngeom == window._fixed + 3
+    assert user.ngeom > 8, "floor, table, paper, square, cells"
+    window.show_goal(marker.compose(scene.pose_marker_tool))
+    assert user.ngeom == window._fixed + 3
     window.clear_goals()
-    assert scene.ngeom == window._fixed
+    assert user.ngeom == window._fixed
     # everything within the cone of view, seen from where the camera stands
     camera, model = window._viewer.cam, window._model
     azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
@@ -231,7 +231,7 @@ print("closed", flush=True)
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda"])
-def test_the_stage_is_there_and_the_window_stays_until_it_is_closed(name: str, screen: Screen) -> None:
+def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, screen: Screen) -> None:
     environment = {
         **os.environ,
         "DISPLAY": screen.display,
@@ -240,7 +240,7 @@ def test_the_stage_is_there_and_the_window_stays_until_it_is_closed(name: str, s
     }
     environment.pop("MUJOCO_GL", None)
     done = subprocess.run(
-        [sys.executable, "-c", STAGE, name],
+        [sys.executable, "-c", SCENE, name],
         env=environment, text=True, capture_output=True, timeout=3 * PATIENCE, check=False,
     )  # fmt: skip
     assert done.returncode == 0 and done.stdout == "closed\n", done.stderr
