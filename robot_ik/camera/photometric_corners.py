@@ -922,11 +922,11 @@ def _fitted(
     outward = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(8)
     covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
     # With a halo the model's edges are others than those that four sides see.
-    plain = answer[PLAIN_BLUR:EXPLAINED].tolist()
+    seen = answer[PLAIN_BLUR:EXPLAINED].tolist()
     if before is not None and answer[WITH_HALO]:
-        plain = [before.blur, before.edge_shift, before.edge_shift_sigma]
+        seen = [before.blur, before.edge_shift, before.edge_shift_sigma]
     return RefinedCorners(
         corners + origin, normalized, covariance, math.sqrt(covariance.trace() / 8), True,
-        *plain, float(answer[EXPLAINED]), misread, True,
-        (*answer[NOISE:WITH_HALO].tolist(), *known[START:].tolist()),
+        blur=seen[0], edge_shift=seen[1], edge_shift_sigma=seen[2], explained=float(answer[EXPLAINED]),
+        misread=misread, by_print=True, model=(*answer[NOISE:WITH_HALO].tolist(), *known[START:].tolist()),
     )  # fmt: skip

@@ -96,7 +96,7 @@ def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
             fine = cv2.cornerSubPix(gray, corners.reshape(-1, 1, 2), (11, 11), (-1, -1), _STOP)
             pixels.append(np.asarray(fine, dtype=np.float32).reshape(-1, 2))
             points.append(view.points_board.astype(np.float32))
-    return float(cv2.calibrateCamera(points, pixels, boards[0][0].shape[::-1], None, None)[0])  # type: ignore[call-overload]
+    return float(cv2.calibrateCamera(points, pixels, boards[0][0].shape[::-1], None, None)[0])
 
 
 def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Figure]:
@@ -108,9 +108,10 @@ def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Figure]:
             lenses[lens.size] = lens
     off: list[float] = []
     for picture in pictures:
-        lens = lenses.get(picture.shape[::-1])
-        if lens is None:
+        size = (picture.shape[1], picture.shape[0])
+        if size not in lenses:
             continue
+        lens = lenses[size]
         for board in CHARUCOS:
             tracker = MarkerTracker(lens, board.dictionary, board.marker)
             seen = {one.id: one.corners for one in tracker.observe(frame_of(picture))}
