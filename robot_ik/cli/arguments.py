@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import math
 import os
 import re
 import shutil
@@ -34,6 +35,24 @@ _KINDS = {"FLOAT": "a number", "INT": "a whole number", "STR": "a word"}
 def wrong(key: str, problem: str, allowed: str = "", hint: str = "") -> ConfigError:
     """A wrong option: its name, what is the matter, what would be right, what to try."""
     return ConfigError(problem, file="command line", key=key, allowed=allowed, hint=hint)
+
+
+def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) -> dict[str, float]:
+    """Joint -> degrees of ``JOINT=DEGREES`` words, up to ``largest`` to either side.
+
+    Raises:
+        ConfigError: Another form, or no such number.
+    """
+    found = {}
+    for item in items:
+        joint, _, degrees = item.partition("=")
+        try:
+            found[joint] = float(degrees)
+        except ValueError:
+            found[joint] = math.nan
+        if not (math.isfinite(found[joint]) and abs(found[joint]) <= largest):
+            raise wrong(option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
+    return found
 
 
 def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:

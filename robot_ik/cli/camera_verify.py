@@ -13,7 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import pose_option, wrong
+from robot_ik.cli.arguments import joint_degrees, pose_option, wrong
 from robot_ik.cli.arm_camera import arm_camera_values, measured, numbers_of_seen
 from robot_ik.cli.connection import bus_argument
 from robot_ik.environment import import_mujoco
@@ -205,7 +205,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         fit=options.fit,
-        zero_offset_deg=_offsets(options.rehearse_zero_offset),
+        zero_offset_deg=joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset),
     )
 
 
@@ -217,19 +217,6 @@ def _check(options: CameraVerifyOptions) -> None:
         raise wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
     if options.yes and not (options.fit and options.arm):
         raise wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
-
-
-def _offsets(items: tuple[str, ...]) -> dict[str, float]:
-    found = {}
-    for item in items:
-        joint, _, degrees = item.partition("=")
-        try:
-            found[joint] = float(degrees)
-        except ValueError:
-            found[joint] = math.nan
-        if not math.isfinite(found[joint]):
-            raise wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
-    return found
 
 
 # ------------------------------------------------------------------------------------------

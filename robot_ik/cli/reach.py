@@ -11,7 +11,7 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import joint_degrees, wrong
 from robot_ik.cli.connection import bus_argument, robot_meant
 from robot_ik.cli.solve import make_goal
 from robot_ik.environment import import_mujoco
@@ -244,22 +244,13 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
 def _rehearsal(options: RehearseOptions) -> Rehearsal:
     from robot_ik.jobs.reach import Rehearsal
 
-    offsets = {}
-    for item in options.zero_offset:
-        joint, _, degrees = item.partition("=")
-        try:
-            offsets[joint] = float(degrees)
-        except ValueError:
-            offsets[joint] = math.nan
-        if not math.isfinite(offsets[joint]):
-            raise wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     place = options.marker_at
     if place and len(place) not in (3, 4):
         allowed = "3 or 4: x y z in metres, yaw in degrees"
         raise wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
     marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
     return Rehearsal(
-        zero_offset_deg=offsets,
+        zero_offset_deg=joint_degrees("--rehearse.zero-offset", options.zero_offset),
         stuck=options.stuck,
         cover_gripper=options.cover_gripper,
         blank_marker=options.blank_marker,

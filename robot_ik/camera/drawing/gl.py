@@ -174,7 +174,6 @@ class GlArtist:
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """See ``Artist``."""
         faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()

@@ -184,7 +184,6 @@ class PainterArtist:
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """See ``Artist``."""
         faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()
@@ -225,7 +224,6 @@ class RayArtist:
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """See ``Artist``."""
         faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()

@@ -127,7 +127,6 @@ class Standing:
     robot: Robot
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``DrawnMotion``."""
         return self.robot.home
 
 
@@ -138,7 +137,6 @@ class Waving:
     robot: Robot
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``DrawnMotion``."""
         robot = self.robot
         if robot.nq != robot.nv:
             return robot.home
@@ -161,7 +159,6 @@ class Replay:
     notice: str = ""
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``DrawnMotion``."""
         length = self.trajectory.duration
         return self.trajectory.at(float(self.trajectory.times[0]) + (time % length if length > 0 else 0.0))
 
@@ -175,7 +172,6 @@ class Following:
         self._q = np.array(robot.home)
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``DrawnMotion``."""
         if seen is None or seen.marker is None:
             return self._q
         marker = seen.marker.pose
@@ -196,7 +192,6 @@ class Mirroring:
     source: JointSource
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``DrawnMotion``."""
         return self.source.read().q
 
 

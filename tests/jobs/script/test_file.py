@@ -21,12 +21,11 @@ from robot_ik.jobs.script import (
     load_script,
     parse_script,
     shipped,
-    steps,
 )
 from robot_ik.jobs.script.file import ScriptFile
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState
-from robot_ik.jobs.script.steps import STEPS, ScriptStep
+from robot_ik.jobs.script.steps import STEPS, ScriptStep, base
 
 HEAD = 'schema = 1\nname = "trial"\n'
 
@@ -158,7 +157,7 @@ def test_every_kind_of_step_is_known_everywhere() -> None:
 
 
 def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(steps, "STEPS", dict(STEPS))
+    monkeypatch.setattr(base, "STEPS", dict(STEPS))
 
     class CountStep(ScriptStep):
         words = ("number",)

@@ -25,7 +25,6 @@ class WaitStep(Action):
     seconds: Annotated[float, Field(ge=0.0, le=LONGEST)]
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``ScriptStep``."""
         if now.movable:
             now.repeat(self.seconds)
         else:
@@ -38,7 +37,6 @@ class HoldStep(Action):
     do: Literal["hold"]
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``ScriptStep``."""
         now.arm.hold()
         now.stand()
 
@@ -72,12 +70,10 @@ class InjectStep(ScriptStep):
         return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
 
     def check(self, context: Context) -> None:
-        """See ``ScriptStep``."""
         super().check(context)
         self.fault.require_servo(context.config)
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``ScriptStep``."""
         now.servos.inject(self.fault)
 
 
@@ -91,7 +87,6 @@ class ClearStep(ScriptStep):
     kind: str | None = None
 
     def run(self, now: RunState, result: StepResult) -> None:
-        """See ``ScriptStep``."""
         result.numbers["cleared"] = now.servos.clear(self.kind)
 
 

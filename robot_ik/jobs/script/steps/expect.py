@@ -98,7 +98,6 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
         return self
 
     def check(self, context: Context) -> None:
-        """See ``ScriptStep``."""
         super().check(context)
         robot = context.robot
         if self.shafts and not context.simulated:

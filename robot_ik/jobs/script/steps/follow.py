@@ -63,7 +63,6 @@ class FollowStep(Framed, Action):
 
     @property
     def looks(self) -> bool:
-        """See ``ScriptStep``."""
         return self.path == "marker"
 
     def run(self, now: RunState, result: StepResult) -> None:

@@ -145,7 +145,6 @@ class PositionStep(Framed, Move):
     position: Place
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
-        """See ``Move``."""
         goal = PositionGoal(self.frame or now.robot.tool, self.position)
         return self.to_goal(now, start, goal, goal)
 
@@ -160,7 +159,6 @@ class PoseStep(Framed, Move):
     wxyz: Wxyz
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
-        """See ``Move``."""
         goal = PoseGoal(self.frame or now.robot.tool, self.position, self.wxyz)
         return self.to_goal(now, start, goal, goal)
 
@@ -172,7 +170,6 @@ class MarkerStep(Move):
 
     @property
     def looks(self) -> bool:
-        """See ``ScriptStep``."""
         return True
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
@@ -209,7 +206,6 @@ class LineStep(Framed, Move):
         return self
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
-        """See ``Move``."""
         begin = now.robot.forward(start, self.frame)
         position = (
             begin.position + np.asarray(self.by) if self.position is None else np.asarray(self.position)
@@ -235,7 +231,6 @@ class JointsStep(JointValues, Move):
         return self
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
-        """See ``Move``."""
         return self.to_joints(now, start, self.placed(now.robot, start))
 
 
@@ -248,12 +243,10 @@ class KeyframeStep(Move):
     keyframe: Word = "home"
 
     def check(self, context: Context) -> None:
-        """See ``ScriptStep``."""
         super().check(context)
         require_keyframe(context.robot, self.keyframe)
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
-        """See ``Move``."""
         return self.to_joints(now, start, keyframes(now.robot)[self.keyframe])
 
 
@@ -281,7 +274,6 @@ class GripStep(GripperWidth, Move):
         return self
 
     def check(self, context: Context) -> None:
-        """See ``ScriptStep``."""
         super().check(context)
         self.check_gripper(context)
 
