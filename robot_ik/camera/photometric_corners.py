@@ -115,7 +115,7 @@ _LEAST_SIGMA, _SHIFT_PART = 0.01, 0.05
 _MODEL = 0.25
 # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt.  In squares of
 # what noise leaves of a cell's mean: usual pictures give 0.4 to 5, hard shadows over the print 7 to 36.
-_UNEVEN = 5.0
+_UNEVEN = 4.0
 # Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
 _LEAST_NOISE, _ANY_NOISE = 0.3, 1e4
 # Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
