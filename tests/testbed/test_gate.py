@@ -19,8 +19,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from robot_ik.testbed.commands import Start
-from tests.testbed.conftest import Bed, serve
+from tests.testbed.conftest import Bed
 
 pytest.importorskip("viser", reason="needs the extra web")
 
@@ -141,9 +140,15 @@ def browser(bed: Bed, port: int) -> Iterator[Browser]:
 )
 def test_only_pages_of_this_server_connect(port: int, headers: dict[str, str | None], wanted: int) -> None:
     given = {name: value and value.replace("PORT", str(port)) for name, value in headers.items()}
-    browser = Browser(port, **given)
-    assert browser.ask()[0] == wanted
+    assert asked(port, **given)[0] == wanted
+
+
+def asked(port: int, **headers: str | None) -> tuple[int, dict[str, str], bytes]:
+    """The answer to a connection."""
+    browser = Browser(port, **headers)
+    answer = browser.ask()
     browser.close()
+    return answer
 
 
 def page_of(port: int, path: str = "/", **headers: str | None) -> tuple[int, dict[str, str], bytes]:
@@ -168,23 +173,21 @@ def test_the_page_is_not_given_to_other_names_or_for_other_servers(port: int) ->
     assert page_of(port, "/?a=1&websocket=ws%3A%2F%2Fevil.example")[0] == 400
 
 
-def test_with_a_token_nothing_is_given_without_it() -> None:
-    for bed in serve(Start(), token=True):
-        port, token = int(bed.page.server.get_port()), bed.page.gate.token
-        assert token in bed.page.url
-        assert page_of(port)[0] == 403
-        assert page_of(port, "/?token=wrong")[0] == 403
-        browser = Browser(port)
-        assert browser.ask()[0] == 403
-        status, headers, _ = page_of(port, f"/?token={token}")
-        assert status == 303 and headers["Location"] == "/"
-        cookie = headers["Set-Cookie"]
-        assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and f"robot_ik_{port}=" in cookie
-        cookie = cookie.split(";")[0]
-        assert page_of(port, Cookie=f"other=1; {cookie}")[0] == 200
-        assert page_of(port, Cookie=cookie + "x")[0] == 403
-        assert Browser(port, Cookie=cookie).ask()[0] == 101
-        assert Browser(port, Cookie=cookie, Origin="http://evil.example").ask()[0] == 403
+def test_with_a_token_nothing_is_given_without_it(guarded: Any) -> None:
+    port, token = int(guarded.server.get_port()), guarded.gate.token
+    assert token in guarded.url
+    assert page_of(port)[0] == 403
+    assert page_of(port, "/?token=wrong")[0] == 403
+    assert asked(port)[0] == 403
+    status, headers, _ = page_of(port, f"/?token={token}")
+    assert status == 303 and headers["Location"] == "/"
+    cookie = headers["Set-Cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and f"robot_ik_{port}=" in cookie
+    cookie = cookie.split(";")[0]
+    assert page_of(port, Cookie=f"other=1; {cookie}")[0] == 200
+    assert page_of(port, Cookie=cookie + "x")[0] == 403
+    assert asked(port, Cookie=cookie)[0] == 101
+    assert asked(port, Cookie=cookie, Origin="http://evil.example")[0] == 403
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "robot.local"])

@@ -581,7 +581,9 @@ class MeasuredPanel:
             top = 1.1 * max(1e-6, *(float(row.max()) for row in rows))
             if not 0.5 * plot.scales["y"]["range"][1] <= top <= plot.scales["y"]["range"][1]:
                 plot.scales = {"x": {"time": False}, "y": {"range": (0.0, 1.3 * top)}}
-        plot.data = (times, *rows)
+        data = (times, *rows)
+        if not (len(plot.data) == len(data) and all(map(np.array_equal, plot.data, data))):
+            plot.data = data  # viser compares single arrays only: a page at rest would send this for ever
 
 
 def joint_bars(view: View, robot: Robot) -> str:

@@ -16,6 +16,7 @@ import viser
 from mjviser import conversions
 from numpy.typing import NDArray
 
+from robot_ik.camera.drawing.meshes import geom_rgba, triangulate
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.session import View
@@ -31,6 +32,10 @@ from robot_ik.testbed.staging import (
 
 Floats = NDArray[np.float32]
 
+_ROUND = {
+    int(kind)
+    for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+}
 SEGMENTS = 58
 """Pieces of a trail."""
 GHOSTS = 8
@@ -49,7 +54,26 @@ def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
     for body in range(model.nbody):
         geoms = bodies_shown(model, body)
         for part in conversions.group_geoms_by_visual_compat(model, geoms) if geoms else ():
-            yield body, conversions.merge_geoms(model, part)
+            plain = conversions.get_geom_texture_id(model, part[0]) < 0
+            round_ones = [g for g in part if plain and int(model.geom_type[g]) in _ROUND]
+            others = [g for g in part if g not in round_ones]
+            meshes = [conversions.merge_geoms(model, others)] if others else []
+            yield body, trimesh.util.concatenate(meshes + [_round_mesh(model, g) for g in round_ones])
+
+
+def _round_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    """A sphere, capsule or ellipsoid in its body's frame.
+
+    Not by mjviser, which takes 4000 faces for a capsule: a browser asks each whether the mouse is over it.
+    """
+    shape = triangulate(model, geom)
+    assert shape is not None
+    quads, rotation = shape.faces, np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    faces = np.vstack([quads[:, :3], quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
+    places = shape.vertices @ rotation.reshape(3, 3).T + model.geom_pos[geom]
+    colour = (255.0 * np.clip(geom_rgba(model)[geom], 0.0, 1.0)).astype(np.uint8)
+    return trimesh.Trimesh(places, faces, vertex_colors=np.tile(colour, (len(places), 1)), process=False)
 
 
 class Ghosts:
