@@ -154,5 +154,12 @@ def test_the_viewer_is_chosen_and_said(capsys: pytest.CaptureFixture[str]) -> No
 def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "--count", "3", "--no-open"]) == 2
     assert main(["view", "--robot", "puma561", "--no-open"]) == 2
+    for wrong, said in (
+        ("--method newton", "newton"), ("--method dls lm ccd sdls bfgs", "methods"), ("--seed -5", "seed"),
+        ("--seconds -1", "--seconds"), ("--port 99999", "99999"), ("--host 192.0.2.1", "192.0.2.1"),
+    ):  # fmt: skip
+        words = f"view --robot tabletop_puma --viewer browser --no-open --no-camera {wrong}"
+        assert main(words.split()) == 2
+        assert said in capsys.readouterr().err
     assert main(["view", "--bus", "sim", "--robot", "panda", "--no-open"]) == 2
     assert "arm file" in capsys.readouterr().err

@@ -66,6 +66,7 @@ STYLE = """<style>.rk{font:13px/1.45 system-ui,sans-serif;padding:0 .75em .5em}
 .rk .bar b{position:absolute;top:-3px;width:4px;height:12px;border-radius:2px;margin-left:-2px}
 .rk .w{width:55%}.rk .no{color:#dc2626;white-space:normal;text-align:left}
 .rk kbd{font:600 11px system-ui;border:1px solid rgba(128,128,128,.5);border-radius:4px;padding:0 5px}
+[role="tab"]{padding-inline:8px!important}
 @media(max-width:600px){[style*="max-height: 60%"]{width:100%!important;max-height:45%!important}
 [style*="max-height: 60%"] [style*="width: 20em"]{width:100%!important}}</style>"""
 
