@@ -44,7 +44,7 @@ CHROMIUM = (
 """Arguments of a Chromium that draws without a GPU and asks nobody outside."""
 DRAWN = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;
-    return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 3000;
+    return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 2300;
 }"""
 """JavaScript: whether viser's page shows the robot."""
 _PORT = 8660

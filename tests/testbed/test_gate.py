@@ -17,8 +17,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
+from robot_ik.errors import CameraError
+from robot_ik.jobs.testbed import arm_link
+from robot_ik.testbed.commands import Start
+from robot_ik.testbed.session import Session, run
 from tests.testbed.conftest import Bed
 
 pytest.importorskip("viser", reason="needs the extra web")
@@ -268,6 +273,55 @@ def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> N
     bed.until(lambda view: view.dragged, "the part was not dragged")
     browser.close()
     bed.until(lambda view: not view.dragged, "a lost browser still drags")
+
+
+def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) -> None:
+    from robot_ik.testbed.frontends.browser import Page
+
+    seen = [CameraError("the cable <is> out"), None, (np.zeros((8, 8, 3), np.uint8), "a picture")]
+    texts = ["the cable &lt;is&gt; out", "no scene", "a picture"]
+
+    def read() -> Any:
+        if isinstance(seen[0], Exception):
+            raise seen[0]
+        return seen[0]
+
+    with Page(bed.session, port=8612, shadows=False, camera=read) as page:
+        page._camera.switch(True)
+        for text in texts:
+            end = time.monotonic() + 20.0
+            while text not in page._camera._text.content:
+                assert time.monotonic() < end, page._camera._text.content
+                time.sleep(0.02)
+            seen.pop(0)
+            seen += [None] * (not seen)
+        page._camera.switch(False)
+        assert "switch them on" in page._camera._text.content
+
+
+def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
+    """By a real serial line; the page that drove is a browser whose connection breaks."""
+    from robot_ik.testbed.frontends.browser import Page
+
+    link, stop = arm_link("tabletop_puma", None, "pty"), threading.Event()
+    with Session(Start("tabletop_puma"), arm=link) as session, Page(session, port=8613, shadows=False) as page:
+        bed = Bed(session, page)
+        loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})
+        loop.start()
+        try:
+            bed.until(lambda view: not view.busy and view.tick > 0)
+            browser = Browser(int(page.server.get_port())).look()
+            buttons = uuid_of(bed, "Arm")
+            for lose in (browser.close, page.gate.hand_over):
+                if lose is not browser.close:
+                    browser = Browser(int(page.server.get_port())).look()
+                browser.send(update(buttons, value="Follow"))
+                bed.until(lambda view: view.arm and view.arm.state == "enabled", "it does not follow")
+                lose()
+                bed.until(lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"))
+        finally:
+            stop.set()
+            loop.join()
 
 
 def test_the_share_tunnel_is_gone(bed: Bed, browser: Browser) -> None:

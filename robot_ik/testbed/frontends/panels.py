@@ -469,7 +469,14 @@ class ArmPanel:
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
-        if event.client is not None and shown is not None:
+        if event.client is None:
+            return
+        if shown is None:
+            event.client.add_notification(
+                "Nothing is recorded yet", "Press Teach, guide the arm, press Hold; then save.",
+                auto_close_seconds=4.0,
+            )  # fmt: skip
+        else:
             event.client.send_file_download("recording.csv", shown.csv_text().encode())
 
     def show(self, view: View) -> None:

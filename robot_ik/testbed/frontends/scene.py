@@ -16,7 +16,7 @@ import viser
 from mjviser import conversions
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing.meshes import geom_rgba, triangulate
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.session import View
@@ -32,10 +32,6 @@ from robot_ik.testbed.staging import (
 
 Floats = NDArray[np.float32]
 
-_ROUND = {
-    int(kind)
-    for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-}
 SEGMENTS = 58
 """Pieces of a trail."""
 GHOSTS = 8
@@ -50,30 +46,45 @@ _GIZMO = 0.22  # of the extent, times 1.5
 
 
 def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
-    """(body, mesh) with what MuJoCo shows by default; geoms of a body that may be merged are."""
+    """(body, mesh) with what MuJoCo shows by default; a body is one mesh, but for what has a texture."""
+    whole = cached_mesh(model)
     for body in range(model.nbody):
         geoms = bodies_shown(model, body)
-        for part in conversions.group_geoms_by_visual_compat(model, geoms) if geoms else ():
-            plain = conversions.get_geom_texture_id(model, part[0]) < 0
-            round_ones = [g for g in part if plain and int(model.geom_type[g]) in _ROUND]
-            others = [g for g in part if g not in round_ones]
-            meshes = [conversions.merge_geoms(model, others)] if others else []
-            yield body, trimesh.util.concatenate(meshes + [_round_mesh(model, g) for g in round_ones])
+        plain = [
+            g
+            for g in geoms
+            if conversions.get_geom_texture_id(model, g) < 0
+            and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_HFIELD
+        ]
+        others = [g for g in geoms if g not in plain]
+        for part in conversions.group_geoms_by_visual_compat(model, others) if others else ():
+            yield body, conversions.merge_geoms(model, part)
+        if plain:
+            yield body, _smooth_mesh(model, whole, plain)
 
 
-def _round_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
-    """A sphere, capsule or ellipsoid in its body's frame.
+def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> trimesh.Trimesh:
+    """Geoms in their body's frame: round where they are round, with sharp edges where they have edges.
 
-    Not by mjviser, which takes 4000 faces for a capsule: a browser asks each whether the mouse is over it.
+    Not by mjviser, whose capsules have 4000 faces: a browser asks each whether the mouse is over it.
     """
-    shape = triangulate(model, geom)
-    assert shape is not None
-    quads, rotation = shape.faces, np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    faces = np.vstack([quads[:, :3], quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
-    places = shape.vertices @ rotation.reshape(3, 3).T + model.geom_pos[geom]
-    colour = (255.0 * np.clip(geom_rgba(model)[geom], 0.0, 1.0)).astype(np.uint8)
-    return trimesh.Trimesh(places, faces, vertex_colors=np.tile(colour, (len(places), 1)), process=False)
+    found = np.isin(whole.face_geom_id, geoms)
+    quads, owner = whole.faces[found], whole.face_geom_id[found]
+    turned = np.zeros((model.ngeom, 9))
+    for g in geoms:
+        mujoco.mju_quat2Mat(turned[g], model.geom_quat[g])
+    rotation = turned.reshape(-1, 3, 3)[owner]
+    corners = np.einsum("fij,fkj->fki", rotation, whole.vertices[quads]) + model.geom_pos[owner][:, None]
+    normals = np.einsum("fij,fkj->fki", rotation, whole.corner_normals[found])
+    colours = np.repeat((255.0 * np.clip(geom_rgba(model)[owner], 0.0, 1.0))[:, None], 4, axis=1)
+    rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
+    _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
+    index = number.reshape(-1, 4)
+    faces = np.vstack([index[:, :3], index[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
+    kept = rows[first]
+    return trimesh.Trimesh(
+        kept[:, :3], faces, vertex_normals=kept[:, 3:6], vertex_colors=kept[:, 6:].astype(np.uint8), process=False
+    )
 
 
 class Ghosts:
