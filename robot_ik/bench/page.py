@@ -143,8 +143,13 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
     yield PageRow("the whole page, solved at 60 Hz, drawn at 30", 100.0 * alone, "% of a core", 25.0)
     yield PageRow("a second browser", 100.0 * (two - alone), "% of a core", 5.0)
     yield PageRow("on the wire to one browser", sent / 1000.0, "kB/s", 300.0)
-    yield PageRow("from a goal message to the packet with the moved arm: p90", float(np.percentile(delays, 90)),
-                  "ms", 60.0, f"median {np.median(delays):.0f} ms")  # fmt: skip
+    yield PageRow(
+        "from a goal message to the packet with the moved arm: p90",
+        float(np.percentile(delays, 90)),
+        "ms",
+        60.0,
+        f"median {np.median(delays):.0f} ms",
+    )
 
 
 def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
@@ -223,15 +228,17 @@ def _drag(client: PageClient) -> list[float]:
 
 
 class PageClient:
-    """As much of a browser as the page's server can see: it says where its camera is, and takes everything."""
+    """As much of a browser as the page's server can see: says where its camera is, takes everything."""
 
     def __init__(self, url: str) -> None:
         where = urlsplit(url)
         assert where.hostname is not None and where.port is not None
+        opened = socket.create_connection((where.hostname, where.port), 20.0)
+        opened.settimeout(None)
         self._socket = connect(
-            f"ws://{where.netloc}/", sock=socket.create_connection((where.hostname, where.port), 20.0),
+            f"ws://{where.netloc}/", sock=opened,
             origin=f"http://{where.netloc}", subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[arg-type, list-item]
-            compression=None, max_size=None, max_queue=None,
+            compression=None, max_size=None, max_queue=None, ping_interval=None,
         )  # fmt: skip
         self._unpack, self._live = zstandard.ZstdDecompressor(), False
         self._send({
@@ -261,7 +268,9 @@ class PageClient:
         size = int.from_bytes(data[8:16], "little")
         moved = False
         for message in msgspec.msgpack.decode(self._unpack.decompress(data[16 : 16 + size]))["messages"]:
-            if message["type"] == "ReplayDoneMessage":  # what came before is how the page was when it was opened
+            if (
+                message["type"] == "ReplayDoneMessage"
+            ):  # what came before is how the page was when it was opened
                 self._live = True
             elif message["type"] == "SceneNodeUpdateMessage" and "batched_positions" in message["updates"]:
                 moved |= self._live and re.fullmatch(r"/robot/\d+_\d+", message["name"]) is not None
@@ -321,7 +330,17 @@ def find_chromium() -> str | None:
 def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, float]:
     """Seconds to address, to the robot in the browser (NaN without one), to the first answer."""
     window = None if browser is None else browser.new_page(viewport={"width": 1440, "height": 900})
-    words = [sys.executable, "-m", "robot_ik", "view", "--no-open", "--viewer", "browser", "--port", str(_PORT)]
+    words = [
+        sys.executable,
+        "-m",
+        "robot_ik",
+        "view",
+        "--no-open",
+        "--viewer",
+        "browser",
+        "--port",
+        str(_PORT),
+    ]
     begin, drawn = time.perf_counter(), float("nan")
     child = subprocess.Popen(
         words, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -344,7 +363,7 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
     finally:
         child.send_signal(signal.SIGINT)
         child.communicate(timeout=60.0)
-    return address, drawn, answers[0]
+    return address, drawn, answers[0] if answers else float("inf")
 
 
 def _first_answer(url: str) -> float:

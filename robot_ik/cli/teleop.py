@@ -132,14 +132,14 @@ def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, op
     pairs = zip(keys.jog.joints, JOINT_KEYS, strict=False)
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
-    console.say(
-        f"Tab: {_other(keys.jog)}; - finer, + coarser; space: stop and hold; Esc ends", "dim"
-    )
+    console.say(f"Tab: {_other(keys.jog)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
     stack.enter_context(_left_and_said(follower))
     return _lead(keys, follower, options, lambda: keys.over)
 
 
-def _led_by_gamepad(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
+def _led_by_gamepad(
+    stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions
+) -> int:
     from robot_ik.jobs.gamepad import Gamepad, PadDevice
 
     device = stack.enter_context(PadDevice())

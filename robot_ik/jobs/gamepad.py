@@ -57,7 +57,7 @@ def _live(pushed: Array) -> Array:
 
 
 class Gamepad:
-    """An ``Operator``: sticks, triggers and shoulders jog the hand along and about the world's axes, or joints.
+    """An ``Operator``: sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
 
     B stops and holds, Y changes between joints and hand, up and down move the gripper, Start ends.
 
@@ -156,7 +156,8 @@ class PadDevice:
         if not self._find():
             self.close()
             raise HardwareError(
-                "no gamepad is connected", hint="plug one in and press a button, or lead by keys: --leader keys"
+                "no gamepad is connected",
+                hint="plug one in and press a button, or lead by keys: --leader keys",
             )
 
     @property
@@ -185,7 +186,18 @@ class PadDevice:
         def axis(name: str) -> float:
             return max(-1.0, float(pad.get_axis(getattr(pygame, f"CONTROLLER_AXIS_{name}"))) / _FULL)
 
-        buttons = ("A", "B", "X", "Y", "BACK", "START", "LEFTSHOULDER", "RIGHTSHOULDER", "DPAD_UP", "DPAD_DOWN")
+        buttons = (
+            "A",
+            "B",
+            "X",
+            "Y",
+            "BACK",
+            "START",
+            "LEFTSHOULDER",
+            "RIGHTSHOULDER",
+            "DPAD_UP",
+            "DPAD_DOWN",
+        )
         down = {one for one in buttons if pad.get_button(getattr(pygame, f"CONTROLLER_BUTTON_{one}"))}
         names = {one.lower().removeprefix("dpad_").replace("shoulder", "_shoulder") for one in down}
         return PadState(

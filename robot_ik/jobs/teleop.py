@@ -144,8 +144,8 @@ class Hand:
 
         Args:
             pose: Where to.
-            exactly: There, or not at all: steps that add up must neither drift nor turn the hand at the end of
-                its reach.
+            exactly: There, or not at all: steps that add up must neither drift, nor turn the hand at the end
+                of its reach.
         """
         whole = self._robot.nv >= _WHOLE
         goals: list[Goal] = [PoseGoal.at(None, pose)]

@@ -196,9 +196,7 @@ class Session:
         self.robot: Robot
         self.instances: list[Instance]
         self._stand(load_robot(self.name), self.start.count)
-        self._preparer = _Preparer(
-            setup, self.robot, self._queue.put if beside else self._adopt
-        )
+        self._preparer = _Preparer(setup, self.robot, self._queue.put if beside else self._adopt)
         if beside:
             self._preparer.begin()
         self._preparer.ask(None)

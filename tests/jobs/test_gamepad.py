@@ -11,10 +11,10 @@ import pytest
 
 from robot_ik.cli.main import main
 from robot_ik.errors import HardwareError
+from robot_ik.geometry import Pose
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
-from robot_ik.geometry import Pose
 from robot_ik.jobs.teleop import Jog, TeleopTick, open_pair, teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot import load_robot
@@ -57,7 +57,9 @@ def test_a_hand_at_the_end_of_its_reach_stops_there_as_it_is_and_comes_back_with
         jog.move_hand(np.array((0.002, 0.0, 0.0)), np.zeros(3))
         there += hand().distance(before)[0] > 1e-3
     assert 20 < there < 80, "it was to come to the end of its reach on the way"
-    assert hand().distance(first)[1] < 0.01 and hand().position[2] == pytest.approx(first.position[2], abs=1e-3)
+    assert hand().distance(first)[1] < 0.01 and hand().position[2] == pytest.approx(
+        first.position[2], abs=1e-3
+    )
     for _ in range(there):
         jog.move_hand(np.array((-0.002, 0.0, 0.0)), np.zeros(3))
     assert hand().distance(first)[0] < 5e-4
@@ -70,7 +72,9 @@ def test_in_joints_the_same_six_move_one_each_within_its_limits() -> None:
 
 
 def test_a_button_changes_between_hand_and_joints_and_another_moves_the_gripper() -> None:
-    states = iter([PadState(pressed=frozenset({"y"}))] * 2 + [PadState((0.0, 1.0), pressed=frozenset({"up"}))] * 20)
+    states = iter(
+        [PadState(pressed=frozenset({"y"}))] * 2 + [PadState((0.0, 1.0), pressed=frozenset({"up"}))] * 20
+    )
     begin, q, angles, config = led(lambda: next(states, PadState()))
     assert q[0] > begin[0] + 0.05 and q[1:] == pytest.approx(begin[1:], abs=0.005)
     gripper = config.auxiliary[0]

@@ -249,7 +249,7 @@ def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -
 def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = "teleop --follower tabletop_puma --follower-bus sim --on-exit torque_off".split()
+    words = ["teleop", "--follower", "tabletop_puma", "--follower-bus", "sim", "--on-exit", "torque_off"]
     monkeypatch.setattr(sys, "stdin", None)  # as a shell's <&- leaves it
     assert main(words) == 2
     assert "standard input is closed" in capsys.readouterr().err

@@ -21,12 +21,11 @@ from robot_ik.testbed.commands import (
     SetOption,
     SetRobot,
     SetRunning,
-    Start,
 )
 from tests.testbed.conftest import PATIENCE, Bed
 
 pytest.importorskip("viser", reason="needs the extra web")
-from robot_ik.bench.page import CHROMIUM, DRAWN  # noqa: E402 (needs viser)
+from robot_ik.bench.page import CHROMIUM, DRAWN
 
 HARMLESS = (
     "THREE.Clock: This module has been deprecated",

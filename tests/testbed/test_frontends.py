@@ -31,6 +31,7 @@ SCRIPT = CommandLog(
     ticks=40,
 )
 
+
 def drawn(make: Callable[[Session], Any]) -> str:
     """Digest of the script's last view, each view drawn by a front end."""
     front: Any = None

@@ -304,7 +304,10 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
     from robot_ik.testbed.frontends.browser import Page
 
     link, stop = arm_link("tabletop_puma", None, "pty"), threading.Event()
-    with Session(Start("tabletop_puma"), arm=link) as session, Page(session, port=8613, shadows=False) as page:
+    with (
+        Session(Start("tabletop_puma"), arm=link) as session,
+        Page(session, port=8613, shadows=False) as page,
+    ):
         bed = Bed(session, page)
         loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})
         loop.start()

@@ -9,9 +9,9 @@ from robot_ik.robot import load_robot
 from robot_ik.testbed.staging import bodies_shown
 
 pytest.importorskip("viser", reason="needs the extra web")
-from mjviser import conversions  # noqa: E402 (of the extra)
+from mjviser import conversions
 
-from robot_ik.testbed.frontends.scene import body_meshes  # noqa: E402 (needs viser)
+from robot_ik.testbed.frontends.scene import body_meshes
 
 
 @pytest.mark.parametrize(("name", "most"), [("humanoid", 60_000), ("panda", 20_000)])

@@ -83,7 +83,11 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> t
     faces = np.vstack([index[:, :3], index[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
     kept = rows[first]
     return trimesh.Trimesh(
-        kept[:, :3], faces, vertex_normals=kept[:, 3:6], vertex_colors=kept[:, 6:].astype(np.uint8), process=False
+        kept[:, :3],
+        faces,
+        vertex_normals=kept[:, 3:6],
+        vertex_colors=kept[:, 6:].astype(np.uint8),
+        process=False,
     )
 
 
