@@ -6,6 +6,7 @@ A browser costs more than the page; only the rows of the start have one.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import re
@@ -18,7 +19,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Self
@@ -28,6 +28,7 @@ import msgspec
 import numpy as np
 import viser
 import zstandard
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from robot_ik.testbed.commands import Start
@@ -138,18 +139,16 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
             stop.set()
             loop.join()
     alone = 0.5 * (one + again)
-    yield PageRow("draw, four arms, one client: median", float(np.median(times)), "ms", 2.0)
-    yield PageRow("draw, four arms, one client: p99", float(np.percentile(times, 99)), "ms", 4.0)
-    yield PageRow("the whole page, solved at 60 Hz, drawn at 30", 100.0 * alone, "% of a core", 25.0)
-    yield PageRow("a second browser", 100.0 * (two - alone), "% of a core", 5.0)
-    yield PageRow("on the wire to one browser", sent / 1000.0, "kB/s", 300.0)
-    yield PageRow(
-        "from a goal message to the packet with the moved arm: p90",
-        float(np.percentile(delays, 90)),
-        "ms",
-        60.0,
-        f"median {np.median(delays):.0f} ms",
+    rows = (
+        ("draw, four arms, one client: median", np.median(times), "ms", 2.0),
+        ("draw, four arms, one client: p99", np.percentile(times, 99), "ms", 4.0),
+        ("the whole page, solved at 60 Hz, drawn at 30", 100.0 * alone, "% of a core", 25.0),
+        ("a second browser", 100.0 * (two - alone), "% of a core", 5.0),
+        ("on the wire to one browser", sent / 1000.0, "kB/s", 300.0),
+        ("from a goal message to the packet with the moved arm: p90", np.percentile(delays, 90), "ms", 60.0),
     )
+    for what, value, unit, most in rows:
+        yield PageRow(what, float(value), unit, most)
 
 
 def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
@@ -304,7 +303,7 @@ def _starts(say: Callable[[str], None]) -> Iterator[PageRow]:
         yield PageRow(what, value, "s", most, note)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _browser() -> Iterator[tuple[Any, str]]:
     """A running Chromium, or None and why not."""
     path = find_chromium()
@@ -367,8 +366,8 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
 
 
 def _first_answer(url: str) -> float:
-    """When a robot moves for the first time."""
-    with PageClient(url) as client:
+    """When a robot moves for the first time; infinite if it never does."""
+    with PageClient(url) as client, contextlib.suppress(ConnectionClosed):
         end = time.perf_counter() + _PATIENCE
         while time.perf_counter() < end:
             if client.receive(1.0)[1]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -13,13 +14,17 @@ from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import MissingExtraError
 
+if TYPE_CHECKING:
+    from robot_ik.bench.page import PageRow
+
 
 @dataclass(frozen=True)
 class BenchPageOptions:
     """Measures the testbed's page: its loop, its drawing, its start, and how soon a drag is answered.
 
     Needs a quiet machine: the rows are times by the clock and processor time of the page alone. The start is
-    that of `robot-ik view` with Chromium already open; cold: with an empty cache of kernels.
+    that of `robot-ik view` with Chromium already open; cold: with an empty cache of kernels. Ctrl-C keeps
+    what is done.
 
     Exit code 0 where every figure was measured and is as wanted, else 1.
     """
@@ -39,16 +44,24 @@ def run(options: BenchPageOptions) -> int:
         raise MissingExtraError("viser", "web", "the page in the browser")
     from robot_ik.bench.page import measure_page
 
-    with console.progress() as bar:
-        task = bar.add_task("measuring", total=None, note="")
-        rows = list(measure_page(options.seconds, lambda text: bar.update(task, note=text)))
+    rows: list[PageRow] = []
+    try:
+        with console.progress() as bar:
+            task = bar.add_task("measuring", total=None, note="")
+            for row in measure_page(options.seconds, lambda text: bar.update(task, note=text)):
+                rows.append(row)
+    finally:
+        _print(rows, options)
+    return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
+
+
+def _print(rows: list[PageRow], options: BenchPageOptions) -> None:
     if options.json:
         console.print_json({"schema": 1, "rows": [asdict(row) | {"passed": row.passed} for row in rows]})
-    else:
-        shown = console.table("what", "measured", "wanted", "", "")
-        for row in rows:
-            value = "–" if math.isnan(row.value) else f"{row.value:.3g} {row.unit}"
-            mark = Text("yes", style="green") if row.passed else Text("NO", style="bold red")
-            shown.add_row(row.what, value, f"≤ {row.most:g}", mark, Text(row.note, style="dim"))
-        console.out().print(shown)
-    return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
+        return
+    shown = console.table("what", "measured", "wanted", "", "")
+    for row in rows:
+        value = "–" if math.isnan(row.value) else f"{row.value:.3g} {row.unit}"
+        mark = Text("yes", style="green") if row.passed else Text("NO", style="bold red")
+        shown.add_row(row.what, value, f"≤ {row.most:g}", mark, Text(row.note, style="dim"))
+    console.out().print(shown)

@@ -406,7 +406,7 @@ class _CameraThread:
             if not self._shown.is_set():
                 continue
             image, text = self._look()
-            if self._shown.is_set():
+            if self._shown.is_set() and not self._over.is_set():
                 self._text.content = page(text)
                 if image is not None:
                     self._image.image = image
