@@ -31,11 +31,11 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from robot_ik.testbed.commands import Start
+from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session, View, run
 
-COUNT = 4
+COUNT: Count = 4
 """Arms side by side in every row but those of the start."""
 CHROMIUM = (
     "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",

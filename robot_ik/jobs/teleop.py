@@ -370,9 +370,9 @@ class Keys:
                     self.jog.move_joint(number, step if key == pair[0] else -step)
         elif key in HAND_KEYS:
             axis, sign = HAND_KEYS[key]
-            step = np.zeros(6)
-            step[axis] = sign * self._size * (_STEP if axis < 3 else _TURN)
-            self.jog.move_hand(step[:3], step[3:])
+            way = np.zeros(6)
+            way[axis] = sign * self._size * (_STEP if axis < 3 else _TURN)
+            self.jog.move_hand(way[:3], way[3:])
 
 
 class Blend:
