@@ -42,6 +42,7 @@ class Shot:
     tab: str = ""
     commands: tuple[Command, ...] = ()
     until: Callable[[View], object] = lambda view: view.instances[0].statistics.count > 120
+    text: str = ""
     bus: str = ""
     camera: bool = False
 
@@ -57,8 +58,7 @@ SHOTS = (
         until=lambda view: view.figure and view.figure.decision == "reach" and view.instances[0].miss < 0.1,
     ),
     Shot(
-        "camera", Start("tabletop_puma"), tab="Camera", camera=True,
-        until=lambda view: view.instances[0].statistics.count > 300,
+        "camera", Start("tabletop_puma"), tab="Camera", camera=True, text="marker seen",
     ),
     Shot(
         "arm", Start("tabletop_puma"), tab="Arm", bus="sim",
@@ -117,6 +117,8 @@ def take(browser: Any, shot: Shot) -> None:
         if shot.tab:
             window.get_by_role("tab", name=shot.tab, exact=True).click(force=True)
         wait(lambda: not session.busy and shot.until(page._view))
+        if shot.text:
+            window.get_by_text(shot.text).first.wait_for()
         window.wait_for_timeout(2500)  # tables are renewed once a second
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
