@@ -17,7 +17,7 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import joint_offset
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.scene import scene_for
 
 
 def main(offset_deg: float = 0.0) -> None:
@@ -27,13 +27,13 @@ def main(offset_deg: float = 0.0) -> None:
     servos.inject(joint_offset(config.joint("joint2"), offset_deg))
     arm = open_arm(config, "sim", virtual_bus=servos)
 
-    stage = stage_for(robot)  # where table, marker and camera stand: [reach] of robot.toml
-    camera = SyntheticSource(stage.scene(robot), lambda: servos.true_angles(config), clock=arm.clock)
-    lens, paper = stage.intrinsics, stage.dictionary
-    table = MarkerTracker(lens, paper, {stage.marker_id: stage.marker_size})
-    cube = MarkerTracker(lens, paper, {id: side for id, (side, _) in stage.cube.items()})
-    eye = stage.pose_world_camera
-    goals = MarkerGoalSource(camera, table, eye, stage.marker_id, stage.pose_marker_tool, robot.tool)
+    scene = scene_for(robot)  # where table, marker and camera stand: [reach] of robot.toml
+    camera = SyntheticSource(scene.synthetic(robot), lambda: servos.true_angles(config), clock=arm.clock)
+    lens, paper = scene.intrinsics, scene.dictionary
+    table = MarkerTracker(lens, paper, {scene.marker_id: scene.marker_size})
+    cube = MarkerTracker(lens, paper, {id: side for id, (side, _) in scene.cube.items()})
+    eye = scene.pose_world_camera
+    goals = MarkerGoalSource(camera, table, eye, scene.marker_id, scene.pose_marker_tool, robot.tool)
 
     with camera, arm:
         goal = goals.poll(arm.clock.now())
@@ -44,12 +44,12 @@ def main(offset_deg: float = 0.0) -> None:
         start = arm.read().q
         move = rik.joint_move(robot, start, rik.solve(robot, goal, start=start).require().q)
         rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
-        q, seen = arm.read().q, cube.observe_body(camera.read(), stage.cube)
+        q, seen = arm.read().q, cube.observe_body(camera.read(), scene.cube)
 
     print(f"servos say: {1e3 * robot.measure(q).distance(goal.target)[0]:.2f} mm from the goal")
     if seen is None:
         sys.exit("the gripper's markers are not in view")
-    pose_cube_gripper = robot.forward(q, stage.cube_frame).inverse() @ robot.forward(q)
+    pose_cube_gripper = robot.forward(q, scene.cube_frame).inverse() @ robot.forward(q)
     gripper = eye @ seen.pose_camera_body @ pose_cube_gripper
     miss = gripper.distance(goal.target)[0]
     print(f"camera says: {1e3 * miss:.2f} mm from the goal: {'REACHED' if miss < 0.005 else 'NOT REACHED'}")

@@ -17,34 +17,34 @@ from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.scene import scene_for
 
 
 def main(late: bool = False) -> None:
     robot = rik.load_robot("puma560")
     arm = open_arm(ArmConfig.load(robot.arm_file), "sim")
-    stage = stage_for(robot)
+    scene = scene_for(robot)
 
     def marker(now: float) -> rik.Pose:
         angle = 2.0 * (now - begin)
-        return stage.pose_world_marker @ rik.Pose((0.04 * np.sin(angle), 0.04 - 0.04 * np.cos(angle), 0.0))
+        return scene.pose_world_marker @ rik.Pose((0.04 * np.sin(angle), 0.04 - 0.04 * np.cos(angle), 0.0))
 
     off = []
 
     def compare(tick) -> None:
-        here = (marker(arm.clock.now()) @ stage.pose_marker_tool).position
+        here = (marker(arm.clock.now()) @ scene.pose_marker_tool).position
         tool = robot.forward(tick.measured).position
         off.append([np.linalg.norm(here - p) for p in (tick.goal.target.position, tool)])
 
     with arm:
         arm.enable()
         begin = arm.clock.now()
-        scene = stage.scene(robot).with_marker(stage.marker_id, pose=marker)
-        camera = SyntheticSource(scene, lambda: arm.read().q, clock=arm.clock, quality="fast")
-        tracker = MarkerTracker(stage.intrinsics, stage.dictionary, {stage.marker_id: stage.marker_size})
-        eye, hover = stage.pose_world_camera, stage.pose_marker_tool
+        synthetic = scene.synthetic(robot).with_marker(scene.marker_id, pose=marker)
+        camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock, quality="fast")
+        tracker = MarkerTracker(scene.intrinsics, scene.dictionary, {scene.marker_id: scene.marker_size})
+        eye, hover = scene.pose_world_camera, scene.pose_marker_tool
         options = {"predict": not late, "clock": arm.clock}
-        goals = MarkerGoalSource(camera, tracker, eye, stage.marker_id, hover, robot.tool, **options)
+        goals = MarkerGoalSource(camera, tracker, eye, scene.marker_id, hover, robot.tool, **options)
         with LatestGoals(goals, arm.clock, rate_hz=10.0) as latest:
             rik.follow(latest, robot, "lm", [arm], source=arm, duration=3.0, on_tick=compare)
 

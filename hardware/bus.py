@@ -36,7 +36,7 @@ ERROR_REASONS: dict[int, str] = {
 """ERR byte, bits 0-6: a number, not a mask (Protocol 2.0 manual, "Status packet")."""
 
 
-class Status(NamedTuple):
+class BusStatus(NamedTuple):
     """What one servo answered to one request.
 
     Attributes:
@@ -119,15 +119,15 @@ class ServoBus(Protocol):
         """Servo id -> model number of everyone who answers; may take a second on a real wire."""
         ...
 
-    def read(self, id: int, register: Register) -> Status:
+    def read(self, id: int, register: Register) -> BusStatus:
         """One register of one servo; ``data`` is never ``None`` in what is returned."""
         ...
 
-    def write(self, id: int, register: Register, value: int) -> Status:
+    def write(self, id: int, register: Register, value: int) -> BusStatus:
         """One register of one servo.  To ``BROADCAST_ID`` nobody answers."""
         ...
 
-    def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, Status]:
+    def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
         """The same register of many servos in one cycle; a row for every id asked."""
         ...
 
@@ -135,7 +135,7 @@ class ServoBus(Protocol):
         """The same register of many servos in one packet (servo id -> value); nobody answers."""
         ...
 
-    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, Status]:
+    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, BusStatus]:
         """A register of its own from every servo, in one cycle; a row for every id asked."""
         ...
 
@@ -148,7 +148,7 @@ class ServoBus(Protocol):
         writes: Mapping[int, tuple[Register, int]],
         reads: Mapping[int, Register],
         within: float | None = None,
-    ) -> dict[int, Status]:
+    ) -> dict[int, BusStatus]:
         """A control cycle: ``bulk_write``, then ``bulk_read``, nobody asked again after ``within`` s.
 
         Late answers are told from good ones; for that some bytes behind each register are read at times.

@@ -74,7 +74,7 @@ class FoundServo:
 
 
 class ScanBus(DynamixelBus):
-    """A driver that also tells what it could not understand."""
+    """A driver that also reports what it could not understand."""
 
     def collect_pings(self, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
         """A ping to everybody.
@@ -91,7 +91,7 @@ class ScanBus(DynamixelBus):
         return self._ping(BROADCAST_ID, listen)
 
     def ping_once(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
-        """A ping to one id; late answers of others are told under theirs.  Otherwise as ``collect_pings``."""
+        """A ping to one id; late answers of others come under theirs.  Otherwise as ``collect_pings``."""
         return self._ping(id, listen)
 
     def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
@@ -124,7 +124,7 @@ def scan(
         port: Of the adapter.
         bauds: Rates to try, bits/s.
         make_bus: Makes the driver: (port, baud, retries).
-        progress: Told (what is going on, share done).
+        progress: Called with (what is going on, share done).
 
     Returns:
         Servos by rate, then by id.

@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoRefusedError
-from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, GARBLED, Counters, Status
+from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, GARBLED, BusStatus, Counters
 from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.packets import (
     FAST_FRAME,
@@ -124,7 +124,7 @@ class _Wanted(NamedTuple):
 
     registers: Mapping[int, Register]
     asked: Mapping[int, Register]
-    found: dict[int, Status]
+    found: dict[int, BusStatus]
 
 
 def _question(registers: Mapping[int, Register]) -> str:
@@ -188,7 +188,7 @@ class GroupTraffic:
         within: float | None = None,
         *,
         guarded: bool = False,
-    ) -> dict[int, Status]:
+    ) -> dict[int, BusStatus]:
         """One register of each servo, after ``writes`` have left.
 
         Args:
@@ -206,7 +206,7 @@ class GroupTraffic:
             BusDisconnectedError, BusNotOpenError.
         """
         before = write_request(writes) if writes else b""
-        found: dict[int, Status] = {}
+        found: dict[int, BusStatus] = {}
         # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
@@ -245,7 +245,7 @@ class GroupTraffic:
         self._counters.timeouts += len(missing)
         if missing or self._silent:
             self._silent = self._silent.difference(registers).union(missing)
-            found.update((id, Status(id, None)) for id in missing)
+            found.update((id, BusStatus(id, None)) for id in missing)
         return {id: found[id] for id in registers}  # they may have answered in another order
 
     def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _Plan:
@@ -307,7 +307,7 @@ class GroupTraffic:
         if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:
             return False
         for (id, register), value in zip(registers.items(), values, strict=True):
-            found[id] = Status(id, int.from_bytes(value, "little", signed=register.signed))
+            found[id] = BusStatus(id, int.from_bytes(value, "little", signed=register.signed))
         self._wire.last_good.update(dict.fromkeys(registers, self._wire.now()))
         self._counters.answered += len(values)
         return True
@@ -334,7 +334,7 @@ class GroupTraffic:
             self._counters.answered += value is not None
             self._counters.refused += value is None
             self._counters.alerts += alert
-            found[id] = Status(id, value, code, alert)
+            found[id] = BusStatus(id, value, code, alert)
             last_good[id] = now
             waiting.discard(id)
         return strange
@@ -444,7 +444,7 @@ class DynamixelBus:
         self.counters.corrupt += parser.damaged
         return dict(sorted(found.items()))
 
-    def read(self, id: int, register: Register) -> Status:
+    def read(self, id: int, register: Register) -> BusStatus:
         """One register of one servo.
 
         Raises:
@@ -456,9 +456,9 @@ class DynamixelBus:
             register.size,
             lambda port: self._packet.readTx(port, id, register.address, register.size),
         )
-        return Status(id, register.decode(answer.data), 0, answer.alert)
+        return BusStatus(id, register.decode(answer.data), 0, answer.alert)
 
-    def write(self, id: int, register: Register, value: int) -> Status:
+    def write(self, id: int, register: Register, value: int) -> BusStatus:
         """One register of one servo; to ``BROADCAST_ID`` nobody answers.
 
         Raises:
@@ -473,9 +473,9 @@ class DynamixelBus:
         if id == BROADCAST_ID:
             with self._wire.transaction(None) as port:
                 send(port)
-            return Status(id, None)
+            return BusStatus(id, None)
         answer = self._ask(id, register.name, 0, send)
-        return Status(id, None, 0, answer.alert)
+        return BusStatus(id, None, 0, answer.alert)
 
     def reboot(self, id: int) -> None:
         """Restarts one servo; it is deaf for some tenths of a second after.
@@ -505,7 +505,7 @@ class DynamixelBus:
         """
         self._group.write(values)
 
-    def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, Status]:
+    def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
         """The same register of many servos in one cycle.
 
         Servos that do not answer are asked again, but only within a time and not if they were silent in the
@@ -519,7 +519,7 @@ class DynamixelBus:
         """
         return self._group.read(dict.fromkeys(ids, register))
 
-    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, Status]:
+    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, BusStatus]:
         """A register of its own from every servo in one cycle; otherwise as ``sync_read``."""
         return self._group.read(registers)
 
@@ -528,7 +528,7 @@ class DynamixelBus:
         writes: Mapping[int, tuple[Register, int]],
         reads: Mapping[int, Register],
         within: float | None = None,
-    ) -> dict[int, Status]:
+    ) -> dict[int, BusStatus]:
         """A control cycle: goals and the question for measurements leave in one piece.
 
         Args:

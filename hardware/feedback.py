@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
-from robot_ik.hardware.bus import ServoBus, Status
+from robot_ik.hardware.bus import BusStatus, ServoBus
 from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import ControlTable, Register, control_table
 from robot_ik.hardware.joint_map import JointMap, StopAt
@@ -94,7 +94,7 @@ class Feedback:
             self.read_plainly(id)
 
     def prepare(self, bus: ServoBus, firmware: Mapping[int, int]) -> None:
-        """Points the servos' indirect addresses, and tells the bus who may be read fast.
+        """Points the servos' indirect addresses, and says to the bus who may be read fast.
 
         Args:
             bus: Open.
@@ -133,7 +133,7 @@ class Feedback:
         self._asked = {**self.registers, ids[self._turn]: self._health[ids[self._turn]].register}
         return self._asked
 
-    def measurement(self, status: Status, now: float = 0.0) -> Measurement:
+    def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
         """What an answer says.
 
         Args:

@@ -252,7 +252,7 @@ class JointMap:
 
     @property
     def unit(self) -> str:
-        """In what people are told of it: ``deg`` or ``mm``."""
+        """In what people read of it: ``deg`` or ``mm``."""
         return "mm" if self.slides else "deg"
 
     @property

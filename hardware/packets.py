@@ -98,7 +98,7 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
     registers = [register for register, _ in values.values()]
     if registers.count(registers[0]) == len(registers) or _same_place(registers):
         numbers = [number for id, (_, value) in values.items() for number in (id, value)]
-        try:  # all at once; what does not fit is told by the register
+        try:  # all at once; what does not fit is reported by the register
             packed = _packer(len(registers), registers[0].size, registers[0].signed).pack(*numbers)
             return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + packed)
         except (KeyError, struct.error):
@@ -202,7 +202,7 @@ def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> lis
         expected: (id, bytes of data), in the order asked.
 
     Returns:
-        None where anything is wrong, an error or an alert among it: then ``FastParser`` tells what.
+        None where anything is wrong, an error or an alert among it: then ``FastParser`` says what.
     """
     head, places, total = _fast_layout(expected)
     # The last checksum runs over all bytes before it.

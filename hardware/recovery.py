@@ -57,7 +57,7 @@ def verify(bus: ServoBus, config: ArmConfig, *, real: bool = True) -> Feedback:
 
 
 @dataclass(frozen=True)
-class Reset:
+class ServoReset:
     """What became of one servo.
 
     Attributes:
@@ -86,7 +86,7 @@ class Reset:
         return self.after == () and abs(self.turned) < TICKS_PER_TURN // 2
 
 
-def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[Reset]:
+def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoReset]:
     """Reboots servos with a hardware error, clears watchdogs that have tripped, and looks at all again.
 
     Returns:
@@ -109,18 +109,20 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[Reset]:
     ]
 
 
-def _first_look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> Reset:
+def _first_look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset:
     """Its troubles; ``turned`` is where it stands, in ticks."""
     try:
         with joint_named(config):
             here = bus.read(servo.id, servo.table["present_position"]).data or 0
             before = _troubles(bus, servo)
     except (BusTimeoutError, BusCorruptError) as error:
-        return Reset(servo.name, servo.id, (), None, silence=error)
-    return Reset(servo.name, servo.id, before, before, here if before else 0)
+        return ServoReset(servo.name, servo.id, (), None, silence=error)
+    return ServoReset(servo.name, servo.id, before, before, here if before else 0)
 
 
-def _second_look(bus: ServoBus, config: ArmConfig, servo: JointMap, row: Reset, clock: Clock) -> Reset:
+def _second_look(
+    bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset, clock: Clock
+) -> ServoReset:
     try:
         with joint_named(config):
             if row.restarted:

@@ -160,7 +160,7 @@ class Indirect:
 
 
 @dataclass(frozen=True)
-class Family:
+class ServoFamily:
     """What models of one size have in common.
 
     Attributes:
@@ -180,7 +180,7 @@ class Family:
     notes: tuple[str, ...] = ()
 
 
-FAMILY_430 = Family(
+FAMILY_430 = ServoFamily(
     firmware=48,
     indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
     since={
@@ -201,14 +201,14 @@ FAMILY_430 = Family(
         "Model Information has no value in the manual: 0.",
     ),
 )
-FAMILY_540 = Family(
+FAMILY_540 = ServoFamily(
     FAMILY_430.firmware,
     FAMILY_430.indirect,
     {**FAMILY_430.since, "slave": 38},
     FAMILY_430.baud_codes,
     (*FAMILY_430.notes, "External Port Data: the manual gives no initial value and no range: 0, 0..4095."),
 )
-FAMILY_330 = Family(
+FAMILY_330 = ServoFamily(
     firmware=52,
     # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
     indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
@@ -245,7 +245,7 @@ class Model:
     """
 
     number: int
-    family: Family
+    family: ServoFamily
     modes: tuple[int, ...]
     supply: float
     motor: Motor
@@ -262,7 +262,7 @@ class Model:
 # XM540-W150 and XC430-W150 the newer docs/kr/dxl/x/<model>.md); all read on 2026-11-22.  Addresses and sizes
 # agree with a second source: ROBOTIS-GIT/dynamixel_hardware_interface param/dxl_model/<model>.model,
 # db2b9038.
-# Values are those of the firmware that ``Family`` names: before firmware 42 Velocity Limit was larger
+# Values are those of the firmware that ``ServoFamily`` names: before firmware 42 Velocity Limit was larger
 # (_includes/en/dxl/control_table_vellimit.md), and pages of that time have an Acceleration Limit,
 # register 40.
 
@@ -311,7 +311,7 @@ def _gains(velocity_i: int, velocity_p: int, position_d: int, position_i: int, p
 
 def _metal(
     number: int,
-    family: Family,
+    family: ServoFamily,
     motor: Motor,
     current: int,
     velocity: int,
@@ -403,7 +403,7 @@ MODELS: Mapping[str, Model] = {
         _SLOPE_5,
         53,
         _gains(400, 40, 0, 400, 400),
-        notes=("Position I Gain 400 is what its page says, alone of all models; it may be a slip.",),
+        notes=("Position I Gain 400 is what its page says, alone of all models; it may be a misprint.",),
     ),
     "XL330-M288": _small(
         1200, XL330_M288, 5.0, _FIVE_VOLTS, 1750, 445, _SLOPE_5, 53, _gains(1600, 180, 0, 0, 400)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 # ------------------------------------------------------------------------------------------
-# What the run-time loops tell: one tick while they run, one report when they end.
+# What the run-time loops report: one tick while they run, one report when they end.
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,9 @@ from robot_ik.kernels.residuals import (
     WHOLE,
 )
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, V_WIDTH
-from robot_ik.pose_prior import PosePrior
 
 if TYPE_CHECKING:
+    from robot_ik.pose_prior import PosePrior
     from robot_ik.robot import Robot
 
 
@@ -738,6 +738,8 @@ class PosePriorGoal(Goal):
     has_angle: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        from robot_ik.pose_prior import PosePrior  # which few problems need
+
         super().__post_init__()
         if not isinstance(self.prior, PosePrior):
             raise InvalidGoalError(

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -29,7 +30,9 @@ from robot_ik.files import LARGEST_NUMBER, read_text
 from robot_ik.geometry import Pose, rotation_entries, rotation_exp, turn_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.robot_file import RobotFile
-from robot_ik.urdf import Urdf
+
+if TYPE_CHECKING:
+    from robot_ik.urdf import Urdf
 
 Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
@@ -55,7 +58,7 @@ _SPEED_TO_ACCELERATION = 4.0  # 1/s: a quarter of a second to full speed
 
 
 @dataclass(frozen=True)
-class Frame:
+class ModelFrame:
     """A named frame: rigidly fixed to a body of the model at ``local``."""
 
     name: str
@@ -89,9 +92,9 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
     """
     urdf = None
     if isinstance(source, Path):
-        urdf = Urdf.of_text(_text_of(source), source.parent)
+        urdf = _urdf_of(_text_of(source), source.parent)
     elif isinstance(source, str):
-        urdf = Urdf.of_text(source)
+        urdf = _urdf_of(source)
     try:
         with _warnings_noted(path):
             if isinstance(source, mujoco.MjSpec):
@@ -103,6 +106,15 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
     except (ValueError, RuntimeError) as error:
         raise _unreadable(path, error) from error
     return compile_model(spec, path), {} if urdf is None else urdf.velocity
+
+
+def _urdf_of(text: str, folder: Path = Path()) -> Urdf | None:
+    """The URDF in a text; None where it is something else, of which the reader is not even loaded."""
+    if "<robot" not in text:
+        return None
+    from robot_ik.urdf import Urdf
+
+    return Urdf.of_text(text, folder)
 
 
 def _text_of(path: Path) -> str:
@@ -236,24 +248,24 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
 
 
-def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
+def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame]:
     """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts.
 
     Raises:
         UnknownFrameError: A tool names a site or body that the model does not have.
     """
-    sites: dict[str, Frame] = {}
+    sites: dict[str, ModelFrame] = {}
     for s in range(model.nsite):
         name = model.site(s).name
         if name:
             local = Pose(model.site_pos[s], model.site_quat[s])
-            sites[name] = Frame(name, int(model.site_bodyid[s]), local)
+            sites[name] = ModelFrame(name, int(model.site_bodyid[s]), local)
     bodies = {
-        model.body(b).name: Frame(model.body(b).name, b, Pose())
+        model.body(b).name: ModelFrame(model.body(b).name, b, Pose())
         for b in range(1, model.nbody)
         if model.body(b).name
     }
-    found: dict[str, Frame] = {}
+    found: dict[str, ModelFrame] = {}
     for tool, target in file.tools.items():
         where = sites if target.site else bodies
         wanted = target.site or target.body or ""
@@ -265,7 +277,7 @@ def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, Frame]:
     return found
 
 
-def guess_tool(model: mujoco.MjModel, frames: dict[str, Frame]) -> str:
+def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
     """Default frame of a model without robot.toml: a telling name, else the last site or body."""
     for wanted in _TOOL_NAMES:
         for name in frames:

@@ -296,7 +296,7 @@ def checked_goals(goals: object) -> list[Goal]:
     Raises:
         GoalError: None at all, or something that is not a goal.
     """
-    # Asked at run time too: a bare Pose or array is a likely slip, and deserves a sentence.
+    # Asked at run time too: a bare Pose or array is a likely mistake, and deserves a sentence.
     several = [goals] if isinstance(goals, Goal) else list(goals) if hasattr(goals, "__iter__") else []
     if not several or not all(isinstance(g, Goal) for g in several):
         raise GoalError(
@@ -728,7 +728,7 @@ _TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
 
 
 def require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
-    """Raises in words for the likely slips: a name in place of a robot, a number in place of a tolerance."""
+    """Raises for likely mistakes: a name in place of a robot, a number in place of a tolerance."""
     if not isinstance(robot, Robot):
         raise ModelError(f"a problem needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
     if not isinstance(tolerance, _TOLERANCE):

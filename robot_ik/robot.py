@@ -23,7 +23,7 @@ from robot_ik.model import (
     LEAST_MASS,
     Attachment,
     Coupling,
-    Frame,
+    ModelFrame,
     active_joints,
     build_tree,
     declared_couplings,
@@ -93,7 +93,7 @@ class Robot:
     frozen_qpos: Array
     file: RobotFile
     couplings: tuple[Coupling, ...]
-    _frames: dict[str, Frame] = field(repr=False)
+    _frames: dict[str, ModelFrame] = field(repr=False)
     _bodies: tuple[Attachment, ...] = field(repr=False)
 
     def __post_init__(self) -> None:
@@ -147,7 +147,7 @@ class Robot:
         file = self.folder / "arm.toml"
         return file if file.is_file() else None
 
-    def frame(self, name: str | None = None) -> Frame:
+    def frame(self, name: str | None = None) -> ModelFrame:
         """The frame of that name (default: the tool).
 
         Raises:

@@ -83,7 +83,7 @@ def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
         ("velocity_deg = [90, 180]", 'velocity_deg = "fast"', "motion.velocity_deg", "a list"),
     ],
 )
-def test_a_wrong_key_or_value_is_told_with_file_key_and_what_is_allowed(folder, before, after, key, says):
+def test_a_wrong_key_or_value_is_reported_with_file_key_and_what_is_allowed(folder, before, after, key, says):
     assert before in FILE
     (folder / "robot.toml").write_text(FILE.replace(before, after))
     with pytest.raises(ConfigError) as caught:
@@ -92,7 +92,7 @@ def test_a_wrong_key_or_value_is_told_with_file_key_and_what_is_allowed(folder, 
     assert says in str(caught.value)
 
 
-def test_what_is_no_toml_or_no_file_is_told(folder):
+def test_what_is_no_toml_or_no_file_is_reported(folder):
     (folder / "robot.toml").write_text("schema = = 1")
     with pytest.raises(ConfigError, match=r"robot\.toml: not valid TOML"):
         load_robot(folder)
@@ -111,7 +111,7 @@ def test_what_is_no_toml_or_no_file_is_told(folder):
         ('tool = "grip"', 'tool = "gripp"', UnknownFrameError, "did you mean 'grip'"),
     ],
 )
-def test_a_file_that_does_not_fit_its_model_is_told(folder, before, after, error, says):
+def test_a_file_that_does_not_fit_its_model_is_reported(folder, before, after, error, says):
     (folder / "robot.toml").write_text(FILE.replace(before, after))
     with pytest.raises(error, match=says):
         load_robot(folder)

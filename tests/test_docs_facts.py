@@ -67,7 +67,7 @@ def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.
     wanted = labels(shown.text)
     assert wanted == labels(printed[printed.index("reach ") :])
     assert {"goal", "solver", "read back", "camera", "result"} <= set(wanted)
-    # Both of the picture's captions and the files are told by name.
+    # Both of the picture's captions and the files are named.
     assert {p.name for p in (tmp_path / "run").iterdir()} == {"reach.png", "trajectory.csv", "summary.json"}
 
 
@@ -76,8 +76,8 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "summary.json").read_text())
     page = prose(ROOT / "docs" / "start" / "reach.md")
     rows = re.findall(r"^\| `([\w.]+)`", page[page.index("## summary.json") :], re.MULTILINE)
-    told = {row.split(".")[0] for row in rows}
-    assert told == set(summary)
+    reported = {row.split(".")[0] for row in rows}
+    assert reported == set(summary)
     for row in rows:
         if "." in row:
             first, second = row.split(".")
@@ -86,8 +86,8 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
 
 def test_contributors_are_told_every_target_of_make() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    told = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
-    assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == told
+    reported = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
+    assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == reported
 
 
 # ------------------------------------------------------------------------------------- the site
@@ -108,7 +108,11 @@ def test_the_api_page_lists_every_public_name() -> None:
 
 @pytest.mark.parametrize(
     ("contract_id", "package", "first"),
-    [("layers", "", "cli"), ("camera-layers", "robot_ik.camera.", "synthetic.moving")],
+    [
+        ("layers", "", "cli"),
+        ("camera-layers", "robot_ik.camera.", "synthetic.moving"),
+        ("hardware-layers", "robot_ik.hardware.", "health"),
+    ],
 )
 def test_the_layers_drawn_are_the_layers_checked(contract_id: str, package: str, first: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -127,13 +131,13 @@ def test_the_layers_drawn_are_the_layers_checked(contract_id: str, package: str,
 def test_every_package_and_page_is_on_the_map() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (tree,) = [b.text for b in blocks(ROOT / "README.md") if b.text.startswith("robot_ik/")]
-    told = set(re.findall(r"[\w.]+/|\w+\.py", tree))
+    reported = set(re.findall(r"[\w.]+/|\w+\.py", tree))
     packages = {p.parent.name + "/" for p in (ROOT / "robot_ik").glob("*/__init__.py")}
     folders = {"robot_ik/", "hardware/", "models/", "tests/", "examples/", "docs/"}
-    assert packages | folders <= told, sorted((packages | folders) - told)
+    assert packages | folders <= reported, sorted((packages | folders) - reported)
     here = {p.name for p in (ROOT / "robot_ik").iterdir()} | {p.name for p in ROOT.iterdir()}
     here |= {p.name for p in (ROOT / "hardware").iterdir()}
-    assert {name.rstrip("/") for name in told} <= here, sorted(told)
+    assert {name.rstrip("/") for name in reported} <= here, sorted(reported)
     index = ROOT / "docs" / "index.md"
     assert "(docs/index.md)" in readme
     listed = {

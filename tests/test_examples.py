@@ -1,13 +1,15 @@
-"""The examples, as a reader would start them: in a process of their own, from another folder."""
+"""The examples, as a reader would start them: from another folder, the first in a process of its own."""
 
 from __future__ import annotations
 
 import importlib.util
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Protocol
 
 import cv2
 import mujoco
@@ -21,13 +23,21 @@ from robot_ik.solvers import SOLVERS
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def run(name: str, folder: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *arguments],
-        cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=110, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+class Run(Protocol):
+    def __call__(self, name: str, *arguments: str) -> str: ...
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs an example as the main program of this process and gives what it prints."""
+
+    def run(name: str, *arguments: str) -> str:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [str(EXAMPLES / name), *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
 
 
 def table(out: str) -> list[tuple[int, str, float, float, str]]:
@@ -62,7 +72,12 @@ def test_an_example_is_short_and_says_what_it_prints(path: Path) -> None:
 
 
 def test_solve(tmp_path: Path) -> None:
-    out = run("01_solve.py", tmp_path)
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / "01_solve.py")],
+        cwd=tmp_path, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=110, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    out = done.stdout
     rows = re.findall(r"^(\w+) +([A-Z_]+) +([\d.]+) mm +([\d.]+) deg", out, re.MULTILINE)
     *near, far = rows
     assert [name for name, *_ in near] == [n for n in SOLVERS if PoseGoal in SOLVERS[n].goals]
@@ -78,8 +93,8 @@ def test_solve(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bus", [(), ("pty",)], ids=["sim", "pty"])
-def test_move_servos(tmp_path: Path, bus: tuple[str, ...]) -> None:
-    out = run("02_move_servos.py", tmp_path, *bus)
+def test_move_servos(run: Run, bus: tuple[str, ...]) -> None:
+    out = run("02_move_servos.py", *bus)
     rows = re.findall(r"^(joint\d) +start +(\S+) +target +(\S+) +read back +(\S+) deg", out, re.MULTILINE)
     assert [name for name, *_ in rows] == [f"joint{k}" for k in range(1, 7)]
     for name, start, target, read in rows:
@@ -89,31 +104,31 @@ def test_move_servos(tmp_path: Path, bus: tuple[str, ...]) -> None:
     assert 0.0 < number(r"largest lag ([\d.]+) deg", out) < 5.0
 
 
-def test_see_and_reach(tmp_path: Path) -> None:
-    out = run("03_see_and_reach.py", tmp_path)
+def test_see_and_reach(run: Run) -> None:
+    out = run("03_see_and_reach.py")
     assert number(r"servos say: ([\d.]+) mm", out) < 2.5
     assert number(r"camera says: ([\d.]+) mm", out) < 5.0
     assert out.rstrip().endswith(": REACHED")
 
 
-def test_see_and_reach_tells_a_hidden_fault(tmp_path: Path) -> None:
-    out = run("03_see_and_reach.py", tmp_path, "2")
+def test_see_and_reach_tells_a_hidden_fault(run: Run) -> None:
+    out = run("03_see_and_reach.py", "2")
     assert number(r"servos say: ([\d.]+) mm", out) < 2.5
     # 2 degrees about joint 2 move the gripper, some 0.45 m away from its axis, by 15 mm.
     assert 10.0 < number(r"camera says: ([\d.]+) mm", out) < 20.0
     assert "NOT REACHED" in out
 
 
-def test_follow_a_marker(tmp_path: Path) -> None:
-    out = run("06_follow_a_marker.py", tmp_path)
+def test_follow_a_marker(run: Run) -> None:
+    out = run("06_follow_a_marker.py")
     assert number(r"p50 ([\d.]+) ms", out) == 50.0  # ten pictures a second: half a period
     # At 80 mm/s the marker goes 4 mm in that time, and 8 mm until the servos have followed.
     assert number(r"goal ([\d.]+) mm", out) < 1.5
     assert number(r"gripper ([\d.]+) mm", out) < 3.0
 
 
-def test_whole_body(tmp_path: Path) -> None:
-    near = table(run("04_whole_body.py", tmp_path))
+def test_whole_body(run: Run) -> None:
+    near = table(run("04_whole_body.py"))
     assert [row[0] for row in near] == [0, 0, 1, 2, 3, 4]
     for _, name, mm, deg, met in near[:5]:
         assert mm <= 0.1 and deg <= 0.0573 and met == "yes", name
@@ -127,8 +142,8 @@ def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(capsys: pytest.Cap
     assert 100.0 < far[3][2] < 400.0  # the arm's length and what a leaning trunk adds are not enough
 
 
-def test_lion(tmp_path: Path) -> None:
-    rows = table(run("05_lion.py", tmp_path))
+def test_lion(run: Run) -> None:
+    rows = table(run("05_lion.py"))
     assert [row[0] for row in rows] == [0, 0, 0, 1, 2, 3, 4, 4, 4, 4]
     for _, name, mm, deg, met in rows[:6]:
         assert mm <= 0.1 and deg <= 0.0573 and met == "yes", name
@@ -136,8 +151,8 @@ def test_lion(tmp_path: Path) -> None:
     assert bends["tail at ease"] < 1.0 < bends["legs at ease"]
 
 
-def test_poses(tmp_path: Path) -> None:
-    out = run("08_poses.py", tmp_path, str(tmp_path))
+def test_poses(run: Run, tmp_path: Path) -> None:
+    out = run("08_poses.py", str(tmp_path))
     assert number(r"in ([\d.]+) s", out) == pytest.approx(0.8 + 0.6 + 0.8 + 1.1 - 0.4, abs=0.3)
     assert number(r"and ([\d.]+) m high", out) == pytest.approx(1.6, abs=0.02)
     assert 1.0 < number(r"went ([\d.]+) m", out) < 2.0
@@ -158,8 +173,8 @@ def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
         np.testing.assert_allclose(data.geom("ball").xpos, ball)
 
 
-def test_moving_figure(tmp_path: Path) -> None:
-    out = run("07_moving_figure.py", tmp_path)
+def test_moving_figure(run: Run) -> None:
+    out = run("07_moving_figure.py")
     actions = re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE)
     assert actions == ["reach", "bend", "walk", "reach"]
     misses = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]

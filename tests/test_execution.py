@@ -111,7 +111,7 @@ def test_a_late_tick_shorter_than_a_period_does_not_move_the_schedule():
     np.testing.assert_allclose(done.times[52:], path.times[52:])
 
 
-def test_a_stall_is_counted_and_never_made_up_in_a_hurry():
+def test_a_stall_is_counted_and_never_caught_up_in_a_hurry():
     clock, path = VirtualClock(), ramp()
 
     def stall(tick):

@@ -259,8 +259,6 @@ ALLOWED = {
     ("hardware/health.py", "read_text"): "/sys",
     ("robot_ik/camera/device.py", "read_text"): "/sys",
     ("robot_ik/bench/methods/results.py", "read_text"): "/proc",
-    ("robot_ik/bench/methods/first_choice.py", "read_text"): "a source of this package, which it writes anew",
-    ("robot_ik/bench/methods/first_choice.py", "from_xml_string"): "a model that it writes itself",
     (
         "robot_ik/figure/abilities.py",
         "np.load",

@@ -47,7 +47,7 @@ def test_a_file_of_faults_counts_from_its_call(virtual_arm, fault_script):
         virtual_arm.send(virtual_arm.read().q, clock.now())
     assert fault_script.clear() == 1
 
-def test_a_slip_in_a_fault_is_told(fault_script):
+def test_a_mistake_in_a_fault_is_reported(fault_script):
     with pytest.raises(ConfigError, match="no fault is called 'overlod'"):
         fault_script.inject("overlod")
 """

@@ -1,4 +1,4 @@
-"""Robots: from names, files and folders; joints, frames and limits by name; wrong input told in full."""
+"""Robots: from names, files and folders; joints, frames and limits by name; wrong input reported in full."""
 
 import copy
 import pickle

@@ -1,4 +1,4 @@
-"""Solutions: what is told about an outcome, good or bad."""
+"""Solutions: what is reported about an outcome, good or bad."""
 
 import numpy as np
 import pytest

@@ -34,7 +34,7 @@ PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL
 Data = dict[str, Any]
 
 #: Azuma's remedies as the page names them, with their options.
-_REMEDIES = {
+_LATENCY_CASES = {
     "nothing": "`--sync latest`",
     "less delay (half)": "search only near the last find, newest picture",
     "image shifting": "`--shift`",
@@ -98,7 +98,7 @@ def latency_options(data: Data, others: Data) -> str:
     """What is left of a delay of 66 ms, by remedy."""
     lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
     for name, (rms, worst) in data["remedies"].items():
-        lines.append(f"| {name} | {_REMEDIES[name]} | {rms:.1f} | {worst:.1f} |")
+        lines.append(f"| {name} | {_LATENCY_CASES[name]} | {rms:.1f} | {worst:.1f} |")
     return "\n".join([*lines, ""])
 
 

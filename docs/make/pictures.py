@@ -31,7 +31,7 @@ from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
-from robot_ik.jobs.ar.scene import BOARD, Motion, synthetic_stage
+from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.error_picture import error_picture
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
@@ -157,12 +157,12 @@ def robot_in_the_picture() -> Image:
 
 def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: float) -> Image:
     """A photograph of the table with a drawn robot of this height in metres, turned by degrees."""
-    still = Motion((0.0, 0.0), np.radians(20.0) if things is None else 0.0, middle=(0.0, 0.0))
-    source, clock = synthetic_stage(
+    still = BoardMotion((0.0, 0.0), np.radians(20.0) if things is None else 0.0, middle=(0.0, 0.0))
+    source, clock = synthetic_scene(
         640,
         420,
         motion=still,
-        things=things,
+        occluders=things,
         quality="full",
         noise=0.3,
         eye=(0.12, -0.66, 0.46),

@@ -20,7 +20,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from robot_ik.bench.page import CHROMIUM, DRAWN, find_chromium
-from robot_ik.jobs.testbed import StageCamera, arm_link
+from robot_ik.jobs.testbed import CameraTab, arm_link
 from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session, View, run
@@ -81,7 +81,7 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page]]:
     link = arm_link(shot.start.robot, None, shot.bus) if shot.bus else None
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
-        camera = StageCamera(session) if shot.camera else None
+        camera = CameraTab(session) if shot.camera else None
         with Page(session, port=8650, dark=shot.dark, camera=camera) as page:
             loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 6})
             loop.start()

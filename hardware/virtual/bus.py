@@ -23,14 +23,14 @@ from robot_ik.hardware.virtual.servo import (
     answering,
     fast_answers,
 )
-from robot_ik.hardware.virtual.wire import Schedule, Wire, collide
+from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule, collide
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.world import World
 
 
-class Answer(NamedTuple):
+class VirtualAnswer(NamedTuple):
     """Bytes that come back, and how many seconds the servos waited before (Return Delay Time)."""
 
     data: bytes
@@ -50,7 +50,7 @@ class VirtualBus:
         wire: The way of the answers to the host.
         echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
-        latency: Seconds by which answers come later than they should, besides what the port was told.
+        latency: Seconds by which answers come later than they should, besides what the port was given.
     """
 
     def __init__(
@@ -66,9 +66,9 @@ class VirtualBus:
         self.world = world
         self.echo = self.unplugged = False
         self.latency = 0.0
-        self.schedule = Schedule(clock)
+        self.schedule = WireSchedule(clock)
         self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
-        self.wire = Wire((servo.id for servo in self.servos), seed)
+        self.wire = VirtualWire((servo.id for servo in self.servos), seed)
         self._dice = random.Random(seed)
         self._injected: list[Injected] = []
         self._parser = Parser()
@@ -201,7 +201,7 @@ class VirtualBus:
         """``answer`` without the time."""
         return self.answer(data, baud).data
 
-    def answer(self, data: bytes, baud: int | None = None) -> Answer:
+    def answer(self, data: bytes, baud: int | None = None) -> VirtualAnswer:
         """Takes bytes from the host, gives back what the servos send.
 
         Args:
@@ -218,7 +218,7 @@ class VirtualBus:
                 for servo in listeners:
                     servo.hear()
                 replies += self.wire.carry(self._answer(packet, listeners))
-            return Answer(b"".join(replies), self._delay + (self.latency if replies else 0.0))
+            return VirtualAnswer(b"".join(replies), self._delay + (self.latency if replies else 0.0))
 
     def _listeners(self, baud: int | None) -> list[VirtualServo]:
         now = self.clock.now()

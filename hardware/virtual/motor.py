@@ -143,7 +143,7 @@ def _at(piece: _Piece, t: float) -> tuple[float, float]:
     return position + (velocity + 0.5 * acceleration * dt) * dt, velocity + acceleration * dt
 
 
-class Motion:
+class MotorMotion:
     """A planned motion.  Plain, for one is made for every goal that comes over the bus.
 
     Args:
@@ -168,24 +168,24 @@ class Motion:
         return first[1], first[2]
 
 
-def rest(t: float, position: float) -> Motion:
+def rest(t: float, position: float) -> MotorMotion:
     """Standing still."""
-    return Motion(((t, position, 0.0, 0.0),), t)
+    return MotorMotion(((t, position, 0.0, 0.0),), t)
 
 
-def brake(t: float, position: float, velocity: float, acceleration: float) -> Motion:
+def brake(t: float, position: float, velocity: float, acceleration: float) -> MotorMotion:
     """Slowing down to a stand, wherever that is."""
     seconds = abs(velocity) / acceleration
     stop = position + 0.5 * velocity * seconds
     slowing = (t, position, velocity, -math.copysign(acceleration, velocity))
-    return Motion((slowing, (t + seconds, stop, 0.0, 0.0)), t + seconds, ProfileKind.TRIANGULAR)
+    return MotorMotion((slowing, (t + seconds, stop, 0.0, 0.0)), t + seconds, ProfileKind.TRIANGULAR)
 
 
-def turn(t: float, position: float, velocity: float, wanted: float, acceleration: float) -> Motion:
+def turn(t: float, position: float, velocity: float, wanted: float, acceleration: float) -> MotorMotion:
     """Ramp to the ``wanted`` velocity and keep it."""
     seconds = abs(wanted - velocity) / acceleration
     ramp = (t, position, velocity, math.copysign(acceleration, wanted - velocity))
-    return Motion((ramp, (t + seconds, _at(ramp, t + seconds)[0], wanted, 0.0)), math.inf)
+    return MotorMotion((ramp, (t + seconds, _at(ramp, t + seconds)[0], wanted, 0.0)), math.inf)
 
 
 def move(
@@ -196,7 +196,7 @@ def move(
     top: float,
     acceleration: float,
     kind: ProfileKind | None = None,
-) -> Motion:
+) -> MotorMotion:
     """The fastest motion to a stand at ``goal`` with ``|velocity| <= top`` and the given acceleration.
 
     A start that is faster than ``top`` first slows down to it; one that can no longer stop in time overshoots
@@ -229,7 +229,7 @@ def move(
     slowing = (braking, there + cruise * middle, cruise, -side * acceleration)
     if kind is None:
         kind = ProfileKind.TRAPEZOIDAL if peak >= top else ProfileKind.TRIANGULAR
-    return Motion((ramp, steady, slowing, (end, goal, 0.0, 0.0)), end, kind)
+    return MotorMotion((ramp, steady, slowing, (end, goal, 0.0, 0.0)), end, kind)
 
 
 def profiled_move(
@@ -242,7 +242,7 @@ def profiled_move(
     profile_acceleration: int,
     time_based: bool,
     physical_top: float,
-) -> Motion:
+) -> MotorMotion:
     """The motion that the profile registers ask for, within what the motor can do.
 
     Profile Velocity 0 is a step, Profile Acceleration 0 a rectangle: both are as steep as the motor allows.
@@ -307,7 +307,7 @@ def effort(memory: Memory, volts: float) -> float:
     return memory.get("goal_pwm") / PWM_FULL * motor.stall_torque * volts / motor.volts
 
 
-def turning(now: float, position: float, velocity: float, memory: Memory, sign: int) -> Motion:
+def turning(now: float, position: float, velocity: float, memory: Memory, sign: int) -> MotorMotion:
     """Velocity mode: to Goal Velocity, as steeply as Profile Acceleration says (0: as the motor can)."""
     wanted = sign * memory.get("goal_velocity") * VELOCITY_TICKS
     steepness = memory.get("profile_acceleration")
@@ -319,7 +319,7 @@ def turning(now: float, position: float, velocity: float, memory: Memory, sign: 
 
 def pushed(
     now: float, position: float, velocity: float, torque: float, load: Load, memory: Memory, volts: float
-) -> Motion:
+) -> MotorMotion:
     """Current and PWM mode without a model of the arm: speeds up to where the motor has no torque to spare.
 
     Args:
@@ -354,7 +354,7 @@ def _coasting() -> float:
 
 def moving(
     now: float, position: float, velocity: float, goal: float, memory: Memory, physical_top: float
-) -> Motion:
+) -> MotorMotion:
     """Position modes: the profile that the registers ask for.
 
     Args:

@@ -104,7 +104,7 @@ class PtyPort:
         self.close()
 
     def client_baud(self) -> int:
-        """Bits/s the client has set the port to; 0 if it cannot be told."""
+        """Bits/s the client has set the port to; 0 if it is not known."""
         return _baud_of(self._master)
 
     def _wake(self) -> None:
@@ -208,7 +208,7 @@ class PtyPort:
 
 
 def _baud_of(handle: int) -> int:
-    """Rate a terminal is set to, bits/s; 0 if it cannot be told."""
+    """Rate a terminal is set to, bits/s; 0 if it is not known."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             raw = fcntl.ioctl(handle, _TCGETS2, bytes(_TERMIOS2.size))

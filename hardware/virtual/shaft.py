@@ -14,7 +14,7 @@ from robot_ik.hardware.virtual.motor import (
     PWM_FULL,
     VELOCITY_TICKS,
     Load,
-    Motion,
+    MotorMotion,
     ProfileKind,
     brake,
     rest,
@@ -63,7 +63,7 @@ class Shaft:
     """
 
     def __init__(self, memory: Memory, clock: Clock, position: float, load: Load) -> None:
-        self.motion: Motion = rest(clock.now(), position)
+        self.motion: MotorMotion = rest(clock.now(), position)
         self.stuck_at: float | None = None
         self.stops = (-math.inf, math.inf)
         self.body: Body | None = None

@@ -14,7 +14,7 @@ from robot_ik.ports import Clock
 Action = Callable[[], None]
 
 
-class Schedule:
+class WireSchedule:
     """Actions in the order of their time.  Not locked by itself: the bus does that.
 
     Args:
@@ -112,10 +112,10 @@ class Spoil(NamedTuple):
     """
 
     help: str
-    apply: Callable[[Wire, bytes], bytes]
+    apply: Callable[[VirtualWire, bytes], bytes]
 
 
-class Wire:
+class VirtualWire:
     """The way of status packets to the host.
 
     Args:
@@ -169,12 +169,12 @@ class Wire:
         return packet
 
 
-def _late(wire: Wire, packet: bytes) -> bytes:
+def _late(wire: VirtualWire, packet: bytes) -> bytes:
     wire.held.append(packet)
     return b""
 
 
-def _shorten(wire: Wire, packet: bytes) -> bytes:
+def _shorten(wire: VirtualWire, packet: bytes) -> bytes:
     """The same status with one byte of data less; one without data, or no status at all, stays."""
     answers = Parser().feed(packet, 0.0) if packet[4] != BROADCAST else []
     if not answers or not answers[0].is_status:  # servos that talk over each other, the torso of a fast read
@@ -183,19 +183,19 @@ def _shorten(wire: Wire, packet: bytes) -> bytes:
     return build_status(answer.id, answer.params[0], answer.data[:-1])
 
 
-def _refuse(wire: Wire, packet: bytes) -> bytes:
+def _refuse(wire: VirtualWire, packet: bytes) -> bytes:
     id = packet[4]
     return packet if id == BROADCAST else build_status(id, wire.dice.randrange(1, 8))
 
 
-def _flip(wire: Wire, packet: bytes) -> bytes:
+def _flip(wire: VirtualWire, packet: bytes) -> bytes:
     bit = wire.dice.randrange(8 * len(packet))
     spoiled = bytearray(packet)
     spoiled[bit // 8] ^= 1 << bit % 8
     return bytes(spoiled)
 
 
-def _swap(wire: Wire, packet: bytes) -> bytes:
+def _swap(wire: VirtualWire, packet: bytes) -> bytes:
     wire.behind = packet
     return b""
 

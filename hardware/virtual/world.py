@@ -25,7 +25,6 @@ from robot_ik.hardware.virtual.servo import VirtualServo
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.ports import Array
 
 
 # ------------------------------------------------------------------------------------------
@@ -55,7 +54,7 @@ class Seat(NamedTuple):
     changed: Callable[[], None]
 
 
-class Motor:
+class JointMotor:
     """One servo on a joint of the world; the ``Body`` of its shaft.
 
     Args:
@@ -283,7 +282,7 @@ class _Joint:
         )
         world.data.qpos[self.at] = start
         seat = Seat(model, world.data, self.at, self.dof, self.look)
-        self.motors = [Motor(seat, row, bus.servo(row.id), start) for row in joint.servos]
+        self.motors = [JointMotor(seat, row, bus.servo(row.id), start) for row in joint.servos]
         strength = sum(motor.strength for motor in self.motors)
         if not model.dof_frictionloss[self.dof]:
             model.dof_frictionloss[self.dof] = FRICTION_SHARE * strength
@@ -314,7 +313,7 @@ class _Joint:
 
         Two that want different things pull against each other, as hard as they differ.
         """
-        self._hold_if_told()
+        self._hold_if_asked()
         demands = [demand for demand in self._demands if demand is not None]
         mean = sum(demands) / len(demands) if demands else 0.0
         inertia = self._inertia() if len(demands) > 1 else 0.0
@@ -349,22 +348,12 @@ class _Joint:
         mujoco.mj_mulM(model, data, column, unit)
         return float(column[self.dof])
 
-    def _hold_if_told(self) -> None:
+    def _hold_if_asked(self) -> None:
         held = any(motor.stuck for motor in self.motors)
         if held and self._held is None:
             self._held = float(self._world.data.qpos[self.at])
         elif not held:
             self._held = None
-
-
-def joint_torques(world: World) -> Array:
-    """(n,) N m at the joints that hold the arm at its present pose, from MuJoCo's inverse dynamics."""
-    data = mujoco.MjData(world.model)
-    data.qpos[:] = world.data.qpos
-    data.qvel[:] = 0.0
-    data.qacc[:] = 0.0
-    mujoco.mj_inverse(world.model, data)
-    return np.array([float(data.qfrc_inverse[joint.dof]) for joint in world._joints])
 
 
 # ------------------------------------------------------------------------------------------

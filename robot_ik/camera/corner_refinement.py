@@ -401,7 +401,7 @@ def refine_markers(
 def _refine_in_another_size(
     gray: Image, lens: Array, cells: int, corners: Array
 ) -> tuple[Array, Array, Array, float] | None:
-    """Corners, ideal ones, covariance and blur from a larger picture, or one reduced until it is sharp.
+    """Corners, normalized ones, covariance and blur from a larger picture, or one reduced until it is sharp.
 
     Args:
         gray: (h, w).
@@ -411,33 +411,33 @@ def _refine_in_another_size(
     """
     side = math.sqrt(abs(_area(corners)))
     sizes = [2.0**k for k in range(1, 8) if side / 2.0**k > _LEAST_CELL * cells]
-    for reduction in sizes or [0.5]:
+    for times in sizes or [0.5]:
         # A part with the white round the marker is enough; it begins at a pixel of the smaller picture.
-        grid = max(round(reduction), 1)
+        grid = max(round(times), 1)
         low = np.maximum(np.floor((corners.min(axis=0) - 0.5 * side) / grid), 0.0).astype(int) * grid
         high = np.maximum(np.ceil(corners.max(axis=0) + 0.5 * side), -1.0).astype(int)
         if (np.minimum(high + 1, gray.shape[::-1]) - low < grid).any():
             return None  # none of it is in the picture
         part = gray[low[1] : high[1] + 1, low[0] : high[0] + 1]
         small = lens.copy()
-        small[[FX, FY]] /= reduction
-        small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, reduction)
-        found = to_reduced(corners - low, reduction)[None]
+        small[[FX, FY]] /= times
+        small[[CX, CY]] = to_reduced(lens[[CX, CY]] - low, times)
+        found = to_reduced(corners - low, times)[None]
         normalized, covariance = np.empty_like(found), np.empty((1, 8, 8))
         good, blurs = np.zeros(1, np.int64), np.empty(1)
-        refine_corners_of(_resized(part, reduction), small, cells, found, normalized, covariance, good, blurs)
+        refine_corners_of(_resized(part, times), small, cells, found, normalized, covariance, good, blurs)
         if good[0]:
             # Pixels between pixels know nothing new: the covariance stays that of as many as there are.
-            known = max(reduction, 1.0)
-            there = from_reduced(found[0], reduction) + low
-            return there, normalized[0], covariance[0] * known**2, reduction * float(blurs[0])
+            known = max(times, 1.0)
+            there = from_reduced(found[0], times) + low
+            return there, normalized[0], covariance[0] * known**2, times * float(blurs[0])
     return None
 
 
-def _resized(part: Image, reduction: float) -> Image:
-    if reduction >= 1.0:
-        return np.ascontiguousarray(reduced(part, round(reduction)))
-    larger = cv2.resize(part, (0, 0), fx=1.0 / reduction, fy=1.0 / reduction, interpolation=cv2.INTER_CUBIC)
+def _resized(part: Image, times: float) -> Image:
+    if times >= 1.0:
+        return np.ascontiguousarray(reduced(part, round(times)))
+    larger = cv2.resize(part, (0, 0), fx=1.0 / times, fy=1.0 / times, interpolation=cv2.INTER_CUBIC)
     return np.asarray(larger, dtype=np.uint8)
 
 

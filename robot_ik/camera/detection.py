@@ -22,7 +22,7 @@ from robot_ik.camera.image import (
     from_reduced,
     marker_dictionary,
     reduced,
-    reduction_for,
+    times_smaller,
 )
 from robot_ik.errors import CameraError
 
@@ -132,7 +132,7 @@ class MarkerDetector:
         """
         gray = to_gray(image)
         found = self._wanted(self._search(gray))
-        if reduction_for(gray) == 1:
+        if times_smaller(gray) == 1:
             return found
         return _sorted(found + [one for one in self.detect_quickly(gray) if not _among(one, found)])
 
@@ -170,7 +170,7 @@ class MarkerDetector:
         Args:
             image: (h, w) or (h, w, 3) uint8.
         """
-        times = reduction_for(image)
+        times = times_smaller(image)
         gray = reduced(to_gray(image), times)
         self._expect(0.0, gray.shape, reduced=times > 1)
         found = detect_markers(self._quick, gray)

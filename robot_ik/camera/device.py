@@ -189,7 +189,7 @@ class DeviceSource(ClosingSource):
         self.size = first.size
 
     def _check_rate(self, asked: float | None) -> None:
-        """Drivers answer a wish with the nearest rate that they have, or with 0 when they do not tell."""
+        """Drivers answer a request with the nearest rate that they have, or with 0 when they do not say."""
         if asked is None:
             return
         set_to = float(self._capture.get(cv2.CAP_PROP_FPS))

@@ -25,8 +25,6 @@ from robot_ik.files import write_atomically
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-VERSION: tuple[int, int] = tuple(int(v) for v in re.findall(r"\d+", cv2.__version__)[:2])  # type: ignore[assignment]
-
 # FFMPEG inside OpenCV has a log level of its own, read once, before the first film is opened; -8 is silence.
 # Whoever has set it keeps what he set.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -135,7 +133,7 @@ LARGE = 3000
 _WANTED = 2000
 
 
-def reduction_for(image: Image) -> int:
+def times_smaller(image: Image) -> int:
     """How many times smaller a picture (h, w, …) is to be searched; 1: as it is."""
     longer = max(image.shape[:2])
     return 1 if longer <= LARGE else -(-longer // _WANTED)

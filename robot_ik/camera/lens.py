@@ -69,7 +69,7 @@ def _padded(model: str, coefficients: Array) -> Array:
 
 
 def distort(model: str, coefficients: Array, normalized: Array) -> Array:
-    """Ideal (n, 2) -> bent (n, 2) normalised coordinates."""
+    """Normalized (n, 2) -> distorted (n, 2) coordinates."""
     k = _padded(model, coefficients)
     x, y = normalized[:, 0], normalized[:, 1]
     r2 = x * x + y * y
@@ -87,7 +87,7 @@ def distort(model: str, coefficients: Array, normalized: Array) -> Array:
 
 
 def distort_jacobian(model: str, coefficients: Array, normalized: Array) -> Array:
-    """Derivative of ``distort``: (n, 2, 2), rows bent, columns ideal."""
+    """Derivative of ``distort``: (n, 2, 2), rows distorted, columns normalized."""
     k = _padded(model, coefficients)
     x, y = normalized[:, 0], normalized[:, 1]
     factor, slope = _radial(model, k, x * x + y * y)
@@ -114,7 +114,7 @@ def undistort(model: str, coefficients: Array, distorted: Array, limit: float) -
         limit: ``radius_limit`` of the model.
 
     Returns:
-        (n, 2) ideal coordinates, exact to about 1e-12; NaN where the lens model has no inverse
+        (n, 2) normalized coordinates, exact to about 1e-12; NaN where the lens model has no inverse
         (beyond the radius at which its polynomial folds back).
     """
     normalized = distorted.copy()
@@ -159,7 +159,7 @@ def _solve2(matrix: Array, right: Array) -> Array:
 
 
 def radius_limit(model: str, coefficients: Array) -> float:
-    """Largest ideal radius up to which a larger angle means a larger bent radius.
+    """Largest normalized radius up to which a larger angle means a larger distorted radius.
 
     Beyond it the polynomial folds back, and points far outside the view would seem to be inside.
     """
@@ -218,7 +218,7 @@ def radial(lens, r2):
 
 @outlined
 def distort_point(lens, x, y):
-    """Bent coordinates of ideal ones, and the derivative d(bx)/dx, d(bx)/dy = d(by)/dx, d(by)/dy."""
+    """Distorted coordinates of normalized ones; their derivative d(bx)/dx, d(bx)/dy = d(by)/dx, d(by)/dy."""
     factor, slope = radial(lens, x * x + y * y)
     bx, by = x * factor, y * factor
     xx, xy, yy = factor + 2.0 * slope * x * x, 2.0 * slope * x * y, factor + 2.0 * slope * y * y

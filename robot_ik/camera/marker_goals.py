@@ -203,7 +203,7 @@ class LatestGoals:
 
 
 # ------------------------------------------------------------------------------------------
-# What shall happen when the marker that is followed stays out of sight.
+# What shall happen when the marker that is followed stays unseen.
 
 
 LostPolicy = Literal["hold", "park", "stop"]
@@ -244,7 +244,7 @@ class WhenLost:
 
 
 # ------------------------------------------------------------------------------------------
-# What one sight of a marker is worth: which of its two poses, how sure, and how much its goal weighs.
+# What one observation of a marker is worth: which of its two poses, how sure, and how much its goal weighs.
 
 
 # Above this ratio of errors the two branches of a flat marker cannot be told apart: all wrong choices in our
@@ -259,8 +259,8 @@ LEAST_WEIGHT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """One sight, in the world.
+class PlacedObservation:
+    """One observation, in the world.
 
     Attributes:
         pose: Of the marker or body.
@@ -286,26 +286,28 @@ class Choice:
         self._tool = pose_marker_tool
         self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
 
-    def of(self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose) -> Sight | None:
-        """The sight of an observation, or None when nobody can say where the tool should go."""
+    def of(
+        self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
+    ) -> PlacedObservation | None:
+        """The observation in the world, or None when nobody can say where the tool should go."""
         own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
         pose = pose_world_camera.compose(own)
         turn = np.kron(np.eye(2), pose_world_camera.rotation)
         covariance = turn @ seen.covariance @ turn.T
         if seen.alternative is None:
-            return Sight(pose, covariance)
+            return PlacedObservation(pose, covariance)
         other = pose_world_camera.compose(seen.alternative)
         if self._normal is not None:
-            return Sight(min((pose, other), key=self._tilt), covariance)
+            return PlacedObservation(min((pose, other), key=self._tilt), covariance)
         if seen.ambiguity <= AMBIGUITY_LIMIT:
-            return Sight(pose, covariance)
+            return PlacedObservation(pose, covariance)
         one, two = (branch.apply(self._tool.position) for branch in (pose, other))
         if np.linalg.norm(one - two) > _SAME_PLACE:
             return None
         unsure = np.zeros((6, 6))
         unsure[:3, :3] = covariance[:3, :3]
         unsure[3:, 3:] = _ANY_TURN**2 * np.eye(3)
-        return Sight(pose, unsure, 0.5 * (one + two) - pose.position)
+        return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
 
     def _tilt(self, pose: Pose) -> float:
         """Angle between the marker's z axis and the direction it is known to have; smaller is better."""
@@ -419,7 +421,7 @@ class MarkerGoalSource:
         self._calm, self._calm_pose = calm, Pose()
         self._clock = clock
         self._lock = threading.Lock()
-        self._sight: Sight | None = None
+        self._observation: PlacedObservation | None = None
         self._resting: PoseGoal | PositionGoal | None = None
         self._fresh_at = self._goal_at = -np.inf
         self._begun = np.nan
@@ -459,7 +461,7 @@ class MarkerGoalSource:
         with self._lock:
             self._fresh_at, self.last_frame, self.last = done, frame, seen
             self._take(frame, seen)
-            made = self._sight is not None
+            made = self._observation is not None
         if made and not isinstance(self._clock, VirtualClock):
             self.made.add(frame.time, (self._clock or RealClock()).now())
 
@@ -472,22 +474,22 @@ class MarkerGoalSource:
         with self._lock:
             self._begun = now if np.isnan(self._begun) else self._begun
             if now - self._fresh_at > _MAX_AGE_S:
-                self.last = self._sight = None
-            if self._sight is None or self.last_frame is None:
+                self.last = self._observation = None
+            if self._observation is None or self.last_frame is None:
                 return self._absent(now)
             self._goal_at = now
             age = self.used.add(self.last_frame.time, now)
             # A stamp of another clock cannot be compared with now.
             ahead = now + self.lead if self._predict and age == age else self.last_frame.time
-            return self._goal(self._sight, ahead)
+            return self._goal(self._observation, ahead)
 
     @property
     def measured(self) -> PoseGoal | PositionGoal | None:
         """The goal at the time of the last picture, not predicted; None when it gave none."""
         with self._lock:
-            if self._sight is None or self.last_frame is None:
+            if self._observation is None or self.last_frame is None:
                 return None
-            return self._goal(self._sight, self.last_frame.time)
+            return self._goal(self._observation, self.last_frame.time)
 
     # ------------------------------------------------------------------------------------ inside
 
@@ -502,40 +504,40 @@ class MarkerGoalSource:
     def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
         camera = self.pose_world_camera
         pose = camera(frame.time) if callable(camera) else camera
-        sight = None if seen is None else self._choice.of(seen, pose)
-        if sight is None:
-            self._sight = None
+        observation = None if seen is None else self._choice.of(seen, pose)
+        if observation is None:
+            self._observation = None
             return
         if self._each_alone:
             self._filter.reset()
-        what = self._filter.update(frame.time, sight.pose, sight.covariance)
-        if what is Update.LATE or (what is Update.OUTLIER and self._sight is not None):
+        what = self._filter.update(frame.time, observation.pose, observation.covariance)
+        if what is Update.LATE or (what is Update.OUTLIER and self._observation is not None):
             return
-        self._sight, self._resting = sight, None
+        self._observation, self._resting = observation, None
         if self._calm is not None:
             if what is not Update.TAKEN or self._filter.moving().any():
                 self._calm.reset()
             self._calm_pose = self._calm.update(frame.time, self._filter.predict(frame.time).pose)
 
-    def _goal(self, sight: Sight, time: float) -> PoseGoal | PositionGoal:
+    def _goal(self, observation: PlacedObservation, time: float) -> PoseGoal | PositionGoal:
         moving = self._filter.moving().any() and time > self._filter.time
         if not moving and self._resting is not None:
             return self._resting
         pose, covariance, _ = self._filter.predict(time)
         if not moving and self._calm is not None:
             pose = self._calm_pose
-        goal = self._make(sight, pose, covariance)
+        goal = self._make(observation, pose, covariance)
         self._resting = self._resting if moving else goal
         return goal
 
-    def _make(self, sight: Sight, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:
+    def _make(self, observation: PlacedObservation, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:
         # Imported at the first goal: looking needs no robot.
         from robot_ik.goals import PoseGoal, PositionGoal
 
-        if sight.place is not None:
+        if observation.place is not None:
             sigma = sigmas_at(covariance, np.zeros(3))[0]
             return PositionGoal(
-                self.tool, pose.position + sight.place, weight=goal_weight(sigma, self.trusted[0])
+                self.tool, pose.position + observation.place, weight=goal_weight(sigma, self.trusted[0])
             )
         target = pose.compose(self.pose_marker_tool)
         metres, radians = sigmas_at(covariance, target.position - pose.position)

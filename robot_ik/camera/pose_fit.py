@@ -39,7 +39,7 @@ _FREEDOMS = 6
 
 @kernel
 def whiten(normalized, covariance, lens, blocks, to_pixels):
-    """Fills the blocks (m, 8, 8) of m markers, and ``to_pixels`` (4 m, 2, 2): pixels by ideal coordinates.
+    """Fills the blocks (m, 8, 8) of m markers, and ``to_pixels`` (4 m, 2, 2): pixels by normalized ones.
 
     A block is L^-1 times the derivative of the lens mapping, with L Lᵀ = ``covariance`` (m, 8, 8) in px^2.
     """
@@ -112,7 +112,7 @@ def evaluate(points, normalized, to_pixels, blocks, pose, residual, jacobian, pi
     Args:
         points: (n, 3) in the body's frame, metres.
         normalized: (n, 2) where they were seen.
-        to_pixels: (n, 2, 2) pixels by ideal coordinates.
+        to_pixels: (n, 2, 2) pixels by normalized coordinates.
         blocks: (m, b, b) with m b = 2 n.
         pose: (7,).
         residual: (2n,) out, standard deviations.
@@ -252,9 +252,9 @@ class CornerData:
     Attributes:
         points: (n, 3) in the body's frame, metres.
         normalized: (n, 2) where they were seen, undistorted normalised coordinates.
-        blocks: (m, b, b) with m b = 2n: maps from differences of ideal coordinates to standard deviations,
+        blocks: (m, b, b) with m b = 2n: maps from normalized differences to standard deviations,
             one for each group of corners with errors of their own (a marker: b = 8).
-        to_pixels: (n, 2, 2) map from differences of ideal coordinates to pixels.
+        to_pixels: (n, 2, 2) map from differences of normalized coordinates to pixels.
     """
 
     points: Array

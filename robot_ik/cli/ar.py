@@ -221,8 +221,8 @@ _DISTANCES = (0.7, 1.0)
 
 
 @dataclass(frozen=True)
-class Row:
-    """One figure of the self-test; no limits: it is told, not judged."""
+class SelfTestRow:
+    """One figure of the self-test; no limits: it is reported, not judged."""
 
     what: str
     misses: Misses
@@ -269,7 +269,7 @@ def run_self_test(*, json: bool = False) -> int:
     return console.DONE if good else console.NOT_ACHIEVED
 
 
-def measure() -> tuple[list[Row], str]:
+def measure() -> tuple[list[SelfTestRow], str]:
     """All figures, and one line where OpenGL is missing."""
     from robot_ik.bench.camera import accuracy
     from robot_ik.camera.drawing.gl import make_artist
@@ -287,13 +287,13 @@ def measure() -> tuple[list[Row], str]:
                 bar.update(task, advance=1, note=name)
                 if not missing:
                     misses = accuracy.projection_identity(artist, lens)
-                    rows.append(Row(f"{name}: spheres, {words}", misses, limits))
+                    rows.append(SelfTestRow(f"{name}: spheres, {words}", misses, limits))
             getattr(artist, "close", lambda: None)()
         for distance in _DISTANCES:
             bar.update(task, advance=1, note="board")
             misses = accuracy.overlay_error(distance)
-            rows.append(Row(f"robot on a 2 x 2 board at {distance:g} m", misses, _OVERLAY))
+            rows.append(SelfTestRow(f"robot on a 2 x 2 board at {distance:g} m", misses, _OVERLAY))
         bar.update(task, advance=1, note="delay")
         for name, misses in accuracy.remedy_errors().items():
-            rows.append(Row(f"66 ms behind a moving hand: {name}", misses, None))
+            rows.append(SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None))
     return rows, notice

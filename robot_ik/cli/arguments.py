@@ -1,10 +1,11 @@
-"""From words to a dataclass of options: tyro reads them, help is folded, slips are told in one sentence."""
+"""From words to a dataclass of options: tyro reads, help is folded, a mistake becomes one sentence."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import itertools
+import math
 import os
 import re
 import shutil
@@ -36,6 +37,24 @@ def wrong(key: str, problem: str, allowed: str = "", hint: str = "") -> ConfigEr
     return ConfigError(problem, file="command line", key=key, allowed=allowed, hint=hint)
 
 
+def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) -> dict[str, float]:
+    """Joint -> degrees of ``JOINT=DEGREES`` words, up to ``largest`` to either side.
+
+    Raises:
+        ConfigError: Another form, or no such number.
+    """
+    found = {}
+    for item in items:
+        joint, _, degrees = item.partition("=")
+        try:
+            found[joint] = float(degrees)
+        except ValueError:
+            found[joint] = math.nan
+        if not (math.isfinite(found[joint]) and abs(found[joint]) <= largest):
+            raise wrong(option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
+    return found
+
+
 def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
     """Options from words.
 
@@ -58,7 +77,7 @@ def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
     gathered = gather(kind, words)
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
-        raise _Slip(kind, prog, gathered, said).error()
+        raise _Mistake(kind, prog, gathered, said).error()
     return options
 
 
@@ -106,7 +125,7 @@ def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
         if is_dataclass(hint):
             yield from _endless_options(hint, f"{flag}.")
         elif any(
-            (getattr(told, "metavar", "") or "").endswith("…") for told in getattr(hint, "__metadata__", ())
+            (getattr(note, "metavar", "") or "").endswith("…") for note in getattr(hint, "__metadata__", ())
         ):
             yield flag
 
@@ -210,10 +229,10 @@ def _fold_prose(paragraph: str, width: int) -> str:
     return "\n".join(folded)
 
 
-# ------------------------------------------------------------------------------------- slips
+# ------------------------------------------------------------------------------------- mistakes
 
 
-class _Slip:
+class _Mistake:
     """What tyro says about wrong words, said again in one sentence.
 
     Its text is for people and differs between versions: what is not recognized is passed on as it is.
@@ -232,8 +251,8 @@ class _Slip:
 
     def error(self) -> ConfigError:
         """The first of the sentences that fits."""
-        for tell in (self._unknown, self._missing, self._no_value, self._no_choice, self._unreadable):
-            if (found := tell()) is not None:
+        for report in (self._unknown, self._missing, self._no_value, self._no_choice, self._unreadable):
+            if (found := report()) is not None:
                 return found
         return wrong("", self._said, hint=self._hint)
 
@@ -264,11 +283,11 @@ class _Slip:
         rows = list(
             itertools.takewhile(lambda row: not row.startswith(("─", "--------")), self._rows[at + 1 :])
         )
-        told = [
+        missing = [
             f"{name} ({what.replace(' (required)', '')})"
             for name, what in zip(rows[::2], rows[1::2], strict=False)
         ]
-        return wrong("", f"missing: {', '.join(told)}", hint=self._hint)
+        return wrong("", f"missing: {', '.join(missing)}", hint=self._hint)
 
     def _no_value(self) -> ConfigError | None:
         if not (found := re.search(r"Missing value for argument '([^']*)'", self._all)):

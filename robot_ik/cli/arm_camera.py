@@ -112,7 +112,7 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
     """Runs a job with its progress shown; None when it was interrupted, and how to go on is said.
 
     Args:
-        job: Hands over all its samples after each stop.
+        job: Hands over all its samples after each station.
         file: Where they are kept.
         command: That goes on with them: ``camera verify``.
     """
@@ -127,8 +127,8 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
         with console.progress() as bar:
             task = bar.add_task("opening", total=1.0, note="")
 
-            def progress(stage: str, share: float) -> None:
-                bar.update(task, description=stage, completed=share)
+            def progress(phase: str, share: float) -> None:
+                bar.update(task, description=phase, completed=share)
 
             return job(keep=keep, progress=progress)
     except KeyboardInterrupt:
@@ -141,7 +141,7 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
 
 
 def numbers_of_seen(count: int, unseen: Sequence[int]) -> list[int]:
-    """The numbers, from 1, of the stops at which the board was seen: rows and "not seen at" count alike."""
+    """The numbers, from 1, of stations at which the board was seen: rows and "not seen at" count alike."""
     return [k + 1 for k in range(count + len(unseen)) if k not in unseen]
 
 
@@ -180,11 +180,11 @@ class CameraHandeyeOptions:
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
     """Of the board's markers."""
     camera_guess: Annotated[
-        tuple[float, ...], arg(metavar=_POSE, help_behavior_hint="(default: the stage's)")
+        tuple[float, ...], arg(metavar=_POSE, help_behavior_hint="(default: the scene's)")
     ] = ()
     """Where the camera is, roughly, seen from the world (eye-to-hand) or from the frame that carries it."""
     board_guess: Annotated[
-        tuple[float, ...], arg(metavar=_POSE, help_behavior_hint="(default: the stage's)")
+        tuple[float, ...], arg(metavar=_POSE, help_behavior_hint="(default: the scene's)")
     ] = ()
     """Where the board is, roughly, seen from the frame that carries it (eye-to-hand) or from the world."""
     views: Annotated[int, arg(metavar="N")] = 15
@@ -272,7 +272,7 @@ def _print(report: HandEyeReport) -> None:
     screen = console.out()
     if report.result is None:
         rows = console.table("view", *report.samples.joints, title="planned, degrees")
-        for number, q in enumerate(report.stops, 1):
+        for number, q in enumerate(report.stations, 1):
             rows.add_row(str(number), *(f"{math.degrees(v):.1f}" for v in q))
         screen.print(rows)
         return
@@ -313,7 +313,7 @@ def _as_json(report: HandEyeReport, options: CameraHandeyeOptions) -> dict[str, 
         "job": "handeye",
         "mounting": report.samples.mounting,
         "robot": report.samples.robot,
-        "stops": [q.tolist() for q in report.stops],
+        "stations": [q.tolist() for q in report.stations],
         "unseen": list(report.unseen),
     }
     result = report.result

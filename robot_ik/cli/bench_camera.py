@@ -57,7 +57,7 @@ class BenchCameraOptions:
 
 
 @dataclass
-class Measured:
+class MeasuredRows:
     """What a run has found.
 
     Attributes:
@@ -99,13 +99,13 @@ def run_camera(options: BenchCameraOptions) -> int:
     rows = chosen_rows(options.rows, options.skip)
     if "photographs" in options.rows and not options.photographs:
         raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
-    effort, found = Effort(options.quick, options.seed, options.photographs), Measured()
+    effort, found = Effort(options.quick, options.seed, options.photographs), MeasuredRows()
     file = Path(options.json) if options.json else None
     with claimed(file, overwrite=options.overwrite):
         return _measured_and_told(rows, effort, found, file)
 
 
-def _measured_and_told(rows: Sequence[Row], effort: Effort, found: Measured, file: Path | None) -> int:
+def _measured_and_told(rows: Sequence[Row], effort: Effort, found: MeasuredRows, file: Path | None) -> int:
     try:
         with console.progress() as bar:
             measure(rows, effort, found, bar)
@@ -136,7 +136,7 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     return chosen
 
 
-def measure(rows: Sequence[Row], effort: Effort, found: Measured, bar: Progress) -> None:
+def measure(rows: Sequence[Row], effort: Effort, found: MeasuredRows, bar: Progress) -> None:
     """Fills ``found``, figure by figure."""
     task = bar.add_task("measuring", total=len(rows), note="")
     for row in rows:
@@ -156,7 +156,7 @@ def measure(rows: Sequence[Row], effort: Effort, found: Measured, bar: Progress)
         bar.advance(task)
 
 
-def print_figures(rows: Sequence[Row], found: Measured) -> None:
+def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
     """The table: quantity, value, wanted, verdict."""
     shown = console.table("row", "quantity", "measured", "wanted", "")
     for row in rows:
@@ -196,7 +196,7 @@ def _verdict(one: Figure) -> Text:
     return Text("pass", style="green") if one.passed else Text("FAIL", style="bold red")
 
 
-def _write(path: Path, found: Measured, effort: Effort) -> None:
+def _write(path: Path, found: MeasuredRows, effort: Effort) -> None:
     from robot_ik.bench.methods.results import this_machine
 
     facts = {

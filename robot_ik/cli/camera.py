@@ -97,7 +97,7 @@ _DOUBTFUL = 0.6
 _GUESSED_FROM = 3
 _NOTHING: Mapping[str, Any] = {"markers": [], "bodies": []}
 # So many files that cannot be used are named on the screen.
-_MOST_TOLD = 12
+_MOST_NAMED = 12
 
 
 @dataclass(frozen=True)
@@ -234,12 +234,12 @@ def _raise_first(failed: Sequence[_Row]) -> None:
 
 def _report_failed(failed: Sequence[_Row], count: int) -> None:
     console.say(f"error: {len(failed)} of {count} pictures could not be looked at", "bold red")
-    for row in failed[:_MOST_TOLD]:
+    for row in failed[:_MOST_NAMED]:
         assert row.error is not None
         said = str(row.error.args[0])
         console.say(f"  {said}" if row.file in said else f"  {row.file}: {said}")
-    if len(failed) > _MOST_TOLD:
-        console.say(f"  and {len(failed) - _MOST_TOLD} more; --json names all")
+    if len(failed) > _MOST_NAMED:
+        console.say(f"  and {len(failed) - _MOST_NAMED} more; --json names all")
 
 
 def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
@@ -481,8 +481,10 @@ def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsi
     why = "the board is not flat or not of this size, or the calibration is of another camera"
     if len(views) > 1:
         why = f"camera or board moved, or {why}"
-    told = f"doubtful: in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
-    console.say(f"{told}: {why}", "yellow")
+    doubt = (
+        f"doubtful: in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
+    )
+    console.say(f"{doubt}: {why}", "yellow")
     return count
 
 

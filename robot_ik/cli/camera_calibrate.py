@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # More views than these teach nothing.
 _MOST_VIEWS = 40
-# Pictures of a live camera without the board before that is told.
+# Pictures of a live camera without the board before that is said.
 _UNSEEN = 60
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import pose_option, wrong
+from robot_ik.cli.arguments import joint_degrees, pose_option, wrong
 from robot_ik.cli.arm_camera import arm_camera_values, measured, numbers_of_seen
 from robot_ik.cli.connection import bus_argument
 from robot_ik.environment import import_mujoco
@@ -30,7 +30,7 @@ _NEEDED = "(needed for a real camera)"
 
 @dataclass(frozen=True)
 class CameraVerifyOptions:
-    """Moves a board carried by the tool through poses, and tells how far it is from where the joints say.
+    """Moves a board carried by the tool through poses, and says how far it is from where the joints say.
 
     The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
     the arm. With no options everything is simulated. With --fit, joint zeros that are off are estimated; they
@@ -205,7 +205,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         fit=options.fit,
-        zero_offset_deg=_offsets(options.rehearse_zero_offset),
+        zero_offset_deg=joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset),
     )
 
 
@@ -219,27 +219,14 @@ def _check(options: CameraVerifyOptions) -> None:
         raise wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
 
 
-def _offsets(items: tuple[str, ...]) -> dict[str, float]:
-    found = {}
-    for item in items:
-        joint, _, degrees = item.partition("=")
-        try:
-            found[joint] = float(degrees)
-        except ValueError:
-            found[joint] = math.nan
-        if not math.isfinite(found[joint]):
-            raise wrong("--rehearse-zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
-    return found
-
-
 # ------------------------------------------------------------------------------------------
 # What ``robot-ik camera verify`` prints: tables for people, JSON for programs.
 
 
 def print_plan(report: VerifyReport) -> None:
-    """The joint angles of all stops."""
+    """The joint angles of all stations."""
     rows = console.table("pose", *report.robot.joints, title="planned, degrees")
-    for number, q in enumerate(report.stops, 1):
+    for number, q in enumerate(report.stations, 1):
         rows.add_row(str(number), *(f"{math.degrees(v):.1f}" for v in q))
     console.out().print(rows)
 
@@ -256,7 +243,7 @@ def print_report(report: VerifyReport, allowed_mm: float) -> None:
         )
     if report.fit is not None:
         screen.print(_offset_table(report))
-        for one in report.fit.mixtures:
+        for one in report.fit.unobservable:
             screen.print(f"{one.words}: {one.joint} is held", soft_wrap=True)
         title = "with these zeros: each pose by the fit to all others"
         screen.print(_regions(title, report.judged(corrected=True)))
@@ -324,7 +311,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
         "robot": report.samples.robot,
         "joints": report.robot.joints,
         "frame": report.frame,
-        "stops": [q.tolist() for q in report.stops],
+        "stations": [q.tolist() for q in report.stations],
         "unseen": list(report.unseen),
     }
     if verdict is None:
@@ -340,7 +327,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
             "offsets_rad": fit.offsets,
             "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
             "true_rad": report.true_offsets,
-            "held": [{"joint": one.joint, "why": one.words} for one in fit.mixtures],
+            "held": [{"joint": one.joint, "why": one.words} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,
             "residual_px": fit.residual_px,

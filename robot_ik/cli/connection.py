@@ -46,12 +46,12 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
         none: There may be no servos at all.
         default: What it says behind the help; empty: the field's own default.
     """
-    names, told = list(BUSES), [f"{bus.name}: {bus.title}" for bus in BUSES.values()]
+    names, lines = list(BUSES), [f"{bus.name}: {bus.title}" for bus in BUSES.values()]
     if none:
         names.append(NONE)
-        told.append(f"{NONE}: no servos")
+        lines.append(f"{NONE}: no servos")
     hint = f"(default: {default})" if default else None
-    text = "Where the servos are. " + "; ".join(told) + "."
+    text = "Where the servos are. " + "; ".join(lines) + "."
     return arg(metavar="|".join(names), help=text, help_behavior_hint=hint)
 
 

@@ -317,7 +317,7 @@ def run(options: DoctorOptions) -> int:
     if options.bus:
         from robot_ik.cli.connection import load_arm
 
-        config = load_arm(options.arm)  # a wrong name is told at once
+        config = load_arm(options.arm)  # a wrong name is reported at once
     with console.busy("looking at this machine"):
         rows = run_checks(CHECKS)
     if config is not None:

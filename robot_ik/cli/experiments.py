@@ -71,11 +71,11 @@ def run(options: ExperimentsOptions) -> int:
             with console.progress() as bar:
                 task = bar.add_task(options.experiment, total=1.0, note="")
 
-                def progress(stage: str, share: float) -> None:
-                    bar.update(task, completed=share, note=stage)
+                def progress(phase: str, share: float) -> None:
+                    bar.update(task, completed=share, note=phase)
 
                 work(progress)
-        finally:  # Ctrl-C and SIGTERM as well: what is done is kept, and told
+        finally:  # Ctrl-C and SIGTERM as well: what is done is kept, and reported
             files = save(folder)
             show()
             names = "  ".join(file.name for file in files)

@@ -311,7 +311,7 @@ def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, over
     with results_folder(folder, "gallery", own, overwrite=overwrite) as place, console.progress() as bar:
         task = bar.add_task("drawing", total=len(robots), note="")
         portraits, files = draw_gallery(
-            robots, place, seed, tell=lambda name, k: bar.update(task, completed=k, note=name)
+            robots, place, seed, progress=lambda name, k: bar.update(task, completed=k, note=name)
         )
     if json:
         rows = [_facts(portrait, file) for portrait, file in zip(portraits, files, strict=False)]

@@ -29,7 +29,7 @@ class Command:
         options: Name of its frozen dataclass of options; empty: it has subcommands and nothing else.
         about: One line for ``robot-ik --help``.
         run: Name of its function ``run(options) -> exit code``.
-        mujoco: It loads models, so a broken MuJoCo is told before anything else.
+        mujoco: It loads models, so a broken MuJoCo is reported before anything else.
         subcommands: Rows of the same kind, by the word behind the command's name.
     """
 
@@ -229,6 +229,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 done; 1 tried, not achieved; 2 wrong input or environment; 130 interrupted.
     """
+    # Before a command imports NumPy: its matrices are small, OpenBLAS's threads would wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = os.environ.get("ROBOT_IK_DEBUG", "") not in ("", "0")
     if "--debug" in arguments:
@@ -285,15 +287,15 @@ def _group(name: str, command: Command, rest: list[str]) -> int:
     if any(word in _HELP_FLAGS for word in rest):
         _print_group(name, command)
         return 0
-    told = f"subcommand of {name}"
+    what = f"subcommand of {name}"
     word = next((word for word in rest if not word.startswith("-")), "") if rest else ""
     inner = next((word for word in rest if word in command.subcommands), None)
     if not rest:
-        text = f"which {told}? There are: {', '.join(command.subcommands)}."
+        text = f"which {what}? There are: {', '.join(command.subcommands)}."
     elif inner:
         text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
     else:
-        text = unknown_name_text(told, word or rest[0], list(command.subcommands))
+        text = unknown_name_text(what, word or rest[0], list(command.subcommands))
     return _report_wrong(text, f"robot-ik {name} --help")
 
 

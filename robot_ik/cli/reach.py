@@ -11,7 +11,7 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import joint_degrees, wrong
 from robot_ik.cli.connection import bus_argument, robot_meant
 from robot_ik.cli.solve import make_goal
 from robot_ik.environment import import_mujoco
@@ -104,7 +104,7 @@ class ReachOptions:
     view: bool = False
     """Mirror the motion in MuJoCo's window; it stays until you close it."""
     film: bool = False
-    """Also write reach.mp4: the motion as the stage's camera sees it (extra `video`)."""
+    """Also write reach.mp4: the motion as the scene's camera sees it (extra `video`)."""
     out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-reach)")] = ""
     """Where reach.png, trajectory.csv and summary.json go."""
     overwrite: bool = False
@@ -129,7 +129,7 @@ def run(options: ReachOptions) -> int:
     from robot_ik.jobs.reach_files import FILES
 
     if options.film:
-        from robot_ik.jobs.reach import require_films
+        from robot_ik.jobs.reach_files import require_films
 
         require_films()
     # Before anything moves: a run whose results cannot be kept is not started.
@@ -140,23 +140,23 @@ def run(options: ReachOptions) -> int:
     ):
         task = bar.add_task("opening", total=1.0, note="")
 
-        def progress(stage: str, share: float) -> None:
-            bar.update(task, description=stage, completed=share)
+        def progress(phase: str, share: float) -> None:
+            bar.update(task, description=phase, completed=share)
 
         def done(report: ReachReport) -> None:
             bar.stop()
-            _save_and_tell(report, folder, options)
+            _save_and_print(report, folder, options)
 
         report = run_reach(request, progress, done)
     return console.DONE if report.reached else console.NOT_ACHIEVED
 
 
-def _save_and_tell(report: ReachReport, folder: Path, options: ReachOptions) -> None:
+def _save_and_print(report: ReachReport, folder: Path, options: ReachOptions) -> None:
     from robot_ik.jobs.reach_files import reach_summary, save_reach
 
     files = save_reach(report, folder)
     if options.film:
-        from robot_ik.jobs.reach import save_film
+        from robot_ik.jobs.reach_files import save_film
 
         with console.busy("drawing the film"):
             film = save_film(report, folder / "reach.mp4")
@@ -244,22 +244,13 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
 def _rehearsal(options: RehearseOptions) -> Rehearsal:
     from robot_ik.jobs.reach import Rehearsal
 
-    offsets = {}
-    for item in options.zero_offset:
-        joint, _, degrees = item.partition("=")
-        try:
-            offsets[joint] = float(degrees)
-        except ValueError:
-            offsets[joint] = math.nan
-        if not math.isfinite(offsets[joint]):
-            raise wrong("--rehearse.zero-offset", f"{item!r}", "JOINT=DEGREES, e.g. joint2=2")
     place = options.marker_at
     if place and len(place) not in (3, 4):
         allowed = "3 or 4: x y z in metres, yaw in degrees"
         raise wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
     marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
     return Rehearsal(
-        zero_offset_deg=offsets,
+        zero_offset_deg=joint_degrees("--rehearse.zero-offset", options.zero_offset),
         stuck=options.stuck,
         cover_gripper=options.cover_gripper,
         blank_marker=options.blank_marker,

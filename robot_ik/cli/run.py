@@ -95,7 +95,7 @@ def _run(script: Script, options: RunOptions) -> int:
 
 @contextlib.contextmanager
 def _quiet(bus: str) -> Iterator[None]:
-    """Keeps what simulated servos complain of off the screen: it was ordered, and the report tells it."""
+    """Keeps what simulated servos complain of off the screen: it was ordered, and the report says it."""
     from robot_ik.hardware import bus_row
 
     log = logging.getLogger("robot_ik.hardware")

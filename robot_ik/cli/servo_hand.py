@@ -14,10 +14,10 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
@@ -36,7 +36,7 @@ from robot_ik.cli.servo_motion import parse_angles, shown_value, slowed
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, TrajectoryError
 from robot_ik.files import claimed, read_json, write_atomically
 from robot_ik.ports import Array, Clock, JointSink
-from robot_ik.tables import config_error
+from robot_ik.tables import Several, Table, check_table
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -403,9 +403,9 @@ def _record(options: TeachOptions, config: ArmConfig) -> int:
 
 
 def require_suffix(path: Path) -> None:
-    """Raises ``ConfigError`` unless the name tells one of the two forms."""
+    """Raises ``ConfigError`` unless the name says one of the two forms."""
     if path.suffix not in SUFFIXES:
-        raise wrong("FILE", f"{path} tells no form", f"a name that ends in {' or '.join(SUFFIXES)}")
+        raise wrong("FILE", f"{path} says no form", f"a name that ends in {' or '.join(SUFFIXES)}")
 
 
 def _keep(path: Path, times: Sequence[float], poses: Sequence[Sequence[float]], config: ArmConfig) -> None:
@@ -437,12 +437,11 @@ def save_motion(path: Path, motion: Trajectory) -> None:
     write_atomically(path, json.dumps({**content, "q_rad": motion.q.tolist()}) + "\n")
 
 
-class _Recording(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    joints: list[str]
-    time_s: list[float]
-    q_rad: list[list[float]]
+class _Recording(Table):
+    version: Annotated[Literal[1], Field(alias="schema")] = 1
+    joints: Several[str]
+    time_s: Several[float]
+    q_rad: Several[Several[float]]
 
 
 def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
@@ -458,10 +457,8 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
         motion = Trajectory.load_csv(path)
     else:
         try:
-            content = _Recording.model_validate(read_json(path, "the recording"))
+            content = check_table(_Recording, read_json(path, "the recording"), path)
             motion = Trajectory(content.time_s, content.q_rad, content.joints)
-        except ValidationError as error:
-            raise config_error(error, path) from error
         except (TrajectoryError, ValueError) as error:  # ValueError: rows of different lengths
             raise ConfigError(f"this is no motion: {error.args[0]}", file=path, key="q_rad") from error
     if sorted(motion.joints) != sorted(joints):

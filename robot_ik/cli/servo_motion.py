@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.control_table import Register
     from robot_ik.hardware.joint_map import JointMap
-    from robot_ik.hardware.recovery import Reset
+    from robot_ik.hardware.recovery import ServoReset
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ def run_reset_fault(options: ResetFaultOptions) -> int:
     return console.DONE if all(row.ok for row in rows) else console.NOT_ACHIEVED
 
 
-def _advice(row: Reset) -> str:
+def _advice(row: ServoReset) -> str:
     if row.ok:
         return "torque is off: robot-ik servo torque on" if row.before else ""
     if row.after is None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import joint_degrees, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.errors import RobotIkError
 from robot_ik.hardware.virtual.faults import FAULTS
@@ -164,15 +164,7 @@ def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
     """Those of the flags."""
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
-    offsets = {}
-    for item in options.zero_offset:
-        joint, equals, degrees = item.partition("=")
-        try:
-            offsets[joint] = float(degrees) if equals else float("nan")
-        except ValueError:
-            offsets[joint] = float("nan")
-        if not -360.0 <= offsets[joint] <= 360.0:
-            raise wrong("--zero-offset", f"not {item}", "JOINT=DEGREES, such as joint2=2.0")
+    offsets = joint_degrees("--zero-offset", options.zero_offset, 360.0)
     return [
         *(joint_offset(config.joint(name), degrees) for name, degrees in offsets.items()),
         *(Fault("stuck", config.joint(name).id) for name in options.stuck),

@@ -170,11 +170,11 @@ def _opened(viewer: str, session: Session, options: ViewOptions) -> Iterator[Cal
             console.say("keys: " + window.help, "dim")
             yield window.draw
         return
-    from robot_ik.jobs.testbed import StageCamera
+    from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.frontends.browser import Page
 
     real = options.bus != NONE and not _is_virtual(options.bus)
-    camera = StageCamera(session) if options.camera else None
+    camera = CameraTab(session) if options.camera else None
     with Page(
         session, host=options.host, port=options.port, dark=options.dark, token=real,
         names=options.host_name, shadows=options.shadows, camera=camera,

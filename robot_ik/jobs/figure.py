@@ -364,7 +364,7 @@ class Painter:
     def __init__(
         self, robot: Robot, obstacles: Sequence[Obstacle] = (), size: tuple[int, int] = _FILM_SIZE
     ) -> None:
-        self._model = _stage(robot, obstacles)
+        self._model = _scene_model(robot, obstacles)
         self._tall, self._letters = heights(robot)[1], max(11, size[0] // 44)
         self._optics = CameraIntrinsics(
             *size, 1.35 * size[1], 1.35 * size[1], (size[0] - 1) / 2, (size[1] - 1) / 2
@@ -405,7 +405,7 @@ def _lines(text: str, width: int, size: int) -> list[str]:
     return out
 
 
-def _stage(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
+def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
     """The robot's model among tiles and obstacles, with a ball on three slides at the end of qpos."""
     spec = mujoco.MjSpec.from_file(str(robot.path))
     for key in list(spec.keys):

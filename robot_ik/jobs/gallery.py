@@ -50,7 +50,7 @@ _FOCAL = 2.4
 # Part of the picture left free on every side of the robot.
 _MARGIN = 0.06
 # A plain floor shows every fault of a shadow: more points of each light than for a table of wood.
-_QUALITY = Quality(stride=1, self_stride=2, self_spots=2, stage_stride=4, stage_spots=8)
+_QUALITY = Quality(stride=1, self_stride=2, self_spots=2, ground_stride=4, ground_spots=8)
 # Steps of the search for a place from which the robot fills the picture; each settles most of the rest.
 _FIT_STEPS = 40
 
@@ -140,7 +140,7 @@ def photograph(
     view = View(field, camera, lights, Caster(model), _seamless(field, camera, floor))
     view.robot.place(qpos)
     lit = _floor_light(view)
-    picture = view.stage.ambient + view.stage.lamp * lit[..., :1] + view.stage.ceiling * lit[..., 1:]
+    picture = view.still.ambient + view.still.lamp * lit[..., :1] + view.still.ceiling * lit[..., 1:]
     coverage = np.zeros(picture.shape[:2], dtype=np.float32)
     layer = RobotRenderer(view, model).render(qpos, _QUALITY)
     if layer is not None:
@@ -153,7 +153,7 @@ def photograph(
 
 
 def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
-    """Floor and wall of one tone; only shadows tell where the floor is."""
+    """Floor and wall of one tone; only shadows say where the floor is."""
     w, h = field.intrinsics.size
     rise = field.box(0, 0, w, h) @ camera.rotation[2, :2] + camera.rotation[2, 2]
     with np.errstate(divide="ignore"):
@@ -167,16 +167,16 @@ def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
 def _floor_light(view: View) -> NDArray[np.float32]:
     """Part (h, w, 2) of lamp and ceiling that the robot leaves to the floor."""
     w, h = view.field.intrinsics.size
-    stride = _QUALITY.stage_stride
+    stride = _QUALITY.ground_stride
     x, y = lattice((0, 0, w, h), stride)
     rays = view.world(view.field.grid(x, y).reshape(-1, 2))
     rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
-    depth = view.stage.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
+    depth = view.still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
     seen = np.ones((len(rays), 2), dtype=np.float32)
     near = np.flatnonzero(np.isfinite(depth))
     points = view.camera.position + rays[near] * depth[near, None]
     place = tiles((len(y), len(x))).reshape(-1)[near]
-    seen[near] = view.visibility(points, place, _QUALITY.stage_spots)
+    seen[near] = view.visibility(points, place, _QUALITY.ground_spots)
     return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
 
@@ -369,7 +369,7 @@ def _strip(row: Sequence[Portrait], height: int) -> Image:
 
 
 def draw_gallery(
-    robots: Sequence[Robot], folder: Path, seed: int = 0, tell: Callable[[str, int], None] | None = None
+    robots: Sequence[Robot], folder: Path, seed: int = 0, progress: Callable[[str, int], None] | None = None
 ) -> tuple[list[Portrait], list[Path]]:
     """Draws every robot into ``folder``/NAME.png, and all on one sheet, gallery.png.
 
@@ -377,7 +377,7 @@ def draw_gallery(
         robots: Whom.
         folder: Where the files go.
         seed: Of the poses at work.
-        tell: Called with a robot's name and its number before it is drawn.
+        progress: Called with a robot's name and its number before it is drawn.
 
     Returns:
         The portraits and the files, the sheet last.
@@ -387,8 +387,8 @@ def draw_gallery(
     """
     portraits, written = [], []
     for k, robot in enumerate(robots):
-        if tell is not None:
-            tell(robot.name, k)
+        if progress is not None:
+            progress(robot.name, k)
         portraits.append(draw_robot(robot, seed))
         written.append(_save(folder / f"{robot.name}.png", portraits[-1].image))
     written.append(_save(folder / "gallery.png", contact_sheet(portraits)))

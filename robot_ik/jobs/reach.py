@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.marker_goals import LostPolicy
-from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import (
     CameraError,
     ConfigError,
     MarkerNotFoundError,
-    MissingExtraError,
     MotorFaultError,
     NotConvergedError,
     RobotIkError,
@@ -29,11 +26,10 @@ from robot_ik.errors import (
 from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
-from robot_ik.jobs.scene import Stage, stage_for
+from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import (
     EXACT,
     SIGMAS,
@@ -45,7 +41,7 @@ from robot_ik.jobs.verdict import (
     judge_read_back,
     quantisation,
 )
-from robot_ik.jobs.vision import Seen, Vision, open_vision
+from robot_ik.jobs.vision import SeenTarget, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.problem import Problem
@@ -71,7 +67,7 @@ class Rehearsal:
         stuck: Joints whose shaft does not move.
         cover_gripper: Hide the gripper's markers in the second picture.
         blank_marker: Leave the target's paper white.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the stage's own.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
     """
 
     zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
@@ -92,8 +88,8 @@ class ReachRequest:
         frame: What shall get there; None: the robot's tool.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file of a real camera.
-        pose_world_camera: Where a real camera stands; None: where the stage's stands.
-        marker_id, marker_size, dictionary: The target; None: the stage's.
+        pose_world_camera: Where a real camera stands; None: where the scene's stands.
+        marker_id, marker_size, dictionary: The target; None: the scene's.
         bus: ``pty``, ``sim``, ``none`` or a serial port.
         arm_file: None: the one beside the model, else a generic one.
         speed: Share of the joints' speed limits.
@@ -140,6 +136,9 @@ class ReachRequest:
 SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
 
+Phase = TypeVar("Phase")
+
+
 @dataclass(eq=False)
 class ReachReport:
     """What happened, as far as it got; fields stay None where it did not get.
@@ -162,7 +161,7 @@ class ReachReport:
     frame: str
     setup: RobotSetup
     vision: Vision | None
-    seen: Seen | None = None
+    seen: SeenTarget | None = None
     goal: Goal | None = None
     target: Pose | None = None
     solution: Solution | None = None
@@ -183,6 +182,12 @@ class ReachReport:
     after: Any = None
     problem: RobotIkError | None = None
     counters: dict[str, int] = field(default_factory=dict)
+
+    def keep(self, phase: Phase) -> Phase:
+        """Takes over what a phase has found; its fields have the names of these."""
+        for one in fields(phase):  # type: ignore[arg-type]
+            setattr(self, one.name, getattr(phase, one.name))
+        return phase
 
     @property
     def decision(self) -> Verdict:
@@ -237,14 +242,14 @@ Progress = Callable[[str, float], None]
 
 def run_reach(
     request: ReachRequest,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda phase, share: None,
     done: Callable[[ReachReport], None] = lambda report: None,
 ) -> ReachReport:
     """Looks, solves, moves, looks again.
 
     Args:
         request: What to do.
-        progress: Told the stage ("looking", "solving", "moving", …) and the share of it that is done.
+        progress: Called with the phase ("looking", "solving", "moving", …) and the share of it that is done.
         done: Given the report when the arm has been left; with a window, before its user closes that.
 
     Returns:
@@ -265,21 +270,14 @@ def run_reach(
     with contextlib.ExitStack() as stack:
         ahead = stack.enter_context(CompiledAhead.solver(request.robot, method))
         setup = prepare_robot(request)
-        frame = setup.frame
         if request.record is not None:
             setup.record(stack.enter_context(open_recording(request.record, setup.robot.joints)))
-        vision = open_vision(request, setup, frame, stack)
+        vision = open_vision(request, setup, setup.frame, stack)
         window = _window(request, setup, vision, stack)
-        report = ReachReport(request, setup.robot, frame, setup, vision)
+        report = ReachReport(request, setup.robot, setup.frame, setup, vision)
         with setup.connected():
             try:
-                _look(report, progress)
-                ahead.wait()
-                if window is not None and report.target is not None:
-                    window.show_goal(report.target)
-                _solve(report, method, progress)
-                setup.energise()
-                _reach(report, window, progress)
+                _run_phases(report, _Phases(request, setup, vision, window, method, progress), ahead)
             except _NOT_ACHIEVED as problem:
                 report.problem = problem
             report.counters = setup.counters()
@@ -289,6 +287,29 @@ def run_reach(
     return report
 
 
+def _run_phases(report: ReachReport, phases: _Phases, ahead: CompiledAhead) -> None:
+    """One phase after the other; the report keeps those that ended, whatever becomes of the next."""
+    try:
+        looked = report.keep(phases.look())
+    finally:
+        if phases.vision is not None:
+            report.before = phases.vision.last_image
+    ahead.wait()
+    if phases.window is not None:
+        phases.window.show_goal(looked.target)
+    solved = report.keep(phases.solve(looked))
+    report.tolerance = phases.accept(looked, solved)
+    phases.setup.energise()
+    report.keep(phases.move(report.keep(phases.plan(looked, solved))))
+    if phases.request.follow > 0.0:
+        report.keep(phases.follow())
+        looked = report.keep(phases.look_again())
+        # Two measurements of the marker: the one that was followed last, no better than this, and this one.
+        report.goal_sigma = phases.known(looked).combined(phases.known(looked))
+    arrived = report.keep(phases.read_back(looked, report.tolerance, report.goal_sigma))
+    report.keep(phases.judge_by_camera(looked, arrived, report.goal_sigma))
+
+
 def _window(
     request: ReachRequest, setup: RobotSetup, vision: Vision | None, stack: contextlib.ExitStack
 ) -> Any:
@@ -296,193 +317,240 @@ def _window(
         return None
     from robot_ik.testbed.frontends.window import WindowSink
 
-    stage = window_stage(setup.robot, setup.frame, None if vision is None else vision.stage)
-    view: dict[str, Any] = {"solids": stage_solids(stage)}
-    if stage is not None:
-        marker = stage.pose_world_marker
-        view["see"] = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
-        view["eye"] = stage.pose_world_camera.position
+    scene = window_scene(setup.robot, setup.frame, None if vision is None else vision.scene)
+    view: dict[str, Any] = {"solids": scene_solids(scene)}
+    if scene is not None:
+        marker = scene.pose_world_marker
+        view["see"] = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
+        view["eye"] = scene.pose_world_camera.position
     return stack.enter_context(WindowSink(setup.robot, start=setup.q, **view))
 
 
-def _look(report: ReachReport, progress: Progress) -> None:
-    """Finds the goal, by eye or as given."""
-    request, vision = report.request, report.vision
-    if request.goal is not None:
-        report.goal = request.goal
-        if vision is not None:
-            report.before = vision.picture()
-    else:
-        assert vision is not None  # open_vision made some, because there is no other goal
-        progress("looking", 0.0)
-        try:
-            report.seen = vision.find_target()
-        finally:
-            report.before = vision.last_image
-        report.goal = report.seen.goal
-        if request.follow > 0.0:
-            vision.get_ready_to_follow()
-    report.target = report.goal.target
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What is wanted.
 
-
-def _solve(report: ReachReport, method: str, progress: Progress) -> None:
-    """Finds joint angles for the goal.  Nothing moves."""
-    assert report.goal is not None
-    report.q_start = report.setup.q.copy()
-    progress("solving", 0.0)
-    solver = make_solver(method)
-    problem = Problem(report.robot, report.goal, tolerance=SOLVE_TOLERANCE, seed=report.request.seed)
-    report.solution = solver.solve(problem, report.q_start)
-    # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
-    report.microseconds = 1e6 * solver.solve(problem, report.q_start).seconds
-    _accept(report)
-
-
-def _accept(report: ReachReport) -> None:
-    """Goes on with a solution that met the tolerance, or missed a seen goal by less than is known of it.
-
-    An arm that moves in a plane cannot go to a marker that is seen some micrometres beside that plane.
-
-    Raises:
-        NotConvergedError: Neither.
+    Attributes:
+        goal, target: The goal, and its pose in the world.
+        seen: The marker that says so; None: the goal was given.
     """
-    solution, seen = report.solution, report.seen
-    assert solution is not None
-    if seen is not None and not solution.converged:
-        known, miss = _known(report), solution.miss
-        if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
-            report.tolerance = Tolerance(
-                position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),
-                angle=max(SOLVE_TOLERANCE.angle, SIGMAS * known.angle),
+
+    goal: Goal
+    target: Pose
+    seen: SeenTarget | None
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Joint angles for it, from ``q_start`` (nq,); ``microseconds`` are of a solve that is loaded."""
+
+    q_start: Array
+    solution: Solution
+    microseconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """The way there from ``q_start`` (nq,), where the arm with torque stands."""
+
+    q_start: Array
+    trajectory: Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """What became of the way."""
+
+    execution: Execution
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What became of following; ``behind`` as in ``ReachReport``."""
+
+    following: FollowReport
+    behind: tuple[float, float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Arrived:
+    """Where the servos say that the arm is, (nq,), and what follows from that."""
+
+    q_end: Array
+    bound: Bound
+    read_back: Judgement
+
+
+@dataclass(frozen=True, eq=False)
+class SeenArrived:
+    """What the camera says; ``blind``: why it says nothing."""
+
+    by_camera: Judgement | None = None
+    after: Any = None
+    blind: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Phases:
+    """What a reach does, one thing after the other, and what all of it needs."""
+
+    request: ReachRequest
+    setup: RobotSetup
+    vision: Vision | None
+    window: Any
+    method: str
+    progress: Progress
+
+    @property
+    def eye(self) -> Vision:
+        """The camera, which there is wherever no goal was given."""
+        assert self.vision is not None
+        return self.vision
+
+    def look(self) -> Looked:
+        """Finds the goal, by eye or as given."""
+        goal = self.request.goal
+        if goal is not None:
+            if self.vision is not None:
+                self.vision.picture()
+            return Looked(goal, goal.target, None)
+        self.progress("looking", 0.0)
+        seen = self.eye.find_target()
+        if self.request.follow > 0.0:
+            self.eye.get_ready_to_follow()
+        return Looked(seen.goal, seen.goal.target, seen)
+
+    def look_again(self) -> Looked:
+        """What counts after following is where the marker is now."""
+        seen = self.eye.find_target_again()
+        return Looked(seen.goal, seen.goal.target, seen)
+
+    def solve(self, looked: Looked) -> Solved:
+        """Finds joint angles for the goal.  Nothing moves."""
+        q = self.setup.q.copy()
+        self.progress("solving", 0.0)
+        solver = make_solver(self.method)
+        robot, seed = self.setup.robot, self.request.seed
+        problem = Problem(robot, looked.goal, tolerance=SOLVE_TOLERANCE, seed=seed)
+        solution = solver.solve(problem, q)
+        # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
+        return Solved(q, solution, 1e6 * solver.solve(problem, q).seconds)
+
+    def accept(self, looked: Looked, solved: Solved) -> Tolerance:
+        """What the solution's miss may be: the tolerance, or as much as is not known of a seen goal.
+
+        An arm that moves in a plane cannot go to a marker that is seen some micrometres beside that plane.
+
+        Raises:
+            NotConvergedError: It misses both.
+        """
+        if looked.seen is not None and not solved.solution.converged:
+            known, miss = self.known(looked), solved.solution.miss
+            if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
+                return Tolerance(
+                    position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),
+                    angle=max(SOLVE_TOLERANCE.angle, SIGMAS * known.angle),
+                )
+        solved.solution.require()
+        return SOLVE_TOLERANCE
+
+    def known(self, looked: Looked) -> Bound:
+        """Standard deviation of a seen goal, as the last look at the marker says it."""
+        assert looked.seen is not None
+        return looked.seen.uncertainty(self.eye.scene.pose_marker_tool.position)
+
+    def plan(self, looked: Looked, solved: Solved) -> Planned:
+        """The way from where the arm stands now."""
+        setup, robot, frame, goal = self.setup, self.setup.robot, self.setup.frame, looked.goal
+        start, end = setup.q.copy(), solved.solution.q
+        caps: dict[str, Any] = {
+            "velocity": setup.velocity,
+            "acceleration": setup.acceleration,
+            "rate": setup.rate,
+            "speed": self.request.speed,
+        }
+        if not self.request.line:
+            return Planned(start, joint_move(robot, start, end, **caps))
+        target = looked.target
+        if not goal.has_angle:  # a position says nothing of the rotation on the way: the tool keeps its own
+            target = Pose(target.position, robot.forward(start, frame).wxyz)
+        elif getattr(goal, "free_axis", None) is not None:  # the rotation that the solution has chosen
+            target = Pose(target.position, robot.forward(end, frame).wxyz)
+        return Planned(start, line_move(robot, start, target, frame=frame, **caps))
+
+    def move(self, planned: Planned) -> Moved:
+        """Sends it, and gives the servos time to arrive."""
+        count = max(1, len(planned.trajectory))
+
+        def show(tick: Any) -> None:
+            self.show(tick.commanded if tick.measured is None else tick.measured, tick.time)
+            self.progress("moving", min(1.0, tick.index / count))
+
+        settle = _SETTLE_SECONDS if self.setup.source is not None else 0.0
+        return Moved(
+            execute(
+                planned.trajectory, self.setup.sinks, source=self.setup.source, clock=self.setup.clock,
+                on_tick=show, settle=settle,
             )
-            return
-    solution.require()
+        )  # fmt: skip
 
+    def show(self, q: Array, time: float) -> None:
+        """The arm at ``q`` (nq,) in scene and window."""
+        self.setup.scene.send(q, time)
+        if self.window is not None:
+            self.window.send(self.setup.scene.q, time)
 
-def _known(report: ReachReport) -> Bound:
-    """Standard deviation of the goal as the last look at the marker tells it."""
-    assert report.seen is not None and report.vision is not None
-    return report.seen.uncertainty(report.vision.stage.pose_marker_tool.position)
+    def follow(self) -> Followed:
+        """Goes on after the marker for the time that was asked for."""
+        from robot_ik.execution import follow
 
+        request, setup, robot = self.request, self.setup, self.setup.robot
+        behind: list[float] = []
 
-def _reach(report: ReachReport, window: Any, progress: Progress) -> None:
-    """Moves there, follows if asked to, and judges."""
-    request, robot, setup = report.request, report.robot, report.setup
-    assert report.solution is not None and report.goal is not None and report.target is not None
-    report.q_start = setup.q.copy()
-    report.trajectory = _plan(report)
-    count = len(report.trajectory)
+        def show(tick: Any) -> None:
+            q = tick.q if tick.measured is None else tick.measured
+            self.show(q, tick.time)
+            if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
+                place = robot.forward(q, setup.frame).position
+                behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
+            self.progress("following", min(1.0, tick.time / request.follow))
 
-    def show(tick: Any) -> None:
-        setup.scene.send(tick.commanded if tick.measured is None else tick.measured, tick.time)
-        if window is not None:
-            window.send(setup.scene.q, tick.time)
-        progress("moving", min(1.0, tick.index / max(1, count)))
+        with self.eye.following(setup.clock, request.follow) as goals:
+            following = follow(
+                goals, robot, self.method, setup.sinks, rate=setup.rate, clock=setup.clock,
+                duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
+                speed=request.speed, source=setup.source, on_tick=show,
+            )  # fmt: skip
+        setup.settle(_SETTLE_SECONDS)
+        return Followed(following, (float(np.median(behind)), max(behind)) if behind else None)
 
-    report.execution = execute(
-        report.trajectory,
-        setup.sinks,
-        source=setup.source,
-        clock=setup.clock,
-        on_tick=show,
-        settle=_SETTLE_SECONDS if setup.source is not None else 0.0,
-    )
-    if request.follow > 0.0:
-        _follow(report, window, progress)
-    report.q_end = setup.q.copy()
-    report.bound = quantisation(robot, report.q_end, setup.resolution, report.frame, report.tolerance)
-    report.read_back = judge_read_back(
-        robot, report.q_end, report.goal, report.target, report.frame, report.bound, report.goal_sigma
-    )
-    progress("looking again", 0.0)
-    _judge(report)
+    def read_back(self, looked: Looked, tolerance: Tolerance, goal_sigma: Bound) -> Arrived:
+        """Judges by the servos' own account."""
+        robot, frame, q = self.setup.robot, self.setup.frame, self.setup.q.copy()
+        bound = quantisation(robot, q, self.setup.resolution, frame, tolerance)
+        judged = judge_read_back(robot, q, looked.goal, looked.target, frame, bound, goal_sigma)
+        return Arrived(q, bound, judged)
 
-
-def _plan(report: ReachReport) -> Trajectory:
-    request, setup = report.request, report.setup
-    assert report.solution is not None and report.target is not None and report.q_start is not None
-    caps: dict[str, Any] = {
-        "velocity": setup.velocity,
-        "acceleration": setup.acceleration,
-        "rate": setup.rate,
-        "speed": request.speed,
-    }
-    if not request.line:
-        return joint_move(report.robot, report.q_start, report.solution.q, **caps)
-    target = report.target
-    if not report.goal.has_angle:  # type: ignore[union-attr]
-        # A position says nothing of the turn on the way: keep the one the tool has.
-        target = Pose(target.position, report.robot.forward(report.q_start, report.frame).wxyz)
-    elif getattr(report.goal, "free_axis", None) is not None:  # the turn that the solution has chosen
-        target = Pose(target.position, report.robot.forward(report.solution.q, report.frame).wxyz)
-    return line_move(report.robot, report.q_start, target, frame=report.frame, **caps)
-
-
-def _follow(report: ReachReport, window: Any, progress: Progress) -> None:
-    from robot_ik.execution import follow
-
-    request, setup, vision = report.request, report.setup, report.vision
-    assert vision is not None  # without a goal there is a camera
-
-    behind: list[float] = []
-
-    def show(tick: Any) -> None:
-        q = tick.q if tick.measured is None else tick.measured
-        setup.scene.send(q, tick.time)
-        if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
-            place = report.robot.forward(q, report.frame).position
-            behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
-        if window is not None:
-            window.send(setup.scene.q, tick.time)
-        progress("following", min(1.0, tick.time / request.follow))
-
-    with vision.following(setup.clock, request.follow) as goals:
-        report.following = follow(
-            goals,
-            report.robot,
-            request.solver or report.robot.file.solver or "auto",
-            setup.sinks,
-            rate=setup.rate,
-            clock=setup.clock,
-            duration=request.follow,
-            start=setup.commanded,
-            tolerance=SOLVE_TOLERANCE,
-            speed=request.speed,
-            source=setup.source,
-            on_tick=show,
-        )
-    if behind:
-        report.behind = float(np.median(behind)), float(np.max(behind))
-    setup.settle(_SETTLE_SECONDS)
-    # What counts in the end is where the marker is now.
-    report.seen = vision.find_target_again()
-    report.goal, report.target = report.seen.goal, report.seen.goal.target
-    # Two measurements of the marker: the one that was followed last, no better than this, and this one.
-    report.goal_sigma = _known(report).combined(_known(report))
-
-
-def _judge(report: ReachReport) -> None:
-    """The camera's look at the gripper."""
-    vision, setup = report.vision, report.setup
-    if vision is None or not vision.sees_arm:
-        report.blind = "no camera watched the arm" if vision is None else vision.why_blind
-        return
-    body = vision.find_gripper()
-    report.after = vision.last_image
-    if body is None:
-        return
-    assert report.goal is not None and report.target is not None and report.bound is not None
-    report.by_camera = judge_by_camera(
-        body, vision.pose_world_camera, vision.pose_body_tool(setup.scene.q), report.goal, report.target,
-        report.bound, report.goal_sigma,
-    )  # fmt: skip
+    def judge_by_camera(self, looked: Looked, arrived: Arrived, goal_sigma: Bound) -> SeenArrived:
+        """The camera's look at the gripper."""
+        self.progress("looking again", 0.0)
+        vision = self.vision
+        if vision is None or not vision.sees_arm:
+            return SeenArrived(blind="no camera watched the arm" if vision is None else vision.why_blind)
+        body = vision.find_gripper()
+        if body is None:
+            return SeenArrived(after=vision.last_image)
+        judged = judge_by_camera(
+            body, vision.pose_world_camera, vision.pose_body_tool(self.setup.scene.q), looked.goal,
+            looked.target, arrived.bound, goal_sigma,
+        )  # fmt: skip
+        return SeenArrived(judged, vision.last_image)
 
 
 # ------------------------------------------------------------------------------------------
-# What is seen of a reach while it runs: the window with its stage, and the film.
+# What is seen of a reach while it runs: the window with its scene.
 
 
-FILM_RATE_HZ = 25.0
 _FLOOR, _TABLE = (0.82, 0.83, 0.85, 1.0), (0.62, 0.52, 0.42, 1.0)
 _WHITE, _BLACK = (0.97, 0.97, 0.97, 1.0), (0.03, 0.03, 0.03, 1.0)
 _FLOOR_HALF = 8.0  # metres
@@ -490,23 +558,23 @@ _TOP = 0.03  # of the table, metres
 _PAPER = 2e-4  # metres, so that what lies on it is not lost in it
 
 
-def stage_solids(stage: Stage | None) -> list[Solid]:
+def scene_solids(scene: Scene | None) -> list[Solid]:
     """Floor, table and printed marker for the window."""
-    table = None if stage is None else stage.table
+    table = None if scene is None else scene.table
     floor = 0.0 if table is None else table.floor_height
     found = [Solid(Pose((0.0, 0.0, floor - 0.01)), (_FLOOR_HALF, _FLOOR_HALF, 0.01), _FLOOR)]
     if table is not None:
         middle = (0.5 * sum(table.x), 0.5 * sum(table.y), table.height - 0.5 * _TOP)
         half = (0.5 * (table.x[1] - table.x[0]), 0.5 * (table.y[1] - table.y[0]), 0.5 * _TOP)
         found.append(Solid(Pose(middle), half, _TABLE))
-    return found if stage is None else [*found, *_marker(stage)]
+    return found if scene is None else [*found, *_marker(scene)]
 
 
-def _marker(stage: Stage) -> list[Solid]:
+def _marker(scene: Scene) -> list[Solid]:
     """White paper, the black square on it, and its white cells on that."""
-    bits = marker_bits(stage.dictionary, stage.marker_id)
-    cell, h = stage.marker_size / len(bits), 0.5 * stage.marker_size
-    at = stage.pose_world_marker
+    bits = marker_bits(scene.dictionary, scene.marker_id)
+    cell, h = scene.marker_size / len(bits), 0.5 * scene.marker_size
+    at = scene.pose_world_marker
 
     def sheet(x: float, y: float, half: float, layer: int, colour: tuple[float, ...]) -> Solid:
         return Solid(at.compose(Pose((x, y, layer * _PAPER))), (half, half, 0.5 * _PAPER), colour)
@@ -518,39 +586,11 @@ def _marker(stage: Stage) -> list[Solid]:
     return [sheet(0.0, 0.0, h + cell, 1, _WHITE), sheet(0.0, 0.0, h, 2, _BLACK), *cells]
 
 
-def window_stage(robot: Robot, frame: str, stage: Stage | None) -> Stage | None:
-    """The stage to show: the camera's, else the robot's own; None where there is none."""
-    if stage is not None:
-        return stage
+def window_scene(robot: Robot, frame: str, scene: Scene | None) -> Scene | None:
+    """The scene to show: the camera's, else the robot's own; None where there is none."""
+    if scene is not None:
+        return scene
     try:
-        return stage_for(robot, frame)
+        return scene_for(robot, frame)
     except CameraError:
         return None
-
-
-def require_films() -> None:
-    """Raises ``MissingExtraError`` where no film can be written."""
-    if importlib.util.find_spec("av") is None:
-        raise MissingExtraError("av", "video", "a film of the reach")
-
-
-def save_film(report: ReachReport, path: Path) -> Path | None:
-    """The motion as the stage's camera sees it; None where nothing moved.
-
-    Raises:
-        MissingExtraError: The extra ``video`` is not installed.
-        OutputError: It cannot be written.
-    """
-    run = report.execution
-    stage = window_stage(report.robot, report.frame, None if report.vision is None else report.vision.stage)
-    if run is None or stage is None:
-        return None
-    q = run.commanded if run.measured is None else run.measured
-    shown = [q[0]]
-    times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
-    source = SyntheticSource(stage.scene(report.robot), lambda: shown[0], seed=0, quality="fast")
-    with Film(path, FILM_RATE_HZ) as film:
-        for time in times.tolist():
-            shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]
-            film.write(source.read().image, time)
-    return path

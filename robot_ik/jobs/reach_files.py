@@ -1,9 +1,10 @@
-"""What a reach leaves behind: ``reach.png``, ``trajectory.csv`` and ``summary.json`` in one folder."""
+"""What a reach leaves behind in one folder: ``reach.png``, ``trajectory.csv``, ``summary.json``, a film."""
 
 from __future__ import annotations
 
 import csv
 import datetime
+import importlib.util
 import io
 import json
 import math
@@ -24,10 +25,12 @@ from robot_ik.camera.drawing.overlay import (
     draw_robot,
 )
 from robot_ik.camera.marker_goals import Delays
-from robot_ik.errors import apart
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.errors import MissingExtraError, apart
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.jobs.reach import ReachReport
+from robot_ik.jobs.ar.output import Film
+from robot_ik.jobs.reach import ReachReport, window_scene
 from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.
@@ -35,6 +38,7 @@ SCHEMA = 1
 #: What a reach may leave behind.
 FILES = ("reach.png", "trajectory.csv", "summary.json", "reach.mp4")
 _AXES_PER_HOVER = 0.6
+FILM_RATE_HZ = 25.0
 
 
 def run_folder(out: Path | None, job: str) -> Path:
@@ -81,7 +85,7 @@ def reach_picture(report: ReachReport) -> Any:
     if report.seen is not None:
         label = f"marker {report.seen.observation.id}"
         before = draw_marker_outline(before, report.seen.observation.corners, label=label)
-    captions = ["Before: " + _sight(report)]
+    captions = ["Before: " + _seen_in_words(report)]
     end = report.q_end
     if end is None and report.solution is not None:
         end = report.solution.q
@@ -113,10 +117,10 @@ def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
     pose = vision.pose_world_camera.inverse().compose(report.target)
     if pose.position[2] <= 0.01:
         return drawn  # the goal is behind the camera
-    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.stage.hover, vision.intrinsics, label="goal")
+    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.scene.hover, vision.intrinsics, label="goal")
 
 
-def _sight(report: ReachReport) -> str:
+def _seen_in_words(report: ReachReport) -> str:
     if report.seen is None:
         return "the marker was not found" if report.goal is None else "the goal was given"
     text = f"marker {report.seen.observation.id} seen"
@@ -260,3 +264,31 @@ def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
 
 def _pose(pose: Pose) -> dict[str, Any]:
     return {"position": pose.position, "wxyz": pose.wxyz}
+
+
+def require_films() -> None:
+    """Raises ``MissingExtraError`` where no film can be written."""
+    if importlib.util.find_spec("av") is None:
+        raise MissingExtraError("av", "video", "a film of the reach")
+
+
+def save_film(report: ReachReport, path: Path) -> Path | None:
+    """The motion as the scene's camera sees it; None where nothing moved.
+
+    Raises:
+        MissingExtraError: The extra ``video`` is not installed.
+        OutputError: It cannot be written.
+    """
+    run = report.execution
+    scene = window_scene(report.robot, report.frame, None if report.vision is None else report.vision.scene)
+    if run is None or scene is None:
+        return None
+    q = run.commanded if run.measured is None else run.measured
+    shown = [q[0]]
+    times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
+    source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0, quality="fast")
+    with Film(path, FILM_RATE_HZ) as film:
+        for time in times.tolist():
+            shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]
+            film.write(source.read().image, time)
+    return path

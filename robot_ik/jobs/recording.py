@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import csv
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,39 +26,36 @@ FRAME = "world"
 _GOAL = ("goal_x", "goal_y", "goal_z", "goal_qw", "goal_qx", "goal_qy", "goal_qz")
 
 
-class Recording(Protocol):
-    """Takes rows as they come, and is closed at the end."""
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """One row of a recording.
 
-    def write(
-        self,
-        now: float,
-        *,
-        commanded: Array | None = None,
-        measured: Array | None = None,
-        goal: Pose | None = None,
-        text: str = "",
-        robot: int = 0,
-    ) -> None:
-        """One moment.
+    Attributes:
+        now: s since the recording began.
+        commanded: (n,) rad, m of slides.
+        measured: (n,) likewise.
+        goal: World.
+        text: What happened, in words.
+        robot: Of several side by side, which.
+    """
 
-        Args:
-            now: s since the recording began.
-            commanded: (n,) rad, m of slides.
-            measured: (n,) likewise.
-            goal: World.
-            text: What happened, in words.
-            robot: Of several side by side, which.
-        """
-        ...
-
-    def close(self) -> None: ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *exc: object) -> None: ...
+    now: float
+    _: KW_ONLY
+    commanded: Array | None = None
+    measured: Array | None = None
+    goal: Pose | None = None
+    text: str = ""
+    robot: int = 0
 
 
-class _Closing:
+class Recording(ABC):
+    """Takes moments as they come, and is closed at the end."""
+
+    @abstractmethod
+    def write(self, moment: Moment) -> None:
+        """One row more."""
+
+    @abstractmethod
     def close(self) -> None:
         """Finishes the file."""
 
@@ -67,7 +66,7 @@ class _Closing:
         self.close()
 
 
-class TableRecording(_Closing):
+class TableRecording(Recording):
     """A CSV file: a row a moment; what is not known stays empty.
 
     Args:
@@ -82,20 +81,11 @@ class TableRecording(_Closing):
         names = [f"{kind}.{joint}" for kind in ("commanded", "measured") for joint in joints]
         self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
 
-    def write(
-        self,
-        now: float,
-        *,
-        commanded: Array | None = None,
-        measured: Array | None = None,
-        goal: Pose | None = None,
-        text: str = "",
-        robot: int = 0,
-    ) -> None:
-        """As ``Recording``."""
-        sides = [self._blank if q is None else list(map(repr, q.tolist())) for q in (commanded, measured)]
+    def write(self, moment: Moment) -> None:
+        both, goal = (moment.commanded, moment.measured), moment.goal
+        sides = [self._blank if q is None else list(map(repr, q.tolist())) for q in both]
         aim = [""] * len(_GOAL) if goal is None else [repr(float(x)) for x in (*goal.position, *goal.wxyz)]
-        self._rows.writerow([repr(float(now)), robot, *sides[0], *sides[1], *aim, text])
+        self._rows.writerow([repr(float(moment.now)), moment.robot, *sides[0], *sides[1], *aim, moment.text])
 
     def close(self) -> None:
         """Finishes the file."""
@@ -134,7 +124,7 @@ MESSAGES: Mapping[str, str] = {
 _INFO = 20  # of rcl_interfaces/msg/Log
 
 
-class McapRecording(_Closing):
+class McapRecording(Recording):
     """An MCAP file: ``/joint_commands``, ``/joint_states``, ``/goal`` and ``/rosout``.
 
     Of several robots side by side each has its topics below ``/robot_1`` and so on.
@@ -157,22 +147,12 @@ class McapRecording(_Closing):
         self._joints, self._begin = list(joints), time.time_ns()
         self._schemas = {name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()}
 
-    def write(
-        self,
-        now: float,
-        *,
-        commanded: Array | None = None,
-        measured: Array | None = None,
-        goal: Pose | None = None,
-        text: str = "",
-        robot: int = 0,
-    ) -> None:
-        """As ``Recording``."""
-        stamp = self._begin + round(1e9 * now)
+    def write(self, moment: Moment) -> None:
+        stamp = self._begin + round(1e9 * moment.now)
         when = {"sec": stamp // 1_000_000_000, "nanosec": stamp % 1_000_000_000}
         head = {"stamp": when, "frame_id": FRAME}
-        place = f"/robot_{robot}" if robot else ""
-        for topic, q in (("joint_commands", commanded), ("joint_states", measured)):
+        place = f"/robot_{moment.robot}" if moment.robot else ""
+        for topic, q in (("joint_commands", moment.commanded), ("joint_states", moment.measured)):
             if q is not None:
                 state = {
                     "header": head,
@@ -182,13 +162,20 @@ class McapRecording(_Closing):
                     "effort": [],
                 }
                 self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", state, stamp)
-        if goal is not None:
+        if (goal := moment.goal) is not None:
             x, y, z = (float(value) for value in goal.position)
             w, i, j, k = (float(value) for value in goal.wxyz)
             pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": i, "y": j, "z": k, "w": w}}
             self._put(f"{place}/goal", "geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}, stamp)
-        if text:
-            row = {"stamp": when, "level": _INFO, "name": "robot_ik", "msg": text, "file": "", "function": ""}
+        if moment.text:
+            row = {
+                "stamp": when,
+                "level": _INFO,
+                "name": "robot_ik",
+                "msg": moment.text,
+                "file": "",
+                "function": "",
+            }
             self._put("/rosout", "rcl_interfaces/msg/Log", row | {"line": 0}, stamp)
 
     def _put(self, topic: str, kind: str, message: dict[str, Any], stamp: int) -> None:
@@ -218,7 +205,7 @@ def open_recording(path: Path, joints: Sequence[str]) -> Recording:
     """
     if path.suffix not in SUFFIXES:
         raise ConfigError(
-            f"{path} tells no form", file="command line", key="--record", allowed=" or ".join(SUFFIXES)
+            f"{path} says no form", file="command line", key="--record", allowed=" or ".join(SUFFIXES)
         )
     return (TableRecording if path.suffix == ".csv" else McapRecording)(path, joints)
 
@@ -245,4 +232,4 @@ class RecordingSink:
         if self._measured is not None:
             angles = self._measured()
             here = np.array([angles[name] for name in self._joints])
-        self._recording.write(now - self._begin, commanded=np.asarray(q), measured=here)
+        self._recording.write(Moment(now - self._begin, commanded=np.asarray(q), measured=here))

@@ -1,6 +1,6 @@
 """What stands round the robot in `robot-ik reach`: table, printed markers, camera.
 
-A robot's ``robot.toml`` says so under ``[reach]``; for any other model a stage is made up from its own
+A robot's ``robot.toml`` says so under ``[reach]``; for any other model a scene is generated from its own
 kinematics: a goal that it can reach, a marker in front of that, and a camera that sees both.
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, look_at
-from robot_ik.camera.synthetic.scene import Table
+from robot_ik.camera.synthetic.scene import TableTop
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -30,10 +30,10 @@ Array = NDArray[np.float64]
 # The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
 
-# Proportions of a made-up stage, in reaches of the robot.
+# Proportions of a generated scene, in reaches of the robot.
 _MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
 _CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
-_MADE_UP_IDS = (20, 21, 22, 23)
+_TOOL_IDS = (20, 21, 22, 23)
 _TRIES = 60
 # Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
 _GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
@@ -43,7 +43,7 @@ _ONE_ON_THE_OTHER, _PATIENCE = 0.5, 4
 
 
 @dataclass(frozen=True)
-class Stage:
+class Scene:
     """What stands round the robot.
 
     Attributes:
@@ -56,7 +56,7 @@ class Stage:
         cube: Marker id -> (side, ``pose_cube_marker``).
         cube_margin: White paper round each of them, metres: as much as the cube's side leaves.
         table: Where the marker lies, or None.
-        made_up: True when no ``robot.toml`` describes it.
+        generated: True when no ``robot.toml`` describes it.
     """
 
     intrinsics: CameraIntrinsics
@@ -70,16 +70,16 @@ class Stage:
     cube_offset: Pose
     cube: Mapping[int, tuple[float, Pose]]
     cube_margin: float
-    table: Table | None = None
-    made_up: bool = False
+    table: TableTop | None = None
+    generated: bool = False
 
     @property
     def pose_marker_tool(self) -> Pose:
         """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
         return Pose((0.0, 0.0, self.hover)).compose(FACING)
 
-    def scene(self, robot: Robot) -> SyntheticScene:
-        """The scene for the synthetic camera."""
+    def synthetic(self, robot: Robot) -> SyntheticScene:
+        """The same for the synthetic camera."""
         target = SyntheticMarker(
             self.marker_id, self.marker_size, self.pose_world_marker, dictionary=self.dictionary
         )
@@ -100,13 +100,13 @@ class Stage:
         )
 
 
-def stage_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Stage:
-    """The stage of ``robot.toml``, or one made up from the kinematics of ``frame`` (default: the tool).
+def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Scene:
+    """The scene of ``robot.toml``, or one generated from the kinematics of ``frame`` (default: the tool).
 
     Args:
-        robot: Whose stage.
+        robot: Whose scene.
         frame: What shall reach the marker.
-        upright: Made up only: the marker lies flat below the goal, however the tool is turned there; for
+        upright: Generated only: the marker lies flat below the goal, however the tool is turned there; for
             arms that are asked for a place alone.
 
     Raises:
@@ -114,10 +114,10 @@ def stage_for(robot: Robot, frame: str | None = None, *, upright: bool = False) 
     """
     if robot.file.reach is not None:
         return _described(robot)
-    return _made_up(robot, frame or robot.tool, upright)
+    return _generated(robot, frame or robot.tool, upright)
 
 
-def _described(robot: Robot) -> Stage:
+def _described(robot: Robot) -> Scene:
     reach = robot.file.reach
     assert reach is not None
     place, marker, tool = reach.camera, reach.marker, reach.tool_marker
@@ -133,8 +133,8 @@ def _described(robot: Robot) -> Stage:
         else (tool.size, _cube_side(k, tool.cube))
         for k, id in enumerate(tool.ids)
     }
-    table = None if reach.table is None else Table(reach.table.height, reach.table.x, reach.table.y)
-    return Stage(
+    table = None if reach.table is None else TableTop(reach.table.height, reach.table.x, reach.table.y)
+    return Scene(
         intrinsics=intrinsics,
         pose_world_camera=look_at(place.position, place.look_at),
         marker_id=marker.id,
@@ -158,13 +158,13 @@ def _cube_side(k: int, edge: float) -> Pose:
     return Pose.from_rotation(np.column_stack([np.cross(up, out), up, out]), out * edge / 2)
 
 
-def _made_up(robot: Robot, frame: str, upright: bool) -> Stage:
+def _generated(robot: Robot, frame: str, upright: bool) -> Scene:
     ball = robot.reach(frame)
     reach = 1.0 if ball is None else max(ball[1], 1e-3)
     side = _TOOL_MARKER_SIDE * reach
-    cube = {id: (side, _cube_side(k, side * _CUBE_PER_MARKER)) for k, id in enumerate(_MADE_UP_IDS)}
+    cube = {id: (side, _cube_side(k, side * _CUBE_PER_MARKER)) for k, id in enumerate(_TOOL_IDS)}
     focal = 1100.0
-    stage = Stage(
+    scene = Scene(
         intrinsics=CameraIntrinsics(
             1280, 720, focal, focal, 639.5, 359.5, distortion=(-0.12, 0.05, 0.0005, -0.0003, 0.0)
         ),
@@ -179,12 +179,12 @@ def _made_up(robot: Robot, frame: str, upright: bool) -> Stage:
         cube_offset=Pose((0.0, 0.0, 0.6 * side * _CUBE_PER_MARKER)),
         cube=cube,
         cube_margin=0.5 * (_CUBE_PER_MARKER - 1.0) * side,
-        made_up=True,
+        generated=True,
     )
-    return _best_view(robot, frame, stage, reach, upright)
+    return _best_view(robot, frame, scene, reach, upright)
 
 
-def _best_view(robot: Robot, frame: str, stage: Stage, reach: float, upright: bool) -> Stage:
+def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bool) -> Scene:
     """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
     rng = np.random.default_rng(0)
     best, best_score = None, 0.0
@@ -196,8 +196,8 @@ def _best_view(robot: Robot, frame: str, stage: Stage, reach: float, upright: bo
         tool = robot.forward(q, frame)
         if not 0.05 * reach < tool.distance(home)[0]:
             continue
-        marker = _marker_for(tool, stage, upright)
-        placed = replace(stage, pose_world_marker=marker)
+        marker = _marker_for(tool, scene, upright)
+        placed = replace(scene, pose_world_marker=marker)
         placed = replace(placed, table=_ground(robot, placed, q, reach))
         ground = 0.0 if placed.table is None else placed.table.height
         for pose in _cameras(marker.position, tool.position, reach):
@@ -218,20 +218,20 @@ def _best_view(robot: Robot, frame: str, stage: Stage, reach: float, upright: bo
     return best
 
 
-def _marker_for(tool: Pose, stage: Stage, upright: bool) -> Pose:
+def _marker_for(tool: Pose, scene: Scene, upright: bool) -> Pose:
     """Where the marker lies whose goal is ``tool``, or the place of ``tool`` where that is enough."""
     if upright:
-        return Pose(tool.position - [0.0, 0.0, stage.hover])
-    return tool.compose(stage.pose_marker_tool.inverse())
+        return Pose(tool.position - [0.0, 0.0, scene.hover])
+    return tool.compose(scene.pose_marker_tool.inverse())
 
 
-def _ground(robot: Robot, stage: Stage, q_goal: Array, reach: float) -> Table | None:
+def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> TableTop | None:
     """A table top below marker and tool where the floor, at height 0, would hide them."""
-    cube = _cube_pose(robot, stage, q_goal)
-    side = next(side for side, _ in stage.cube.values())
-    lowest = min(stage.pose_world_marker.position[2] - stage.marker_size, cube.position[2] - 1.2 * side)
+    cube = _cube_pose(robot, scene, q_goal)
+    side = next(side for side, _ in scene.cube.values())
+    lowest = min(scene.pose_world_marker.position[2] - scene.marker_size, cube.position[2] - 1.2 * side)
     height = float(lowest) - 0.02 * reach
-    return None if height > 0.0 else Table(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
+    return None if height > 0.0 else TableTop(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
 
 
 def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:
@@ -251,47 +251,47 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
     return found
 
 
-def _visibility(robot: Robot, stage: Stage, q_goal: Array) -> float:
+def _visibility(robot: Robot, scene: Scene, q_goal: Array) -> float:
     """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
-    at_home = _facing(robot, stage, robot.home, [stage.pose_world_marker], [stage.marker_size])
-    if not at_home or not _apart(robot, stage, robot.home):
+    at_home = _facing(robot, scene, robot.home, [scene.pose_world_marker], [scene.marker_size])
+    if not at_home or not _apart(robot, scene, robot.home):
         return 0.0
-    cube = _cube_pose(robot, stage, q_goal)
-    sides = [cube.compose(pose) for _, pose in stage.cube.values()]
-    seen = _facing(robot, stage, q_goal, sides, [side for side, _ in stage.cube.values()])
+    cube = _cube_pose(robot, scene, q_goal)
+    sides = [cube.compose(pose) for _, pose in scene.cube.values()]
+    seen = _facing(robot, scene, q_goal, sides, [side for side, _ in scene.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
     score = min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
-    return score if not score or _apart(robot, stage, q_goal) else _ONE_ON_THE_OTHER * score
+    return score if not score or _apart(robot, scene, q_goal) else _ONE_ON_THE_OTHER * score
 
 
-def _cube_pose(robot: Robot, stage: Stage, q: Array) -> Pose:
-    return robot.forward(q, stage.cube_frame).compose(stage.cube_offset)
+def _cube_pose(robot: Robot, scene: Scene, q: Array) -> Pose:
+    return robot.forward(q, scene.cube_frame).compose(scene.cube_offset)
 
 
-def _apart(robot: Robot, stage: Stage, q: Array) -> bool:
+def _apart(robot: Robot, scene: Scene, q: Array) -> bool:
     """Whether the picture at ``q`` shows the target, and a cell of white round it, beside the whole cube."""
-    to_camera = stage.pose_world_camera.inverse()
+    to_camera = scene.pose_world_camera.inverse()
 
     def outline(pose: Pose, points: Array) -> NDArray[np.float32]:
-        pixels = stage.intrinsics.project(to_camera.apply(pose.apply(points)))
+        pixels = scene.intrinsics.project(to_camera.apply(pose.apply(points)))
         return np.asarray(cv2.convexHull(pixels.astype(np.float32)))
 
-    h = 0.6 * stage.marker_size
+    h = 0.6 * scene.marker_size
     paper = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-    side = next(side for side, _ in stage.cube.values())
-    c = 0.5 * side + stage.cube_margin
+    side = next(side for side, _ in scene.cube.values())
+    c = 0.5 * side + scene.cube_margin
     corners = c * np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    target, cube = outline(stage.pose_world_marker, paper), outline(_cube_pose(robot, stage, q), corners)
+    target, cube = outline(scene.pose_world_marker, paper), outline(_cube_pose(robot, scene, q), corners)
     return not cv2.intersectConvexConvex(target, cube)[0] > 0.0
 
 
-def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:
+def _facing(robot: Robot, scene: Scene, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:
     """Cosines between view and paper of the markers that are seen whole, the best first."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_kinematics(robot.model, data)
-    eye = stage.pose_world_camera.position
-    width, height = stage.intrinsics.size
+    eye = scene.pose_world_camera.position
+    width, height = scene.intrinsics.size
     found = []
     for pose, side in zip(markers, sides, strict=True):
         h = 0.6 * side
@@ -300,7 +300,7 @@ def _facing(robot: Robot, stage: Stage, q: Array, markers: list[Pose], sides: li
         cosine = float(pose.rotation[:, 2] @ view / np.linalg.norm(view))
         if cosine <= _WORST_VIEW:
             continue
-        pixels = stage.intrinsics.project(stage.pose_world_camera.inverse().apply(points))
+        pixels = scene.intrinsics.project(scene.pose_world_camera.inverse().apply(points))
         if not ((pixels > 20).all() and (pixels < [width - 20, height - 20]).all()):
             continue
         if all(_clear(robot.model, data, eye, point) for point in points):

@@ -21,8 +21,8 @@ from robot_ik.camera.tracker import MarkerTracker, Sighting, drawn
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import open_sink
-from robot_ik.jobs.recording import Recording, open_recording
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.recording import Moment, Recording, open_recording
+from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.arm import ArmLink
@@ -87,7 +87,7 @@ def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
     return config
 
 
-class StageCamera:
+class CameraTab:
     """The synthetic camera of a robot's scene, for the page: a picture of robot 1 with what is seen in it.
 
     Markers are detected in the picture alone, as a real camera's are; what the synthetic one knows is not
@@ -123,11 +123,11 @@ class StageCamera:
     def _open(self, robot: Robot) -> None:
         self._source = self._tracker = None
         with contextlib.suppress(CameraError, ModelError):
-            stage = stage_for(robot)
-            scene = stage.scene(robot)
-            sizes = {marker.id: marker.size for marker in scene.markers}
-            self._tracker = MarkerTracker(scene.intrinsics, stage.dictionary, sizes, window=True)
-            self._source = SyntheticSource(scene, lambda: self._session.instances[0].q, quality="fast")
+            scene = scene_for(robot)
+            synthetic = scene.synthetic(robot)
+            sizes = {marker.id: marker.size for marker in synthetic.markers}
+            self._tracker = MarkerTracker(synthetic.intrinsics, scene.dictionary, sizes, window=True)
+            self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q, quality="fast")
 
 
 def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, place: Array) -> None:
@@ -227,7 +227,5 @@ def film(
 def _write(rows: Recording, view: View) -> None:
     """Angles of each robot, and the ball."""
     for k, one in enumerate(view.instances):
-        rows.write(
-            view.now, commanded=one.q, goal=view.ball, text=view.message if k == 0 else "",
-            robot=k + 1 if view.count > 1 else 0,
-        )  # fmt: skip
+        text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
+        rows.write(Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot))

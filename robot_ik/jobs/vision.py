@@ -22,7 +22,7 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
-from robot_ik.jobs.scene import Stage, stage_for
+from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import Bound, sigma_at
 from robot_ik.ports import Clock
 
@@ -99,7 +99,7 @@ _WANDER = 0.4
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenTarget:
     """The target marker in one picture.
 
     Attributes:
@@ -134,7 +134,7 @@ class Vision:
 
     def __init__(
         self,
-        stage: Stage,
+        scene: Scene,
         source: FrameSource,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
@@ -150,7 +150,7 @@ class Vision:
         self._when_lost, self._lead = when_lost, lead
         self.delays: tuple[Delays, Delays] | None = None
         self.path: Wandering | None = None
-        self.stage, self.intrinsics, self.pose_world_camera = stage, intrinsics, pose_world_camera
+        self.scene, self.intrinsics, self.pose_world_camera = scene, intrinsics, pose_world_camera
         self.live = source.live
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
@@ -158,10 +158,10 @@ class Vision:
         self.sees_arm, self.why_blind = not why_blind, why_blind
         self._setup, self._frame, self._synthetic = setup, frame, synthetic
         self._source = WithoutTruth(source)
-        sides = {id: side for id, (side, _) in stage.cube.items()}
-        self._cubes = MarkerTracker(intrinsics, stage.dictionary, sides)
+        sides = {id: side for id, (side, _) in scene.cube.items()}
+        self._cubes = MarkerTracker(intrinsics, scene.dictionary, sides)
         self._goals = self.goal_source(self._source)
-        self._followed: Seen | None = None
+        self._followed: SeenTarget | None = None
         self._moving: SyntheticSource | None = None
         self._cover_gripper = False
 
@@ -178,7 +178,7 @@ class Vision:
         """Takes a picture and looks for nothing."""
         return self._source.read().image
 
-    def find_target(self) -> Seen:
+    def find_target(self) -> SeenTarget:
         """The target marker in the next pictures.
 
         Raises:
@@ -199,7 +199,7 @@ class Vision:
             tries -= 1
         raise self._not_found()
 
-    def find_target_again(self) -> Seen:
+    def find_target_again(self) -> SeenTarget:
         """The target where it is now: after following, the last one of a recording, else a new look.
 
         Raises:
@@ -212,17 +212,17 @@ class Vision:
     def find_gripper(self) -> BodyObservation | None:
         """The gripper's markers in a new picture; None when none is in view."""
         if self._cover_gripper and self._synthetic is not None:
-            self._synthetic.scene = self._synthetic.scene.cover(*self.stage.cube)
-        return self._cubes.observe_body(self._source.read(), dict(self.stage.cube))
+            self._synthetic.scene = self._synthetic.scene.cover(*self.scene.cube)
+        return self._cubes.observe_body(self._source.read(), dict(self.scene.cube))
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
         robot = self._setup.robot
-        body = robot.forward(q, self.stage.cube_frame).compose(self.stage.cube_offset)
+        body = robot.forward(q, self.scene.cube_frame).compose(self.scene.cube_offset)
         return body.inverse().compose(robot.forward(q, self._frame))
 
     def get_ready_to_follow(self) -> None:
-        """Does what would keep an arm with torque waiting: the first picture of a stage takes longest."""
+        """Does what would keep an arm with torque waiting: the first picture of a scene takes longest."""
         if self._synthetic is None or self._moving is not None:
             return
         self._moving = SyntheticSource(
@@ -243,20 +243,20 @@ class Vision:
                 yield latest
             self._followed, self.delays = aimed.seen, aimed.delays
             return
-        scene = self._synthetic.scene
-        home = next(m.pose for m in scene.markers if m.id == self.stage.marker_id)
+        shown = self._synthetic.scene
+        home = next(m.pose for m in shown.markers if m.id == self.scene.marker_id)
         assert isinstance(home, Pose)
         self.get_ready_to_follow()
         moving = self._moving
         assert moving is not None
-        begin, size = clock.now() + REST_SECONDS, _WANDER * self.stage.hover
+        begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
         self.path = path = Wandering(home, begin, seconds - REST_SECONDS, size)
-        moving.scene = scene.with_marker(self.stage.marker_id, pose=path)
+        moving.scene = shown.with_marker(self.scene.marker_id, pose=path)
         aimed = _Aimed(self, WithoutTruth(moving))
         with LatestGoals(aimed, clock, self._rate) as latest:
             yield latest
         self.delays = aimed.delays
-        self._synthetic.scene = scene.with_marker(self.stage.marker_id, pose=path(clock.now()))
+        self._synthetic.scene = shown.with_marker(self.scene.marker_id, pose=path(clock.now()))
 
     def goal_source(self, source: WithoutTruth, *, follow: bool = False) -> MarkerGoalSource:
         """Goals from the target marker; each picture of ``source`` for itself, unless to ``follow``."""
@@ -264,8 +264,8 @@ class Vision:
             source,
             self._tracker(follow),
             self.pose_world_camera,
-            self.stage.marker_id,
-            self.stage.pose_marker_tool,
+            self.scene.marker_id,
+            self.scene.pose_marker_tool,
             self._frame,
             motion=FilterOptions() if follow else None,
             predict=follow and self.live,
@@ -275,20 +275,20 @@ class Vision:
         )
 
     def _tracker(self, window: bool) -> MarkerTracker:
-        stage = self.stage
+        scene = self.scene
         return MarkerTracker(
             self.intrinsics,
-            stage.dictionary,
-            {stage.marker_id: stage.marker_size},
-            [stage.marker_id],
+            scene.dictionary,
+            {scene.marker_id: scene.marker_size},
+            [scene.marker_id],
             window=window,
         )
 
-    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> Seen:
+    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> SeenTarget:
         """What an observation means for this arm."""
-        true_pose = (truth or {}).get("pose_world_marker", {}).get(self.stage.marker_id)
+        true_pose = (truth or {}).get("pose_world_marker", {}).get(self.scene.marker_id)
         pose = self.pose_world_camera.compose(observation.pose)
-        return Seen(self.for_arm(goal), observation, pose, true_pose)
+        return SeenTarget(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
@@ -299,14 +299,14 @@ class Vision:
         return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
 
     def _not_found(self) -> MarkerNotFoundError:
-        wanted = f"marker {self.stage.marker_id} of {self.stage.dictionary}"
+        wanted = f"marker {self.scene.marker_id} of {self.scene.dictionary}"
         image = self.last_image
         if self._goals.last is not None:
             return MarkerNotFoundError(
                 f"{wanted} is in view, but its two possible orientations cannot be told apart",
                 hint="show it larger, sharper or more from the side",
             )
-        found = [] if image is None else MarkerDetector(self.stage.dictionary).detect(image)
+        found = [] if image is None else MarkerDetector(self.scene.dictionary).detect(image)
         others = ", ".join(str(id) for id in sorted({detection.id for detection in found}))
         there = f"in view: {others}" if others else "no marker of that dictionary is in view"
         return MarkerNotFoundError(
@@ -321,7 +321,7 @@ class _Aimed:
     def __init__(self, vision: Vision, source: WithoutTruth) -> None:
         self._vision, self._source = vision, source
         self._goals = vision.goal_source(source, follow=True)
-        self.seen: Seen | None = None
+        self.seen: SeenTarget | None = None
 
     @property
     def delays(self) -> tuple[Delays, Delays]:
@@ -357,22 +357,22 @@ def open_vision(
     Raises:
         CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
     """
-    synthetic = request.camera == "synthetic"
-    if not synthetic:
+    if request.camera != "synthetic":
         return None if request.goal is not None else _real_vision(request, setup, frame, stack)
     try:
-        stage = _stage(request, setup, frame)
+        scene = _scene(request, setup, frame)
     except CameraError:
         if request.goal is None:
             raise
         return None  # a goal was given, and nothing can be seen: the read-back must do
-    scene = stage.scene(setup.robot)
+    synthetic = scene.synthetic(setup.robot)
     if request.rehearsal.blank_marker:
-        scene = scene.blank(stage.marker_id)
-    source = stack.enter_context(SyntheticSource(scene, setup.true_q, seed=request.seed, clock=setup.clock))
+        synthetic = synthetic.blank(scene.marker_id)
+    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
+    stack.enter_context(source)
     metal = setup.arm is not None and setup.arm.virtual_bus is None
     vision = Vision(
-        stage, source, stage.intrinsics, stage.pose_world_camera, setup, frame, synthetic=source,
+        scene, source, scene.intrinsics, scene.pose_world_camera, setup, frame, synthetic=source,
         why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
         when_lost=_when_lost(request, setup), lead=request.lead,
     )  # fmt: skip
@@ -395,22 +395,22 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, frame: str, stack: co
             hint="give the side of its black square in metres: --marker-size 0.05",
         )
     source, intrinsics = open_calibrated(request.camera, calibration, stack)
-    stage = _stage(request, setup, frame)
+    scene = _scene(request, setup, frame)
     if request.follow > 0.0 and isinstance(source, ImageSource):
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
             file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
         )  # fmt: skip
-    pose = request.pose_world_camera or stage.pose_world_camera
+    pose = request.pose_world_camera or scene.pose_world_camera
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
     elif setup.arm is None or setup.arm.virtual_bus is not None:
         why = "the arm is simulated, so a real camera cannot see it"
-    elif stage.made_up:
+    elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"
     return Vision(
-        stage, source, intrinsics, pose, setup, frame, why_blind=why,
+        scene, source, intrinsics, pose, setup, frame, why_blind=why,
         when_lost=_when_lost(request, setup), lead=request.lead,
     )  # fmt: skip
 
@@ -420,9 +420,9 @@ def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
     return WhenLost(request.when_lost, request.lost_after, park)
 
 
-def _stage(request: ReachRequest, setup: RobotSetup, frame: str) -> Stage:
-    """The robot's stage, with what the request says about the target marker."""
-    stage = stage_for(setup.robot, frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
+def _scene(request: ReachRequest, setup: RobotSetup, frame: str) -> Scene:
+    """The robot's scene, with what the request says about the target marker."""
+    scene = scene_for(setup.robot, frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
     changes: dict[str, Any] = {}
     if request.marker_id is not None:
         changes["marker_id"] = request.marker_id
@@ -438,7 +438,7 @@ def _stage(request: ReachRequest, setup: RobotSetup, frame: str) -> Stage:
                 file="command line", key="--rehearse.marker-at", allowed="finite numbers",
             )  # fmt: skip
         changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
-    return replace(stage, **changes)
+    return replace(scene, **changes)
 
 
 def calibration_of(camera: str, intrinsics: Path | None) -> Path:

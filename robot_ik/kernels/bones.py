@@ -19,7 +19,7 @@ from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 UP, FIRST, NEXT, THROUGH, STACK, PATH, LINK_COLUMNS = range(7)
 # Columns of ``points`` (points, POINT_COLUMNS): where it is, its target, its weight, how far
 # along its hinge's axis it stands from the node's origin, and the length of the bone that ends in it.
-NOW, WISH, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
+NOW, TARGET, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
 
 
 @pure
@@ -87,7 +87,7 @@ def link_points(tree, goal, nodes, links, points):
 
 @pure
 def apart(points, b, at_b, a, at_a):
-    """Distance of two points, each as it is (NOW) or its target (WISH)."""
+    """Distance of two points, each as it is (NOW) or its target (TARGET)."""
     x = points[b, at_b] - points[a, at_a]
     y = points[b, at_b + 1] - points[a, at_a + 1]
     z = points[b, at_b + 2] - points[a, at_a + 2]
@@ -306,8 +306,8 @@ def add_point(points, sums, k, c):
     """Point ``c`` and its target, seen from point ``k``."""
     add_aim(
         sums, points[c, SHARE],
-        points[c, WISH] - points[k, NOW], points[c, WISH + 1] - points[k, NOW + 1],
-        points[c, WISH + 2] - points[k, NOW + 2],
+        points[c, TARGET] - points[k, NOW], points[c, TARGET + 1] - points[k, NOW + 1],
+        points[c, TARGET + 2] - points[k, NOW + 2],
         points[c, NOW] - points[k, NOW], points[c, NOW + 1] - points[k, NOW + 1],
         points[c, NOW + 2] - points[k, NOW + 2],
     )  # fmt: skip
@@ -370,7 +370,7 @@ def gather(tree, goal, work, links, points, one, sums, k):
 
 
 @outlined
-def heed_goals(tree, goal, work, links, points, sums, k, pull):
+def add_goals(tree, goal, work, links, points, sums, k, pull):
     """Adds to ``sums`` the goals that hang on joint ``k``, as they would be if later joints stayed.
 
     A bone's target contains no error across the bone, which a ball can take out and a hinge cannot:
@@ -422,7 +422,7 @@ def aim_ball(tree, goal, work, links, points, one, sums, k, a):
     for _ in range(_BALL_TURNS):
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[BALL_PULL] > 0.0:
-            heed_goals(tree, goal, work, links, points, sums, k, sums[BALL_PULL])
+            add_goals(tree, goal, work, links, points, sums, k, sums[BALL_PULL])
         x, y, z = turn_axis(sums)
         norm = math.sqrt(x * x + y * y + z * z)
         if norm == 0.0:
@@ -506,19 +506,19 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
     if kind == HINGE:
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[PULL] > 0.0:
-            heed_goals(tree, goal, work, links, points, sums, k, sums[PULL])
+            add_goals(tree, goal, work, links, points, sums, k, sums[PULL])
         ta, tb = turn_terms(sums, world[k, 5], world[k, 8], world[k, 11])
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     elif kind == SLIDE:
         links[k, THROUGH] = 0
         for i in range(3):
-            gone += world[k, 5 + 3 * i] * (points[k, WISH + i] - points[k, NOW + i])
+            gone += world[k, 5 + 3 * i] * (points[k, TARGET + i] - points[k, NOW + i])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     else:
         if kind == FREE:
             for i in range(3):
-                q[a + i] += points[k, WISH + i] - points[k, NOW + i]
+                q[a + i] += points[k, TARGET + i] - points[k, NOW + i]
             relocate(tree, goal, work, links, points, one, sums, k)
         gone = fit_ball(tree, goal, work, links, points, one, sums, k)
     relocate(tree, goal, work, links, points, one, sums, k)

@@ -20,45 +20,16 @@ import math
 
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.loop import step_bounds
-from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.residuals import clamp_residual, goal_jacobian
 from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
 # Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
-_MISTRUST = 0.1
+_EXTRA_DAMPING = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
 # motion out of its plane, a joint that is pinned.
 NEGLIGIBLE = 1e-9
-
-
-@pure
-def goal_end(goal, g, rows):
-    """The row after the last one of goal ``g``; goals own their rows one after the other."""
-    return goal.row[g + 1] if g + 1 < goal.row.shape[0] else rows
-
-
-@outlined
-def clamp_residual(goal, residual, wanted, clamp, alike):
-    """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most.
-
-    ``alike``: all by the factor of the longest, so that the way down stays the same.
-    """
-    m = residual.shape[0]
-    least = 1.0
-    for g in range(goal.row.shape[0]):
-        first, end = goal.row[g], goal_end(goal, g, m)
-        square = 0.0
-        for r in range(first, end):
-            square += residual[r] * residual[r]
-        norm = math.sqrt(square)
-        share = clamp / norm if norm > clamp else 1.0
-        least = min(least, share)
-        for r in range(first, end):
-            wanted[r] = share * residual[r]
-    if alike:
-        for r in range(m):
-            wanted[r] = least * residual[r]
 
 
 @outlined
@@ -184,7 +155,7 @@ def extra_damping(work):
     """
     if work.state[POLISHING] == 0:
         return 0.0
-    return _MISTRUST * math.sqrt(2.0 * work.value[COST]) * (1.0 / work.value[SHARE] - 1.0)
+    return _EXTRA_DAMPING * math.sqrt(2.0 * work.value[COST]) * (1.0 / work.value[SHARE] - 1.0)
 
 
 @outlined

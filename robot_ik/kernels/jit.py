@@ -72,14 +72,14 @@ _OPTIONS: dict[str, Any] = {
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Packages with compiled code: what compiled code of one file takes from another lies in them.
-_ROOMS = ("kernels", "solvers", "camera")
+_COMPILED_PACKAGES = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
 _IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
     """The source of ``solvers.ccd``; None for what is not in a package with compiled code."""
-    if module.split(".")[0] not in _ROOMS:
+    if module.split(".")[0] not in _COMPILED_PACKAGES:
         return None
     path = _PACKAGE.joinpath(*module.split("."))
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
@@ -303,7 +303,7 @@ def announce(function: Any, what: str) -> None:
 
 
 # ------------------------------------------------------------------------------------------
-# ``keep_apart()``: keeps LLVM from copying a large function into all its callers.
+# ``noinline()``: keeps LLVM from copying a large function into all its callers.
 #
 # A limb's closed form calls one function from many places, several levels deep: copied, it compiles for a
 # minute in place of seconds, and runs no faster.

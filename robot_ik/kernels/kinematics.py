@@ -300,12 +300,6 @@ def tree_clip(tree, nodes, q):
     return clip(open_tree(tree), nodes, q)
 
 
-@kernel
-def tree_forward(tree, nodes, q, world, scratch):
-    """``forward`` for the table of a tree: fills ``world`` (n, 12)."""
-    forward(open_tree(tree), nodes, q, world, scratch)
-
-
 @pure
 def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""

@@ -308,6 +308,24 @@ def copy(source, target):
 
 
 @pure
+def take_row(goal, work, targets, starts, row):
+    """The target (n, 12) and the start (n, nq) of one row of a batch."""
+    for i in range(12):
+        goal.target[0, i] = targets[row, i]
+    for i in range(work.start.shape[0]):
+        work.start[i] = starts[row, i]
+
+
+@pure
+def give_row(work, q, miss, iterations, row):
+    """The answer to that row: q (n, nq), miss (n, 2), iterations (n,)."""
+    for i in range(work.best.shape[0]):
+        q[row, i] = work.best[i]
+    miss[row, 0], miss[row, 1] = work.miss[0, 0], work.miss[0, 1]
+    iterations[row] = work.state[ITERATIONS]
+
+
+@pure
 def keep_best(work):
     """Remembers q as the best so far."""
     work.value[BEST_COST] = work.value[COST]

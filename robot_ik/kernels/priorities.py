@@ -15,7 +15,6 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jacobian_step import goal_end
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import eliminate
@@ -32,7 +31,7 @@ from robot_ik.kernels.loop import (
     some_within_reach,
     step_bounds,
 )
-from robot_ik.kernels.residuals import goal_jacobian
+from robot_ik.kernels.residuals import goal_end, goal_jacobian
 from robot_ik.kernels.workspace import (
     ALL_GOALS,
     BEST_COST,

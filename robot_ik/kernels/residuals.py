@@ -417,6 +417,35 @@ def add_tied(tree, goal, work, points):
             jacobian[r, u] = kept[r] + slope * jacobian[r, u]
 
 
+@pure
+def goal_end(goal, g, rows):
+    """The row after the last one of goal ``g``; goals own their rows one after the other."""
+    return goal.row[g + 1] if g + 1 < goal.row.shape[0] else rows
+
+
+@outlined
+def clamp_residual(goal, residual, wanted, clamp, alike):
+    """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most.
+
+    ``alike``: all by the factor of the longest, so that the way down stays the same.
+    """
+    m = residual.shape[0]
+    least = 1.0
+    for g in range(goal.row.shape[0]):
+        first, end = goal.row[g], goal_end(goal, g, m)
+        square = 0.0
+        for r in range(first, end):
+            square += residual[r] * residual[r]
+        norm = math.sqrt(square)
+        share = clamp / norm if norm > clamp else 1.0
+        least = min(least, share)
+        for r in range(first, end):
+            wanted[r] = share * residual[r]
+    if alike:
+        for r in range(m):
+            wanted[r] = least * residual[r]
+
+
 @outlined
 def goal_jacobian(tree, goal, work, points):
     """Weighted Jacobian (m, nu) with J dq ≈ r: minus the derivative of the residual, exact.

@@ -1,6 +1,6 @@
 """``SOLVERS``: one row for each method, the only place of registration; ``auto`` is the default.
 
-CLI, docs table, tests and benchmarks are made from it.
+CLI, docs table, tests and benchmarks are made from it.  It imports no method, nor their base: both know it.
 """
 
 from __future__ import annotations
@@ -8,11 +8,13 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot_ik.errors import ConfigError, UnknownSolverError, close_matches
-from robot_ik.problem import Problem
-from robot_ik.solvers.base import Solver
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem
+    from robot_ik.solvers.base import Solver
 
 # name -> module and class; a method is imported when it is first used.
 _ROWS: dict[str, tuple[str, str]] = {
@@ -32,7 +34,7 @@ _ROWS: dict[str, tuple[str, str]] = {
 }
 
 
-class _Solvers(Mapping[str, type[Solver]]):
+class _Solvers(Mapping[str, "type[Solver]"]):
     """Name -> solver class, imported on access."""
 
     def __getitem__(self, name: str) -> type[Solver]:
@@ -66,7 +68,9 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
         UnknownSolverError: With the close names.
         ConfigError: An option that the method does not have, or out of range.
     """
-    if isinstance(solver, Solver):
+    if not isinstance(solver, str):
+        if not hasattr(solver, "attempt"):
+            raise UnknownSolverError(str(solver), _ROWS)
         if options:
             raise ConfigError(
                 f"{', '.join(options)} cannot be set on a solver that is made already",

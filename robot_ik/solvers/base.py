@@ -141,7 +141,7 @@ class Solver(ABC):
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
         if beyond := self.beyond(problem):
-            from robot_ik.solvers import able_solvers
+            from robot_ik.solvers import able_solvers  # here: a new row shall not compile every method anew
 
             raise UnsupportedGoalError(self.name, beyond, able_solvers(problem))
 

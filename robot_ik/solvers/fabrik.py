@@ -38,8 +38,8 @@ from robot_ik.kernels.bones import (
     SHARE,
     SHIFT,
     SUM_SIZE,
+    TARGET,
     UP,
-    WISH,
     across,
     apart,
     link_points,
@@ -107,11 +107,11 @@ open_options = options_of(Fabrik)
 def pulled(tree, goal, points, k, c, i):
     """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
     if tree.kind[k] == SLIDE:  # cannot turn: comes along as it is
-        return points[c, WISH + i] + points[k, NOW + i] - points[c, NOW + i]
-    gap = apart(points, k, NOW, c, WISH)
+        return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
+    gap = apart(points, k, NOW, c, TARGET)
     if gap > 1e-12:
-        return points[c, WISH + i] + points[c, LENGTH] / gap * (points[k, NOW + i] - points[c, WISH + i])
-    return points[c, WISH + i] + points[k, NOW + i] - points[c, NOW + i]
+        return points[c, TARGET + i] + points[c, LENGTH] / gap * (points[k, NOW + i] - points[c, TARGET + i])
+    return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
 
 
 @pure
@@ -135,15 +135,17 @@ def reach_back(tree, goal, work, links, points):
     for index in range(work.nodes.shape[0] - 1, -1, -1):
         k = work.nodes[index]
         for i in range(3):
-            points[k, WISH + i] = 0.0
+            points[k, TARGET + i] = 0.0
         c = links[k, FIRST]
         while c >= 0:
             share = points[c, SHARE] / points[k, SHARE] if points[k, SHARE] > 0.0 else 0.0
             if share > 0.0:
                 fixed = c >= n and turned_goal(goal, c - n)
                 for i in range(3):
-                    wish = posed(goal, points, k, c - n, i) if fixed else pulled(tree, goal, points, k, c, i)
-                    points[k, WISH + i] += share * wish
+                    target = (
+                        posed(goal, points, k, c - n, i) if fixed else pulled(tree, goal, points, k, c, i)
+                    )
+                    points[k, TARGET + i] += share * target
             c = links[c, NEXT]
 
 
@@ -160,8 +162,8 @@ def bend(tree, goal, work, links, points, kick):
         while links[root, UP] >= 0:
             length += points[root, LENGTH]
             root = links[root, UP]
-        end, at = tip, WISH
-        far = apart(points, tip, WISH, root, NOW)
+        end, at = tip, TARGET
+        far = apart(points, tip, TARGET, root, NOW)
         if far >= length * (1.0 - _STRETCHED):
             too_far = True
             continue
@@ -213,14 +215,14 @@ def straighten(tree, links, points):
     while links[root, UP] >= 0:
         length += points[root, LENGTH]
         root = links[root, UP]
-    far = apart(points, tip, WISH, root, NOW)
-    x, y, z = points[tip, WISH], points[tip, WISH + 1], points[tip, WISH + 2]
+    far = apart(points, tip, TARGET, root, NOW)
+    x, y, z = points[tip, TARGET], points[tip, TARGET + 1], points[tip, TARGET + 2]
     k = tip
     while k != root:
         s = length / far
-        points[k, WISH] = points[root, NOW] + s * (x - points[root, NOW])
-        points[k, WISH + 1] = points[root, NOW + 1] + s * (y - points[root, NOW + 1])
-        points[k, WISH + 2] = points[root, NOW + 2] + s * (z - points[root, NOW + 2])
+        points[k, TARGET] = points[root, NOW] + s * (x - points[root, NOW])
+        points[k, TARGET + 1] = points[root, NOW + 1] + s * (y - points[root, NOW + 1])
+        points[k, TARGET + 2] = points[root, NOW + 2] + s * (z - points[root, NOW + 2])
         length -= points[k, LENGTH]
         k = links[k, UP]
 
@@ -250,7 +252,7 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
         link_points(tree, goal, work.nodes, links, points)
     for g in range(goal.kind.shape[0]):
         for i in range(3):
-            points[n + g, WISH + i] = goal.target[g, i]
+            points[n + g, TARGET + i] = goal.target[g, i]
     locate_all(tree, goal, work, links, points, one)
     sums[BALL_PULL] = sums[PULL] if lacks_wrist(tree, goal, links, points) else 0.0
     too_far = bend(tree, goal, work, links, points, options.kick)

@@ -1,6 +1,6 @@
 """Which method ``auto`` asks first, by the arm's closed form and by whether the start is near the goal.
 
-Made by ``python -m robot_ik.bench.methods.first_choice --write``; nothing is timed when a goal is solved.
+Made by ``python docs/make/measure_first_choice.py --write``; nothing is timed when a goal is solved.
 """
 
 from __future__ import annotations

@@ -20,13 +20,19 @@ from numba import types
 from numpy.typing import NDArray
 
 from robot_ik.kernels import jit
-from robot_ik.kernels.jacobian_step import clamp_residual
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed, step_bounds
+from robot_ik.kernels.loop import advance, begin, copy, give_row, measure, proceed, step_bounds, take_row
 from robot_ik.kernels.priorities import run_levels
-from robot_ik.kernels.residuals import ORIENTATION, PARTIAL, POSITION, goal_jacobian, open_goals
+from robot_ik.kernels.residuals import (
+    ORIENTATION,
+    PARTIAL,
+    POSITION,
+    clamp_residual,
+    goal_jacobian,
+    open_goals,
+)
 from robot_ik.kernels.rotations import curvature
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import (
@@ -35,7 +41,6 @@ from robot_ik.kernels.workspace import (
     CONVERGED,
     COST,
     DAMPING,
-    ITERATIONS,
     NO_LIMIT,
     POLISHING,
     PRESSED,
@@ -396,22 +401,17 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
     run = open_run(run)
     tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
     options = open_options(run.options)
-    target, start, state, now, best = goal.target, work.start, work.state, work.miss, work.best
+    state = work.state
     for row in range(targets.shape[0]):
-        for i in range(12):
-            target[0, i] = targets[row, i]
-        for i in range(start.shape[0]):
-            start[i] = starts[row, i]
+        take_row(goal, work, targets, starts, row)
         copy(fresh, state)
         begin(tree, goal, work)
         while proceed(tree, goal, work):
             lm_step(tree, goal, work, work.frames, work.residual, options)
             advance(tree, goal, work)
         if state[STATUS] != CONVERGED:  # else it has just been measured
-            copy(best, work.q)
+            copy(work.best, work.q)
             measure(tree, goal, work)
-        for i in range(best.shape[0]):
-            q[row, i] = best[i]
+        give_row(work, q, miss, iterations, row)
         status[row] = UNREACHABLE if state[BEYOND] == 1 and state[STATUS] != CONVERGED else state[STATUS]
-        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
-        iterations[row], restarts[row] = state[ITERATIONS], state[RESTARTS]
+        restarts[row] = state[RESTARTS]

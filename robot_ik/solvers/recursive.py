@@ -32,7 +32,7 @@ from robot_ik.kernels.bones import (
     POINT_COLUMNS,
     PULL,
     SUM_SIZE,
-    WISH,
+    TARGET,
     across,
     apart,
     chain_path,
@@ -83,12 +83,12 @@ def meet(points, e, b, p, radius):
     Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
     """
     length = points[e, LENGTH]
-    far = apart(points, e, WISH, p, NOW)
+    far = apart(points, e, TARGET, p, NOW)
     if far > length + radius or far < abs(length - radius) or far == 0.0:
         return False
-    x = (points[e, WISH] - points[p, NOW]) / far
-    y = (points[e, WISH + 1] - points[p, NOW + 1]) / far
-    z = (points[e, WISH + 2] - points[p, NOW + 2]) / far
+    x = (points[e, TARGET] - points[p, NOW]) / far
+    y = (points[e, TARGET + 1] - points[p, NOW + 1]) / far
+    z = (points[e, TARGET + 2] - points[p, NOW + 2]) / far
     along = (far * far + radius * radius - length * length) / (2.0 * far)
     off = math.sqrt(max(0.0, radius * radius - along * along))
     bx, by, bz = (
@@ -103,9 +103,9 @@ def meet(points, e, b, p, radius):
         bx, by, bz = bx / norm, by / norm, bz / norm
     else:
         bx, by, bz = across(x, y, z)
-    points[b, WISH] = points[p, NOW] + along * x + off * bx
-    points[b, WISH + 1] = points[p, NOW + 1] + along * y + off * by
-    points[b, WISH + 2] = points[p, NOW + 2] + along * z + off * bz
+    points[b, TARGET] = points[p, NOW] + along * x + off * bx
+    points[b, TARGET + 1] = points[p, NOW + 1] + along * y + off * by
+    points[b, TARGET + 2] = points[p, NOW + 2] + along * z + off * bz
     return True
 
 
@@ -114,20 +114,20 @@ def drag(points, e, b, root, low, high, guard):
     """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
     length = points[e, LENGTH]
     x, y, z = (
-        points[b, NOW] - points[e, WISH],
-        points[b, NOW + 1] - points[e, WISH + 1],
-        points[b, NOW + 2] - points[e, WISH + 2],
+        points[b, NOW] - points[e, TARGET],
+        points[b, NOW + 1] - points[e, TARGET + 1],
+        points[b, NOW + 2] - points[e, TARGET + 2],
     )
     norm = math.sqrt(x * x + y * y + z * z)
     if norm > 0.0:
         x, y, z = x / norm, y / norm, z / norm
     else:
         x, y, z = 0.0, 0.0, 1.0
-    far = apart(points, root, NOW, e, WISH)
+    far = apart(points, root, NOW, e, TARGET)
     if guard and far > 0.0 and length > 0.0:
-        rx = (points[root, NOW] - points[e, WISH]) / far
-        ry = (points[root, NOW + 1] - points[e, WISH + 1]) / far
-        rz = (points[root, NOW + 2] - points[e, WISH + 2]) / far
+        rx = (points[root, NOW] - points[e, TARGET]) / far
+        ry = (points[root, NOW + 1] - points[e, TARGET + 1]) / far
+        rz = (points[root, NOW + 2] - points[e, TARGET + 2]) / far
         along = x * rx + y * ry + z * rz
         sx, sy, sz = x - along * rx, y - along * ry, z - along * rz
         sine = math.sqrt(sx * sx + sy * sy + sz * sz)
@@ -140,9 +140,9 @@ def drag(points, e, b, root, low, high, guard):
                 sx, sy, sz = across(rx, ry, rz)
             c, s = math.cos(allowed), math.sin(allowed)
             x, y, z = c * rx + s * sx, c * ry + s * sy, c * rz + s * sz
-    points[b, WISH] = points[e, WISH] + length * x
-    points[b, WISH + 1] = points[e, WISH + 1] + length * y
-    points[b, WISH + 2] = points[e, WISH + 2] + length * z
+    points[b, TARGET] = points[e, TARGET] + length * x
+    points[b, TARGET + 1] = points[e, TARGET + 1] + length * y
+    points[b, TARGET + 2] = points[e, TARGET + 2] + length * z
 
 
 @outlined
@@ -154,14 +154,14 @@ def pull_chain(tree, goal, links, points, guard):
         c = links[i, PATH]
         total += points[c, LENGTH]
         for m in range(3):
-            points[c, WISH + m] = points[c, NOW + m]
+            points[c, TARGET + m] = points[c, NOW + m]
     tip, root = links[count - 1, PATH], links[0, PATH]
     for m in range(3):
-        points[tip, WISH + m] = goal.target[0, m]
+        points[tip, TARGET + m] = goal.target[0, m]
     rest = total
     for i in range(count - 1, 0, -1):
         e, b = links[i, PATH], links[i - 1, PATH]
-        if abs(apart(points, e, WISH, b, NOW) - points[e, LENGTH]) <= _EQUAL * total:
+        if abs(apart(points, e, TARGET, b, NOW) - points[e, LENGTH]) <= _EQUAL * total:
             return True
         if i == 1:
             return False

@@ -20,7 +20,6 @@ from typing import ClassVar
 
 from robot_ik.kernels.jacobian_step import (
     cap,
-    goal_end,
     keep_inside,
     pin_downhill,
     pin_outward,
@@ -30,7 +29,7 @@ from robot_ik.kernels.jacobian_step import (
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import svd
 from robot_ik.kernels.loop import advance, begin, proceed
-from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.residuals import goal_end, open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import JacobianSolver, option, options_of

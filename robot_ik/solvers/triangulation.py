@@ -32,7 +32,7 @@ from robot_ik.kernels.bones import (
     POINT_COLUMNS,
     PULL,
     SUM_SIZE,
-    WISH,
+    TARGET,
     across,
     chain_path,
     fit_joint,
@@ -131,7 +131,7 @@ def bone_direction(tree, work, goal, links, points, i, j, count, improved):
 
 
 @outlined
-def wish_bone(tree, work, goal, links, points, i, j, count, improved):
+def target_bone(tree, work, goal, links, points, i, j, count, improved):
     """Wishes for the end of the bone from path[i] to path[j], and for the points after it on one line."""
     p, a = links[i, PATH], points[links[j, PATH], LENGTH]
     dx, dy, dz = bone_direction(tree, work, goal, links, points, i, j, count, improved)
@@ -145,12 +145,12 @@ def wish_bone(tree, work, goal, links, points, i, j, count, improved):
         e = links[m, PATH]
         if m < j:
             for r in range(3):
-                points[e, WISH + r] = points[p, NOW + r]
+                points[e, TARGET + r] = points[p, NOW + r]
             continue
         along += points[e, LENGTH] if m > j else 0.0
-        points[e, WISH] = x + s * along * dx
-        points[e, WISH + 1] = y + s * along * dy
-        points[e, WISH + 2] = z + s * along * dz
+        points[e, TARGET] = x + s * along * dx
+        points[e, TARGET + 1] = y + s * along * dy
+        points[e, TARGET + 2] = z + s * along * dz
 
 
 @outlined
@@ -171,7 +171,7 @@ def triangulation_step(tree, goal, work, links, points, one, sums, options):
                 for m in range(i, count):  # what hangs on the joints turned so far
                     locate(tree, goal, work, points, one, links[m, PATH])
                 if bone:
-                    wish_bone(tree, work, goal, links, points, i, last + 1, count, improved)
+                    target_bone(tree, work, goal, links, points, i, last + 1, count, improved)
                     fit_joint(tree, goal, work, links, points, one, sums, links[i, PATH])
         head = last + 1
 

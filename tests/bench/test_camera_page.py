@@ -35,9 +35,9 @@ def test_the_pages_say_what_was_measured(pages: types.ModuleType) -> None:
 
 def test_the_overlays_error_stands_in_the_generated_tables_only(pages: types.ModuleType) -> None:
     for page in pages.PAGES:
-        told = pages.PLACE.sub("", page.read_text(encoding="utf-8"))
-        assert not re.search(r"\b0\.\d+ px\b.*(overlay|robot on a board)", told), page.name
-        assert not re.search(r"(overlay|robot on a board).*\b0\.\d+ px\b", told), page.name
+        reported = pages.PLACE.sub("", page.read_text(encoding="utf-8"))
+        assert not re.search(r"\b0\.\d+ px\b.*(overlay|robot on a board)", reported), page.name
+        assert not re.search(r"(overlay|robot on a board).*\b0\.\d+ px\b", reported), page.name
 
 
 def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleType) -> None:
@@ -50,8 +50,8 @@ def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleTy
 
 @pytest.mark.soak  # it measures them anew
 def test_the_remedies_are_those_of_today() -> None:
-    told = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))["remedies"]
+    reported = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))["remedies"]
     found = remedy_errors()
-    assert list(found) == list(told)
-    for name, (rms, worst) in told.items():
+    assert list(found) == list(reported)
+    for name, (rms, worst) in reported.items():
         assert (found[name].rms, found[name].worst) == pytest.approx((rms, worst), rel=0.02, abs=0.02), name

@@ -30,8 +30,8 @@ def test_wrong_input_is_one_sentence(
 ) -> None:
     out = tmp_path / "none"
     assert main(["bench", *words.split(), "--out", str(out)]) == 2
-    told = capsys.readouterr()
-    assert said in " ".join((told.out + told.err).split()) and "Traceback" not in told.err
+    reported = capsys.readouterr()
+    assert said in " ".join((reported.out + reported.err).split()) and "Traceback" not in reported.err
     assert not out.exists()
 
 
@@ -57,7 +57,7 @@ def test_kernels_and_batches(
         "bench --solvers lm analytic --robots panda puma560 --sets kernels batch --count 2 --no-plots --out"
     )
     assert main([*words.split(), str(tmp_path)]) == 0
-    told = capsys.readouterr()
+    reported = capsys.readouterr()
     results = read_results(tmp_path / "bench.json")
     assert not results.cells and [one.joints for one in results.floors] == [7, 6]
     points = {(point.solver, point.across, point.size): point for point in results.growth}
@@ -68,8 +68,8 @@ def test_kernels_and_batches(
     solved = {(one.solver, one.robot, one.threads): one for one in results.batches}
     assert {key[:2] for key in solved} == {("lm", "panda"), ("lm", "puma560"), ("analytic", "puma560")}
     assert all(one.poses == 1000 and one.success == 1.0 and one.per_second > 0 for one in solved.values())
-    assert "no batch" in told.err and "panda" in told.err
-    assert "solves/s" in told.out and "µs a step, by number of goals" in " ".join(told.out.split())
+    assert "no batch" in reported.err and "panda" in reported.err
+    assert "solves/s" in reported.out and "µs a step, by number of goals" in " ".join(reported.out.split())
 
 
 def test_problems_that_do_not_exist_take_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

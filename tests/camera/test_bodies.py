@@ -214,7 +214,7 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
         ('id = 3, size = 0.05}', 'id = 3, size = 0.05}, 7', r"markers\[1\]: 7 is not right; allowed: "),
     ],
 )  # fmt: skip
-def test_what_is_wrong_in_the_file_is_told(tmp_path: Path, old: str, new: str, text: str | None) -> None:
+def test_what_is_wrong_in_the_file_is_reported(tmp_path: Path, old: str, new: str, text: str | None) -> None:
     file = tmp_path / "bodies.toml"
     assert old in GOOD
     file.write_text(GOOD.replace(old, new))

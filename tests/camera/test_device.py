@@ -154,7 +154,7 @@ def test_a_camera_that_is_slower_than_asked_is_refused(camera: list[FilmCapture]
 
 
 @linux_only
-def test_no_permission_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_permission_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "video3"
     path.touch()
     monkeypatch.setattr(os, "access", lambda *_: False)

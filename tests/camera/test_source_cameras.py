@@ -96,7 +96,7 @@ def test_a_silent_camera_times_out(capture: FakeCapture) -> None:
             source.read()
 
 
-def test_a_pulled_plug_is_told(capture: FakeCapture) -> None:
+def test_a_pulled_plug_is_reported(capture: FakeCapture) -> None:
     with DeviceSource(0, opener=lambda: capture, timeout=5.0) as source:
         source.read()
         capture.dead = True

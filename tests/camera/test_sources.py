@@ -154,12 +154,12 @@ def test_a_synthetic_camera_keeps_its_truth_apart() -> None:
         ("synthetic:orbit?frames=-1", "cannot be negative"),
     ],
 )
-def test_synthetic_sources_that_do_not_exist_are_told(text: str, message: str) -> None:
+def test_synthetic_sources_that_do_not_exist_are_reported(text: str, message: str) -> None:
     with pytest.raises(CameraNotFoundError, match=message):
         open_source(text)
 
 
-def test_another_size_than_asked_is_told(tmp_path: Path, film: Path) -> None:
+def test_another_size_than_asked_is_reported(tmp_path: Path, film: Path) -> None:
     cv2.imwrite(str(tmp_path / "photo.png"), picture(1))
     for name in ("photo.png", "clip.avi", "."):
         with pytest.raises(FrameSizeError, match="64x48 px, not 640x480"):
@@ -187,7 +187,7 @@ def test_truth_can_be_taken_off() -> None:
         ("http://127.0.0.1:9/stream", "cannot open camera http"),
     ],
 )
-def test_what_cannot_be_opened_is_told(
+def test_what_cannot_be_opened_is_reported(
     tmp_path: Path,
     text: str,
     message: str,
@@ -220,7 +220,7 @@ def test_a_film_on_a_server_is_opened_and_is_not_live(film: Path) -> None:
             with open_source(f"http://127.0.0.1:{server.server_port}/clip.avi", size=(64, 48)) as source:
                 assert not source.live
                 assert source.read().size == (64, 48)
-                # A file on a server ends; a stream that ends is told.
+                # A file on a server ends; a stream that ends is reported.
                 with pytest.raises(FrameTimeoutError, match="stopped delivering"):
                     for _ in range(20):
                         source.read()

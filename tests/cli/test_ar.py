@@ -103,7 +103,7 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
 def test_the_self_test_judges(
     rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [ar.Row("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
+    rows = [ar.SelfTestRow("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
     monkeypatch.setattr(ar, "measure", lambda: (rows, "no OpenGL here"))
     assert main(["ar", "--self-test"]) == code
     said = capsys.readouterr()

@@ -31,8 +31,8 @@ def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(
 
 def test_an_unknown_row_names_the_close_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "camera", "--rows", "predicton"]) == 2
-    told = capsys.readouterr().err
-    assert "did you mean 'prediction'" in told and "Traceback" not in told
+    reported = capsys.readouterr().err
+    assert "did you mean 'prediction'" in reported and "Traceback" not in reported
 
 
 def test_the_row_of_real_pictures_asks_for_them(capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,7 +100,7 @@ def interrupted(_: Effort) -> Iterator[Figure]:
 
 
 @pytest.mark.parametrize(("function", "code"), [("failing", 1), ("interrupted", 130)])
-def test_what_is_missed_or_interrupted_is_told(
+def test_what_is_missed_or_interrupted_is_reported(
     function: str,
     code: int,
     tmp_path: Path,

@@ -159,7 +159,7 @@ def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pyt
         ([], "nothing to calibrate from"),
     ],
 )
-def test_slips_are_told(
+def test_mistakes_are_reported(
     arguments: list[str], words: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -93,7 +93,7 @@ def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch
         (["--camera", "0"], "has no calibration"),
     ],
 )
-def test_what_cannot_be_meant_is_told(robot_ik: Any, arguments: list[str], words: str) -> None:
+def test_what_cannot_be_meant_is_reported(robot_ik: Any, arguments: list[str], words: str) -> None:
     run = robot_ik("camera", "handeye", *arguments)
     run.assert_one_screen_error()
     assert words in run.err

@@ -48,7 +48,7 @@ def test_nothing_is_written_when_all_pictures_are_doubted(robot_ik: Any) -> None
     assert run.out == "" and not Path("place.toml").exists()
 
 
-def test_one_picture_that_contradicts_the_others_is_told(robot_ik: Any) -> None:
+def test_one_picture_that_contradicts_the_others_is_reported(robot_ik: Any) -> None:
     image = cv2.imread("shots/1.png")
     for number in range(3, 8):
         cv2.imwrite(f"shots/{number}.png", image)
@@ -101,7 +101,7 @@ def test_json(robot_ik: Any) -> None:
         (["nowhere.png", *GRID], 2, "nowhere.png"),
     ],
 )
-def test_what_cannot_be_done_is_told(robot_ik: Any, arguments: list[str], code: int, words: str) -> None:
+def test_what_cannot_be_done_is_reported(robot_ik: Any, arguments: list[str], code: int, words: str) -> None:
     run = robot_ik("camera", "locate", *arguments, "--intrinsics", "camera.yaml")
     run.assert_one_screen_error(code)
     assert words in run.err

@@ -1,4 +1,4 @@
-"""``robot-ik camera print``: files, what is said of them, and slips."""
+"""``robot-ik camera print``: files, what is said of them, and mistakes."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
         (["poster"], ["poster"]),
     ],
 )
-def test_slips_are_told(
+def test_mistakes_are_reported(
     arguments: list[str], words: list[str], robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -58,9 +58,9 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
                     time.sleep(5.0)
                 some.add(q, view)
                 keep(VerifySamples(some, *known, False, HIDDEN, servos))
-        stops = tuple(samples.q)
+        stations = tuple(samples.q)
         empty = VerifyReport(
-            robot, "flange", stops, samples, (3,), *known, False, (), None, config, HIDDEN
+            robot, "flange", stations, samples, (3,), *known, False, (), None, config, HIDDEN
         )  # fmt: skip
         return empty if dry_run else verify._judged(empty, request.fit)
 
@@ -96,7 +96,7 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik
     assert "found with another calibration" in run.err and "--camera-extrinsics" in run.err
 
 
-def test_samples_of_something_else_are_told(robot_ik: Any, arm: Path) -> None:
+def test_samples_of_something_else_are_reported(robot_ik: Any, arm: Path) -> None:
     SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(Path("hand.json"))
     run = robot_ik("camera", "verify", "--samples", "hand.json")
     run.assert_one_screen_error()
@@ -121,7 +121,7 @@ def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> No
     assert "ahead by" not in run.out
     poses = run.out.split("the arm as it is")[0].splitlines()
     numbers = [int(line.split()[0]) for line in poses if line.split()[:1] and line.split()[0].isdigit()]
-    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], "rows are numbered as the stops that were planned"
+    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], "rows are numbered as the stations that were planned"
     assert robot_ik("camera", "verify", "--allowed-mm", "60").code == 0
     said = json.loads(robot_ik("camera", "verify", "--json").out)
     assert said["passed"] is False and "fit" not in said
@@ -200,7 +200,7 @@ def test_a_plan_is_printed(robot_ik: Any, arm: Path) -> None:
         (["--arm", "nowhere.toml"], "nowhere.toml"),
     ],
 )
-def test_what_cannot_be_meant_is_told(robot_ik: Any, arguments: list[str], words: str) -> None:
+def test_what_cannot_be_meant_is_reported(robot_ik: Any, arguments: list[str], words: str) -> None:
     run = robot_ik("camera", "verify", *arguments)
     run.assert_one_screen_error()
     assert words in run.err

@@ -1,4 +1,4 @@
-"""The table of commands: help, versions, slips of the keyboard, exit codes."""
+"""The table of commands: help, versions, typing mistakes, exit codes."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "reported"),
     [
         ("help slove", "did you mean 'solve'"),
         ("doctor --jsn", "unknown option '--jsn'; did you mean '--json'?"),
@@ -176,10 +176,10 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("sim-bus --wire-baud 99999999", "--wire-baud: not 99999999; allowed: 0 to 10500000"),
     ],
 )
-def test_wrong_words_are_told_in_one_sentence(line: str, told: str, robot_ik: Any) -> None:
+def test_wrong_words_are_reported_in_one_sentence(line: str, reported: str, robot_ik: Any) -> None:
     run = robot_ik(*line.split())
     run.assert_one_screen_error()
-    assert told in run.err and run.err.startswith("error: ")
+    assert reported in run.err and run.err.startswith("error: ")
     assert "--help" in run.err.splitlines()[-1] or len(run.err.splitlines()) == 1  # or all words were read
     assert not re.search(r"command\.|\{None\}|<class|invalid literal|Traceback", run.err)
 

@@ -235,9 +235,11 @@ def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
         assert file is not None
         config = ArmConfig.load(file)
         bus = open_bus(str(port), config)
-        told = bus.sync_read([joint.id for joint in config.joints], shared_register(config, "torque_enable"))
+        reported = bus.sync_read(
+            [joint.id for joint in config.joints], shared_register(config, "torque_enable")
+        )
         bus.close()
-        assert [status.data for status in told.values()] == [0] * 6
+        assert [status.data for status in reported.values()] == [0] * 6
     finally:
         servos.send_signal(signal.SIGINT)
         servos.communicate(timeout=60)

@@ -92,7 +92,9 @@ def test_move_all_joints_then_by_some(robot_ik: Any, desk: Any) -> None:
     assert degrees(desk) == pytest.approx([-5.0, -20.0, 5.5], abs=0.3)
 
 
-def test_a_joint_that_is_held_fast_is_told(robot_ik: Any, desk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_joint_that_is_held_fast_is_reported(
+    robot_ik: Any, desk: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from robot_ik.hardware import cycle
 
     monkeypatch.setattr(cycle, "GRACE", 0.1)

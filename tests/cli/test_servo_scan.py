@@ -224,7 +224,7 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "reported"),
     [
         ([FoundServo(1, 1_000_000), FoundServo(2, 1_000_000)], []),
         ([FoundServo(1, 57_600), FoundServo(2, 1_000_000)], ["different rates (57600: id 1; 1000000: id 2)"]),
@@ -238,6 +238,8 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_all_of_them_together(found: list[FoundServo], told: list[str]) -> None:
+def test_what_is_wrong_with_all_of_them_together(found: list[FoundServo], reported: list[str]) -> None:
     notes = servo_bus._notes(found)
-    assert len(notes) == len(told) and all(part in note for part, note in zip(told, notes, strict=True))
+    assert len(notes) == len(reported) and all(
+        part in note for part, note in zip(reported, notes, strict=True)
+    )

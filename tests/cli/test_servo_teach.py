@@ -108,7 +108,7 @@ def test_the_way_to_the_beginning_keeps_its_share_of_the_caps(desk: Any) -> None
     assert way.q[-1] == pytest.approx([1.0, -0.4, 0.0])
 
 
-def test_a_joint_that_does_not_follow_is_told(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+def test_a_joint_that_does_not_follow_is_reported(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     desk.servo(3).stuck = True
     file = record(tmp_path / "m.csv", [[0, 0, 0], [0, 0, 5]], 0.1)
     run = robot_ik("servo", "play", file, *desk.at)

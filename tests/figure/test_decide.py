@@ -132,11 +132,11 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
     flat = abilities.maps[kind, "right"].miss.ravel()
     sure = np.flatnonzero(np.isfinite(flat) & ((flat == 0.0) | (flat > 0.01)))
     for i in rng.choice(sure, 12, replace=False):
-        told = grade(figure, POINTS[i], "right", kind)
+        reported = grade(figure, POINTS[i], "right", kind)
         if flat[i] == 0.0:
-            assert told == 0.0
+            assert reported == 0.0
         else:  # else the map would hide a ball
-            assert told >= flat[i] - 0.08
+            assert reported >= flat[i] - 0.08
 
 
 # Judged by 64 random starts a ball, some seconds each:
@@ -173,13 +173,13 @@ def agreement(decider: Decider, balls: list[tuple[Array, str]]) -> None:
     judge = _judge.Judge(decider.figure)
     border = [k for k, (_, label) in enumerate(balls) if label == "border"]
     wrong = [
-        told
+        reported
         for k, (ball, label) in enumerate(balls)
-        if (told := disagreement(decider, judge, ball, label, k))
+        if (reported := disagreement(decider, judge, ball, label, k))
     ]
     counted = len(balls) - len(border)
     # The rim of what a jump reaches is not met as well as that of the hands: 99 % is wanted there, too.
-    jumps = [told for told in wrong if "right is jump" in told]
+    jumps = [reported for reported in wrong if "right is jump" in reported]
     assert len(wrong) - len(jumps) <= 0.01 * counted, f"border {border}\n" + "\n".join(wrong)
     assert len(jumps) <= 0.03 * counted, "\n".join(jumps)
     assert len(border) <= 0.08 * len(balls), border

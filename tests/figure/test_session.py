@@ -127,9 +127,9 @@ def test_the_command_prints_decisions_and_writes_frames(
     assert [row["action"] for row in rows] == ["reach", "bend", "nothing"]
     out = tmp_path / "frames.csv"
     assert main(["figure", "--ball", "0.45", "0.25", "1.1", "--frames", str(out), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["decisions"][0]["arm"] == "left" and told["misses"][0]["miss_m"] < 0.005
-    assert len(out.read_text().splitlines()) == told["frames"] + 3
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["decisions"][0]["arm"] == "left" and reported["misses"][0]["miss_m"] < 0.005
+    assert len(out.read_text().splitlines()) == reported["frames"] + 3
     balls.write_text("1,2\n")
     with pytest.raises(ConfigError, match="row 1"):
         read_balls(balls)
@@ -174,9 +174,9 @@ def test_the_lion_is_a_figure_of_the_command(tmp_path: Path, capsys: pytest.Capt
         main(["figure", "--model", "lion", "--ball", "0.9", "-0.2", "0.6", "--frames", str(out), "--json"])
         == 0
     )
-    told = json.loads(capsys.readouterr().out)
-    assert told["decisions"][0]["arm"].endswith("_paw") and told["misses"][0]["miss_m"] < 0.005
-    assert len(out.read_text().splitlines()) >= told["frames"]
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["decisions"][0]["arm"].endswith("_paw") and reported["misses"][0]["miss_m"] < 0.005
+    assert len(out.read_text().splitlines()) >= reported["frames"]
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def main() -> None:
 
 
 def seed_corpus(folder: Path, names: list[str]) -> None:
-    """What was found before, and made-up stories, as files."""
+    """What was found before, and random stories, as files."""
     folder.mkdir(parents=True, exist_ok=True)
     for k, (name, data) in enumerate(laws.known_inputs()):
         if name in names:
@@ -85,7 +85,7 @@ def seed_corpus(folder: Path, names: list[str]) -> None:
     dice = random.Random(1)
     for name in dict.fromkeys(names):
         for k in range(SEEDS):
-            data = bytes([names.index(name)]) + laws.made_up(dice)
+            data = bytes([names.index(name)]) + laws.random_input(dice)
             folder.joinpath(f"{name}{k}").write_bytes(data)
 
 

@@ -2,7 +2,7 @@
 
 Each law takes the bytes of a fuzzer, reads them as a story of pieces on a wire (``pieces``) and asserts.  The
 pieces are noise, but also packets with a right checksum, which chance alone would not find; what is a packet
-and what is not is told by ``checked``, which is neither of the two parsers under test.
+and what is not is reported by ``checked``, which is neither of the two parsers under test.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _spec = importlib.util.spec_from_file_location("fuzz_story", Path(__file__).with
 assert _spec is not None and _spec.loader is not None
 story: Any = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(story)
-PAUSE, PRESENT, GOAL, HARMLESS, TORSO, known_inputs, made_up, pieces, checked = (
+PAUSE, PRESENT, GOAL, HARMLESS, TORSO, known_inputs, random_input, pieces, checked = (
     story.PAUSE,
     story.PRESENT,
     story.GOAL,
     story.HARMLESS,
     story.TORSO,
     story.known_inputs,
-    story.made_up,
+    story.random_input,
     story.pieces,
     story.checked,
 )
@@ -195,7 +195,7 @@ def driver(data: bytes) -> None:
     for id, size, value in answers:
         raw = value.to_bytes(size, "little", signed=size == 4)
         in_fast_status = bytes((id,)) + raw in stream
-        assert in_fast_status or any(who == id and told[:size] == raw for who, told in real)
+        assert in_fast_status or any(who == id and reported[:size] == raw for who, reported in real)
 
 
 def _rows(statuses: Mapping[int, Any]) -> list[tuple[int, int, int]]:
@@ -232,7 +232,7 @@ def _arm_config() -> ArmConfig:
 
 
 def arm(data: bytes) -> None:
-    """Damaged answers never move an arm: while it is told to stay, every goal is where it stands."""
+    """Damaged answers never move an arm: while it is asked to stay, every goal is where it stands."""
     config, clock = _arm_config(), VirtualClock()
     bus = VirtualBus.from_config(config, clock)
     driven = Arm(config, SimBus(bus), clock, virtual_bus=bus, on_exit="torque_off")

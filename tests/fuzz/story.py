@@ -41,7 +41,7 @@ def known_inputs() -> list[tuple[str, bytes]]:
     return [(name, bytes.fromhex(digits)) for name, digits in rows]
 
 
-def made_up(dice: random.Random) -> bytes:
+def random_input(dice: random.Random) -> bytes:
     """A story for ``pieces``: of all kinds and lengths, full of what headers and addresses are made of."""
     data = bytearray()
     for _ in range(dice.randint(1, 10)):

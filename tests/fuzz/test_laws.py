@@ -1,4 +1,4 @@
-"""Inputs that once broke a law, and some made-up ones: what `make fuzz` does for minutes, in a second."""
+"""Inputs that once broke a law, and some random ones: what `make fuzz` does for minutes, in a second."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def test_what_once_broke_a_law_does_so_no_more(law: str, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("law", laws.LAWS)
-def test_made_up_stories_break_no_law(law: str) -> None:
+def test_random_stories_break_no_law(law: str) -> None:
     dice = random.Random(2)
     for _ in range(25 if law in CHEAP else 5):
-        laws.LAWS[law](laws.made_up(dice))
+        laws.LAWS[law](laws.random_input(dice))
 
 
 @pytest.mark.parametrize("law", CHEAP)

@@ -251,7 +251,7 @@ class Lab:
         self.stream(arm, [self.start] * cycles)
 
     def fault(self, arm: Arm, error: type[HardwareError], *faults: Fault) -> HardwareError:
-        """Enables, injects in the middle of a motion, and gives what the program is told."""
+        """Enables, injects in the middle of a motion, and gives what is reported to the program."""
         arm.enable()
         self.drive(arm)
         arm.virtual_bus.inject(*faults)

@@ -97,14 +97,14 @@ def test_a_fault_on_the_way_to_the_park_pose_still_ends_in_torque_off(arm_config
     assert registers(arm, "torque_enable") == [0] * 6
 
 
-def test_who_does_not_answer_at_the_end_is_told_once(arm, caplog):
+def test_who_does_not_answer_at_the_end_is_reported_once(arm, caplog):
     arm.enable()
     arm.virtual_bus.servo(3).silent = True
     with caplog.at_level("WARNING", logger="robot_ik"):
         arm.close()
-    told = [record.getMessage() for record in caplog.records]
-    assert sum("joint3" in text and "no answer" in text for text in told) == 1, told
-    assert told[-1].startswith("torque_off not confirmed by joint3")
+    reported = [record.getMessage() for record in caplog.records]
+    assert sum("joint3" in text and "no answer" in text for text in reported) == 1, reported
+    assert reported[-1].startswith("torque_off not confirmed by joint3")
     assert [s.torque for s in arm.virtual_bus.servos] == [False, False, True, False, False, False]
 
 
@@ -113,5 +113,5 @@ def test_without_a_port_nothing_is_tried_and_everybody_is_named(arm, caplog):
     arm.bus.close()
     with caplog.at_level("WARNING", logger="robot_ik"):
         arm.close()
-    (told,) = [record.getMessage() for record in caplog.records]
-    assert all(name in told for name in arm.joints) and "cut the power" in told
+    (reported,) = [record.getMessage() for record in caplog.records]
+    assert all(name in reported for name in arm.joints) and "cut the power" in reported

@@ -142,7 +142,7 @@ def gripping(arm_config):
     return dataclasses.replace(arm_config, joints=tuple(joints))
 
 
-def test_a_gripper_is_a_joint_that_presses_no_harder_than_it_is_told(gripping, stream, smooth, start):
+def test_a_gripper_is_a_joint_that_presses_no_harder_than_it_is_reported(gripping, stream, smooth, start):
     with open_arm(gripping, "sim", start=start) as arm:
         servo = arm.virtual_bus.servo(6)
         assert servo.memory.get("goal_current") == 100

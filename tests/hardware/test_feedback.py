@@ -86,7 +86,7 @@ def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream,
     assert arm.ages[2] <= 0.011
 
 
-def test_a_slide_that_jumps_is_told_in_millimetres():
+def test_a_slide_that_jumps_is_reported_in_millimetres():
     mode = OperatingMode.EXTENDED_POSITION
     rack = JointMap("rack", 2, "XL330-M288", mode, 1, 0, 1.0, 0.0, 0.03, 0.05, 0.4, pinion=0.01)
     assert "it read 0.0 mm, now 62.8 mm:" in (jumped(rack, 0, 4096).hint or "")

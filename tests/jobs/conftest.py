@@ -1,14 +1,14 @@
-"""Arms of other people, and runs of the job on virtual time; one stage is painted once for all tests."""
+"""Arms of other people, and runs of the job on virtual time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from robot_ik.camera.synthetic import camera
 from robot_ik.jobs import vision
 from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
 from robot_ik.jobs.script import ScriptReport, ScriptRequest, parse_script, run_script
@@ -83,32 +83,16 @@ def two_arms(links: list[tuple[str, float]]) -> str:
 
 
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
-# Both were given stages on which the arm's own markers covered the target.
+# Both were given scenes in which the arm's own markers covered the target.
 SEVEN = [(Y, 0.117), (Z, 0.06), (Z, 0.253), (Y, 0.278), (Y, 0.232), (Y, 0.186), (X, 0.254)]
 THREE = [(Z, 0.175), (X, 0.2), (Z, 0.087)]
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _stages_painted_once() -> Iterator[None]:
-    """A stage does not change between pictures; painting it takes longer than everything else here."""
-    real, kept = camera.Photographer, {}
-
-    def shared(model: Any, intrinsics: Any, pose: Any, table: Any, *rest: Any) -> Any:
-        key = (model.names, model.geom_pos.tobytes(), str(intrinsics), str(pose), str(table))
-        if key not in kept:
-            kept[key] = real(model, intrinsics, pose, table, *rest)
-        return kept[key]
-
-    class Sketched(camera.SyntheticSource):
-        """The markers are as exact as in a full picture, only the robot is coarse."""
-
-        def __init__(self, *arguments: Any, quality: str = "fast", **options: Any) -> None:
-            super().__init__(*arguments, quality="fast", **options)
-
+def _coarse_robots() -> Iterator[None]:
+    """The markers are as exact as in a full picture, only the robot is coarse."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(camera, "Photographer", shared)
-        for module in (vision, vision):
-            patch.setattr(module, "SyntheticSource", Sketched)
+        patch.setattr(vision, "SyntheticSource", partial(vision.SyntheticSource, quality="fast"))
         yield
 
 

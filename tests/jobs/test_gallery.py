@@ -136,7 +136,7 @@ def test_what_stands_after_gallery_is_a_folder(capsys: pytest.CaptureFixture[str
     assert not (tmp_path / "x").exists()
 
 
-def test_a_pose_that_is_not_reached_is_drawn_and_told(
+def test_a_pose_that_is_not_reached_is_drawn_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     two_links(tmp_path)
@@ -162,7 +162,7 @@ def test_a_sheet_shows_every_robot_in_full_rows(tmp_path: Path) -> None:
         sheet = contact_sheet([portrait] * count)
         white = (sheet == 255).all(axis=2).mean()
         assert white < (0.75 if count == 1 else 0.3)
-    told: list[str] = []
+    reported: list[str] = []
     robots = [load_robot(two_links(tmp_path))]
-    draw_gallery(robots, tmp_path, tell=lambda name, k: told.append(f"{k} {name}"))
-    assert told == ["0 two_links"]
+    draw_gallery(robots, tmp_path, progress=lambda name, k: reported.append(f"{k} {name}"))
+    assert reported == ["0 two_links"]

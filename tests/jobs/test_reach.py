@@ -36,7 +36,7 @@ def test_a_healthy_arm_reaches_its_marker(healthy: ReachReport) -> None:
     assert report.seen is not None and report.seen.true_pose is not None and report.vision is not None
     assert report.target is not None and report.execution is not None and report.bound is not None
     assert report.seen.pose_world_marker.distance(report.seen.true_pose)[0] < 1e-3
-    wanted = report.seen.pose_world_marker.compose(report.vision.stage.pose_marker_tool)
+    wanted = report.seen.pose_world_marker.compose(report.vision.scene.pose_marker_tool)
     assert report.target.distance(wanted)[0] < 1e-9
     # the truth: the shafts hold the tool where it was wanted, and the camera is right about it
     assert shafts(report).distance(report.target)[0] <= report.bound.position
@@ -102,7 +102,7 @@ def test_a_blank_marker_moves_nothing(reach: Any) -> None:
 
 
 def test_goal_arm_and_verdict_move_with_the_rendered_marker(healthy: ReachReport, reach: Any) -> None:
-    home = healthy.vision.stage.pose_world_marker  # type: ignore[union-attr]
+    home = healthy.vision.scene.pose_world_marker  # type: ignore[union-attr]
     shift, yaw = np.array([0.03, 0.04, 0.0]), -80.0
     report = reach({"marker_at": (*(home.position + shift), yaw)})
     assert report.reached
@@ -161,7 +161,7 @@ def test_following_the_marker(reach: Any) -> None:
     assert report.reached and report.following.ticks == 350 and report.following.held < 40
     assert report.following.statuses["CONVERGED"] > 300
     # it went somewhere, the arm went along, and the verdict is about the last place
-    home = report.vision.stage.pose_world_marker.position
+    home = report.vision.scene.pose_world_marker.position
     away = np.linalg.norm(report.seen.pose_world_marker.position - home)
     assert away > 0.02
     assert np.linalg.norm(shafts(report).position - report.target.position) < 2e-3
@@ -199,7 +199,7 @@ def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["two_arms", "two_arms_of_three_joints"])
-def test_a_made_up_stage_keeps_the_arms_markers_off_the_target(
+def test_a_generated_scene_keeps_the_arms_markers_off_the_target(
     name: str, arms: dict[str, Path], reach: Any
 ) -> None:
     report = reach(bus="none", robot=str(arms[name]))
@@ -214,7 +214,7 @@ def test_a_floating_base_stands_still_while_the_hand_reaches(bus: str, reach: An
     assert "root" not in report.robot.joints and len(report.robot.joints) >= 3
 
 
-def test_nothing_but_ball_joints_is_told(reach: Any) -> None:
+def test_nothing_but_ball_joints_is_reported(reach: Any) -> None:
     with pytest.raises(UnsupportedJointError, match="no hinge or slide moves 'nose' of lion"):
         reach(bus="none", robot="lion")
 
@@ -250,20 +250,20 @@ def test_wrong_input(request_: dict[str, Any], error: type[Exception], reach: An
         reach(**request_)
 
 
-def test_progress_only_grows_within_a_stage(reach: Any) -> None:
+def test_progress_only_grows_within_a_phase(reach: Any) -> None:
     from robot_ik.jobs.reach import ReachRequest, run_reach
 
-    told: list[tuple[str, float]] = []
+    reported: list[tuple[str, float]] = []
     goal = PositionGoal(None, (-0.42, -0.08, 0.80))
-    run_reach(ReachRequest(bus="sim", goal=goal), lambda stage, share: told.append((stage, share)))
-    assert [*dict.fromkeys(stage for stage, _ in told)] == ["solving", "moving", "looking again"]
-    moving = [share for stage, share in told if stage == "moving"]
+    run_reach(ReachRequest(bus="sim", goal=goal), lambda phase, share: reported.append((phase, share)))
+    assert [*dict.fromkeys(phase for phase, _ in reported)] == ["solving", "moving", "looking again"]
+    moving = [share for phase, share in reported if phase == "moving"]
     assert moving == sorted(moving) and moving[0] == 0.0 and moving[-1] == 1.0
 
 
 def test_the_film_shows_the_whole_motion(arms: dict[str, Path], reach: Any, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra `video`")
-    from robot_ik.jobs.reach import FILM_RATE_HZ, save_film
+    from robot_ik.jobs.reach_files import FILM_RATE_HZ, save_film
 
     report = reach(bus="none", robot=str(arms["planar"]))
     path = save_film(report, tmp_path / "reach.mp4")

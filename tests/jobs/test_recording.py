@@ -11,7 +11,7 @@ import pytest
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
-from robot_ik.jobs.recording import open_recording
+from robot_ik.jobs.recording import Moment, open_recording
 from tests.testbed.test_frontends import SCRIPT
 
 JOINTS = ("a", "b")
@@ -19,8 +19,8 @@ JOINTS = ("a", "b")
 
 def test_a_table_has_a_row_a_moment_and_leaves_empty_what_is_not_known(tmp_path: Path) -> None:
     with open_recording(tmp_path / "a.csv", JOINTS) as rows:
-        rows.write(0.0, commanded=np.array([0.1, 0.2]))
-        rows.write(0.5, measured=np.array([0.3, -0.4]), goal=Pose((1.0, 2.0, 3.0)), text='a "b", c')
+        rows.write(Moment(0.0, commanded=np.array([0.1, 0.2])))
+        rows.write(Moment(0.5, measured=np.array([0.3, -0.4]), goal=Pose((1.0, 2.0, 3.0)), text='a "b", c'))
     with (tmp_path / "a.csv").open() as file:
         first, second = csv.DictReader(file)
     assert float(first["commanded.b"]) == 0.2 and first["measured.a"] == "" and first["goal_x"] == ""
@@ -33,8 +33,8 @@ def test_an_mcap_file_is_read_back_by_its_own_reader(tmp_path: Path) -> None:
     file = tmp_path / "a.mcap"
     with open_recording(file, JOINTS) as rows:
         for k in range(5):
-            rows.write(0.1 * k, commanded=np.array([0.1 * k, 0.2]), measured=np.array([0.1 * k, 0.0]))
-        rows.write(0.5, goal=Pose((1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0)), text="arrived", robot=2)
+            rows.write(Moment(0.1 * k, commanded=np.array([0.1 * k, 0.2]), measured=np.array([0.1 * k, 0.0])))
+        rows.write(Moment(0.5, goal=Pose((1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0)), text="arrived", robot=2))
     found: dict[str, list[object]] = {}
     times = []
     for message in reader.read_ros2_messages(str(file)):

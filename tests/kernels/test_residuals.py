@@ -61,8 +61,8 @@ def make_goal(data, kind, robot, there, weights):
         com = robot.center_of_mass(there, body)
         return CenterOfMassGoal(body, com, weight=weights[0], axes=data.draw(AXES), **extra)
     if kind is PostureGoal:
-        heed = {robot.joints[0]: weights[1]}
-        return PostureGoal(q=there, weight=weights[0], joints=heed, only=data.draw(st.booleans()))
+        joint_weights = {robot.joints[0]: weights[1]}
+        return PostureGoal(q=there, weight=weights[0], joints=joint_weights, only=data.draw(st.booleans()))
     axis = data.draw(AXIS)
     if kind is AimGoal:
         point = pose.position + pose.rotation @ axis_vector(axis) * 0.4

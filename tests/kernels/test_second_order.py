@@ -46,10 +46,10 @@ def parts(problem, q):
     return cost, jacobian.T @ jacobian, lower + np.tril(lower, -1).T, known
 
 
-def by_differences(problem, q, ease, h=1e-4):
+def by_differences(problem, q, scale, h=1e-4):
     n = len(problem.dofs)
     step, hessian = np.zeros((n, len(q))), np.zeros((n, n))
-    step[np.arange(n), problem.dofs] = h * ease  # hinges and slides: q has one number for each
+    step[np.arange(n), problem.dofs] = h * scale  # hinges and slides: q has one number for each
     for i in range(n):
         for j in range(n):
             signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -72,13 +72,13 @@ GOALS = [
 def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
     robot = load_xml(MIXED)
     problem = Problem(robot, goals)
-    ease = problem.compiled.goal_arrays["joint_scale"]
+    scale = problem.compiled.goal_arrays["joint_scale"]
     if stiff:
-        ease[:] = np.linspace(0.5, 1.0, len(ease))
+        scale[:] = np.linspace(0.5, 1.0, len(scale))
     rng = np.random.default_rng(1)
     for _ in range(3):
         q = rng.uniform(-1, 1, robot.nq)
-        wanted = by_differences(problem, q, ease)
+        wanted = by_differences(problem, q, scale)
         _, first, second, known = parts(problem, q)
         assert known
         np.testing.assert_allclose(first + second, wanted, atol=2e-5 * max(1.0, np.abs(wanted).max()))

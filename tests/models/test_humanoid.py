@@ -69,7 +69,7 @@ def load() -> mujoco.MjModel:
 
 
 @cache
-def told() -> dict[str, Any]:
+def reported() -> dict[str, Any]:
     return tomllib.loads((FOLDER / "robot.toml").read_text())
 
 
@@ -99,7 +99,7 @@ def extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float
 
 def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
     """Two joints for each of torso, head, shoulders and pelvis; 3 + 1 + 2 for each limb; the torso floats."""
-    parts = list(told()["groups"].items())[:9]
+    parts = list(reported()["groups"].items())[:9]
     freedoms = {name: len([joint for joint in joints if joint != "root"]) for name, joints in parts}
     one_segment = ("torso", "head", "pelvis", "left_shoulder", "right_shoulder")
     limbs = ("left_arm", "right_arm", "left_leg", "right_leg")
@@ -231,7 +231,7 @@ def test_frames_are_where_they_are_said_to_be() -> None:
     home = mujoco.MjData(load())
     mujoco.mj_resetDataKeyframe(load(), home, load().key("home").id)
     mujoco.mj_forward(load(), home)
-    for name in told()["tools"]:
+    for name in reported()["tools"]:
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-15), name
     hips = [data.body(f"{side}_thigh").xpos for side in SIDES]
     assert data.site("pelvis").xpos == pytest.approx((hips[0] + hips[1]) / 2)
@@ -245,10 +245,10 @@ def test_frames_are_where_they_are_said_to_be() -> None:
         hand, palm = data.site(f"{side}_hand").xpos, data.geom(f"{side}_palm").xpos
         assert np.linalg.norm(hand - palm) < 0.04
         assert data.site(f"{side}_heel").xpos[0] < foot[0] < data.site(f"{side}_toe").xpos[0]
-    for name in told()["tools"]:
+    for name in reported()["tools"]:
         pose = robot.forward(robot.home, name)
         assert pose.position == pytest.approx(home.site(name).xpos, abs=1e-12)
-    assert robot.tool == "right_hand" and "arm" not in told()["groups"]
+    assert robot.tool == "right_hand" and "arm" not in reported()["groups"]
     assert robot.joints[0] == "root" and len(robot.joints) == 37
 
 
@@ -269,8 +269,8 @@ def test_shapes_are_mirrored_and_touch_where_bodies_would() -> None:
 def test_readme_and_robot_toml_name_what_there_is() -> None:
     model, text = load(), (FOLDER / "README.md").read_text()
     names = {model.joint(j).name for j in range(model.njnt)}
-    assert all(joint in names for joints in told()["groups"].values() for joint in joints)
-    assert all(model.site(tool["site"]).id >= 0 for tool in told()["tools"].values())
-    assert told()["home"] == "home" and told()["provenance"]["sources"]
+    assert all(joint in names for joints in reported()["groups"].values() for joint in joints)
+    assert all(model.site(tool["site"]).id >= 0 for tool in reported()["tools"].values())
+    assert reported()["home"] == "home" and reported()["provenance"]["sources"]
     for source in ("Pađen", "Drillis", "Winter", "Dempster", "AAOS", "Boone", "Inman", "Levangie", "Bell"):
         assert source in text, source

@@ -42,7 +42,7 @@ def load(name: str = "lion.xml") -> mujoco.MjModel:
 
 
 @cache
-def told() -> dict[str, Any]:
+def reported() -> dict[str, Any]:
     return tomllib.loads((FOLDER / "robot.toml").read_text())
 
 
@@ -83,8 +83,8 @@ def test_body_plan() -> None:
         assert np.degrees(model.joint(name).range) == pytest.approx([0, cone]), name
     assert set(kinds.values()) == {HINGE} and np.all(model.jnt_limited[1:] == 1)
     for leg, count in (("front_left", 8), ("front_right", 8), ("hind_left", 7), ("hind_right", 7)):
-        assert sorted(told()["groups"][f"{leg}_leg"]) == sorted(n for n in kinds if n.startswith(leg))
-        assert len(told()["groups"][f"{leg}_leg"]) == count
+        assert sorted(reported()["groups"][f"{leg}_leg"]) == sorted(n for n in kinds if n.startswith(leg))
+        assert len(reported()["groups"][f"{leg}_leg"]) == count
     assert model.nv == 6 + 3 * len(CONE_DEG) + 30
 
 
@@ -127,7 +127,7 @@ def test_size_and_mass_of_a_grown_lion() -> None:
 
 def test_frames_are_where_they_are_said_to_be() -> None:
     data, robot = posed(), simba()
-    for name in told()["tools"]:
+    for name in reported()["tools"]:
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-15), name
         pose = robot.forward(robot.home, name)
         assert pose.position == pytest.approx(posed(key="relaxed").site(name).xpos, abs=1e-12)
@@ -140,7 +140,7 @@ def test_frames_are_where_they_are_said_to_be() -> None:
     vision = (data.geom("left_eye").xpos + data.geom("right_eye").xpos) / 2
     assert np.linalg.norm(data.site("gaze").xpos - vision) < 0.04
     assert data.site("tail_tip").xpos[0] < min(data.geom_xpos[:, 0])
-    assert robot.tool == "nose" and "arm" not in told()["groups"] and len(robot.joints) == load().njnt
+    assert robot.tool == "nose" and "arm" not in reported()["groups"] and len(robot.joints) == load().njnt
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -160,7 +160,7 @@ def test_keyframes_rest_on_flat_paws_free_and_inside_limits(key: str) -> None:
 
 def test_keyframes_are_what_their_names_say() -> None:
     stands, sits = posed(key="relaxed"), posed(key="sitting")
-    assert told()["home"] == "relaxed"
+    assert reported()["home"] == "relaxed"
     rump = load().geom("rump").id
     assert bottom(load(), stands, rump) > 0.5
     assert bottom(load(), sits, rump) < 0.01
@@ -266,9 +266,9 @@ def test_motors_hold_every_keyframe_on_the_floor(key: str) -> None:
 def test_readme_and_robot_toml_name_what_there_is() -> None:
     model, text = load(), (FOLDER / "README.md").read_text()
     names = {model.joint(j).name for j in range(model.njnt)}
-    groups = told()["groups"]
+    groups = reported()["groups"]
     assert all(joint in names for joints in groups.values() for joint in joints)
     assert names == {joint for name in ("base", "spine", "neck", "tail", "legs") for joint in groups[name]}
-    assert all(model.site(tool["site"]).id >= 0 for tool in told()["tools"].values())
+    assert all(model.site(tool["site"]).id >= 0 for tool in reported()["tools"].values())
     for source in ("Šimunić", "Jaeger", "ours"):
         assert source in text, source

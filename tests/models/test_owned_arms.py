@@ -1,4 +1,4 @@
-"""Arms that people own: the tables of their READMEs, the maker's numbers, five joints, and their stages."""
+"""Arms that people own: the tables of their READMEs, the maker's numbers, five joints, and their scenes."""
 
 from __future__ import annotations
 
@@ -215,8 +215,8 @@ def test_the_servos_of_the_readme_are_those_of_the_arm_file(arm: OwnedArm) -> No
     assert list(rows) == [joint.name for joint in arm.config.whole.joints]
     for joint in arm.config.whole.joints:
         ids, model = rows[joint.name]
-        told = [int(number) for number in re.findall(r"\d+", ids)]
-        assert (told, model) == ([servo.id for servo in joint.servos], joint.model)
+        reported = [int(number) for number in re.findall(r"\d+", ids)]
+        assert (reported, model) == ([servo.id for servo in joint.servos], joint.model)
 
 
 @pytest.mark.parametrize("name", SIX)
@@ -229,10 +229,10 @@ def test_drive_modes_of_the_readme_are_those_of_the_arm_file(name: str) -> None:
 
 
 def test_masses_are_those_of_the_readme_and_inertias_those_of_bodies(arm: OwnedArm) -> None:
-    told = {name: float(grams) / 1000 for name, grams in arm.rows("| body | mass")}
+    reported = {name: float(grams) / 1000 for name, grams in arm.rows("| body | mass")}
     model = arm.model
     have = {model.body(b).name: float(model.body_mass[b]) for b in range(1, model.nbody)}
-    assert have == pytest.approx(told, abs=6e-5)
+    assert have == pytest.approx(reported, abs=6e-5)
     inertia = model.body_inertia[1:]
     assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) > 1.998 * inertia.max(axis=1))
 
@@ -307,7 +307,7 @@ def test_what_the_readme_of_a_five_joint_arm_shows_runs(name: str) -> None:
     exec(compile(code, f"{name}/README.md", "exec"), {})
 
 
-# ------------------------------------------------------------------------------------------- the stage
+# ------------------------------------------------------------------------------------------- the scene
 
 PLACES = {
     "wx250s": [None, (0.22, 0.06, 0.0, 160.0)],
@@ -340,11 +340,11 @@ def test_reach_on_simulated_servos_without_a_contact(name: str, place: tuple[flo
 
 
 def test_the_scenes_table_is_that_of_robot_toml(arm: OwnedArm) -> None:
-    stage = arm.robot.file.reach
-    assert stage is not None and stage.table is not None
+    scene = arm.robot.file.reach
+    assert scene is not None and scene.table is not None
     data = arm.posed(arm.robot.home, arm.scene)
     top = arm.scene.geom("table_top")
     low, high = data.geom("table_top").xpos - top.size, data.geom("table_top").xpos + top.size
     assert [low[0], high[0], low[1], high[1], high[2]] == pytest.approx(
-        [*stage.table.x, *stage.table.y, stage.table.height], abs=1e-12
+        [*scene.table.x, *scene.table.y, scene.table.height], abs=1e-12
     )

@@ -1,4 +1,4 @@
-"""The Panda against the maker's numbers: DH product, limits, hand; identified masses; markers and stage."""
+"""The Panda against the maker's numbers: DH product, limits, hand; identified masses; markers and scene."""
 
 import math
 import tomllib
@@ -13,8 +13,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robot_ik.jobs.reach import ReachRequest, run_reach
-from robot_ik.robot import load_robot
+from tests.models.arm_checks import (
+    check_keyframe,
+    check_markers,
+    check_reach,
+    check_ready_is_held,
+    check_rigid_bodies,
+    check_settings,
+    check_table,
+    check_way_from_ready,
+    posed,
+    quarter,
+    site,
+    solve,
+    touching,
+)
 
 Array = NDArray[np.float64]
 
@@ -69,28 +82,6 @@ def load(name: str) -> mujoco.MjModel:
 @cache
 def settings() -> dict[str, Any]:
     return tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))
-
-
-def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
-    found = data.site(name)
-    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
-    pairs = data.contact.geom[: data.ncon]
-    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
-
-
-def quarter(count: int) -> tuple[int, int]:
-    """Cosine and sine of so many right angles, exact."""
-    return ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
 
 
 def dh_frames(q: Array) -> list[Array]:
@@ -167,83 +158,32 @@ def test_folding_the_hand_into_the_base_is_a_contact() -> None:
 @pytest.mark.parametrize("xml", ["panda.xml", "scene.xml"])
 @pytest.mark.parametrize("key", ["home", "ready"])
 def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
-    model = load(xml)
-    q = model.key(key).qpos
-    lower, upper = model.jnt_range.T
-    assert np.minimum(q - lower, upper - q).min() > math.radians(30)
-    assert np.array_equal(model.key(key).ctrl, q)
-    data = posed(model, q)
-    assert touching(model, data) == []
-    jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
-    assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.05
+    data = check_keyframe(load(xml), key, 30, 0.05)
     assert 0.999 < -site(data, "hand_tcp")[1][2, 2] <= 1.0 + 1e-12
 
 
 def test_position_actuators_hold_the_ready_pose() -> None:
     model = load("scene.xml")
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("ready").id)
-    for _ in range(500):
-        mujoco.mj_step(model, data)
-    assert np.abs(data.qpos - model.key("ready").qpos).max() < math.radians(1.5)
+    check_ready_is_held(model)
     assert model.actuator_forcerange[:, 1] == pytest.approx([87, 87, 87, 87, 12, 12, 12])
 
 
 def test_masses_and_inertias_are_those_of_rigid_bodies() -> None:
     model = load("panda.xml")
-    moving = model.body_mass > 0
-    inertia = model.body_inertia[moving]
-    assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) >= 2 * inertia.max(axis=1) - 1e-9)
+    check_rigid_bodies(model)
     assert model.body_mass.sum() == pytest.approx(sum(link[0] for link in LINKS) + 0.73 + 0.12)
 
 
 def test_robot_toml_names_what_the_model_has() -> None:
-    robot, model = load_robot("panda"), load("panda.xml")
-    assert robot.joints == JOINTS and robot.tool == "hand_tcp"
-    assert set(settings()["tools"]) <= set(robot.frames)
-    assert robot.home == pytest.approx(model.key(settings()["home"]).qpos)
-    assert all(joint in JOINTS for group in settings()["groups"].values() for joint in group)
-    assert np.degrees(robot.velocity) == pytest.approx(settings()["motion"]["velocity_deg"])
-    assert robot.file.sources
+    check_settings("panda", load("panda.xml"), settings(), JOINTS, "hand_tcp")
 
 
 def test_markers_lie_on_the_cube_with_z_outwards() -> None:
     reach, model = settings()["reach"]["tool_marker"], load("panda.xml")
-    data = posed(model, model.key("ready").qpos)
-    centre, axes = site(data, reach["site"])
-    assert model.geom("marker_cube").size == pytest.approx([reach["cube"] / 2] * 3)
-    assert centre == pytest.approx(data.geom("marker_cube").xpos)
-    for number, out in zip(reach["ids"], [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)], strict=True):
-        position, rotation = site(data, f"marker_{number}")
-        assert rotation[:, 2] == pytest.approx(axes @ out, abs=1e-14), number
-        assert rotation[:, 1] == pytest.approx(-axes[:, 2], abs=1e-14), number
-        assert position == pytest.approx(centre + reach["cube"] / 2 * rotation[:, 2], abs=1e-14), number
+    check_markers(model, posed(model, model.key("ready").qpos), reach)
+    for number in reach["ids"]:  # the other robot's tests hold its pictures to OpenCV's
         printed = FOLDER / "assets" / f"marker_{number}.png"
-        # The other robot's tests hold its pictures to OpenCV's.
-        original = FOLDER.parent / "puma560" / "assets" / printed.name
-        assert printed.read_bytes() == original.read_bytes()
-
-
-def solve(model: mujoco.MjModel, position: Array, rotation: Array) -> Array | None:
-    """Plain damped least squares from `ready`: a judge that shares nothing with the library's solvers."""
-    data = mujoco.MjData(model)
-    q: Array = model.key("ready").qpos.copy()
-    jacobian, tool = np.zeros((6, model.nv)), model.site("hand_tcp").id
-    lower, upper = model.jnt_range.T
-    for _ in range(200):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        have = data.site_xmat[tool].reshape(3, 3)
-        turn = 0.5 * sum(np.cross(have[:, k], rotation[:, k]) for k in range(3))
-        miss = np.concatenate([position - data.site_xpos[tool], turn])
-        if np.linalg.norm(miss) < 1e-9 and np.trace(rotation.T @ have) > 2.9:
-            return q
-        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], tool)
-        square = jacobian @ jacobian.T + 1e-5 * np.eye(6)
-        q = np.clip(q + jacobian.T @ np.linalg.solve(square, np.clip(miss, -0.2, 0.2)), lower, upper)
-    return None
+        assert printed.read_bytes() == (FOLDER.parent / "puma560" / "assets" / printed.name).read_bytes()
 
 
 @pytest.mark.parametrize("yaw_deg", [-40.0, 0.0, 40.0])
@@ -253,37 +193,14 @@ def test_markers_on_the_table_are_reached_without_contact(x: float, y: float, ya
     model, reach = load("scene.xml"), settings()["reach"]
     c, s = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
     rotation = np.array([[c, s, 0], [s, -c, 0], [0, 0, -1.0]])
-    q = solve(model, np.array([x, y, reach["table"]["height"] + reach["hover"]]), rotation)
-    assert q is not None
-    lower, upper = model.jnt_range.T
-    assert np.minimum(q - lower, upper - q).min() > math.radians(4)
-    start = model.key("ready").qpos
-    for t in np.linspace(0, 1, 21):
-        assert touching(model, posed(model, start + t * (q - start))) == []
-    assert posed(model, q).body("panda_link4").xpos[2] > 0.4
+    place = np.array([x, y, reach["table"]["height"] + reach["hover"]])
+    check_way_from_ready(model, solve(model, "hand_tcp", place, rotation), "panda_link4", above=0.4)
 
 
 def test_reach_is_reached_and_two_sides_of_the_cube_face_the_camera() -> None:
-    """The whole job on the simulated bus: marker found, goal reached, and the camera agrees."""
-    report = run_reach(ReachRequest(robot="panda", bus="sim"))
-    assert report.reached and not report.blind
-    assert report.by_camera is not None and report.q_end is not None
-    assert report.by_camera.position < 0.002
-    data = posed(report.robot.model, report.q_end)
-    reach = settings()["reach"]
-    facing = 0
-    for number in reach["tool_marker"]["ids"]:
-        position, axes = site(data, f"marker_{number}")
-        away = np.array(reach["camera"]["position"]) - position
-        facing += float(away @ axes[:, 2] / np.linalg.norm(away)) > math.cos(math.radians(60))
-    assert facing == 2
+    check_reach("panda", settings()["reach"])
 
 
 def test_scene_table_is_that_of_robot_toml() -> None:
-    model, table = load("scene.xml"), settings()["reach"]["table"]
-    top = model.geom("table_top")
-    centre = posed(model, model.key("ready").qpos).geom("table_top").xpos
-    low, high = centre - top.size, centre + top.size
-    assert [low[0], high[0]] == pytest.approx(table["x"])
-    assert [low[1], high[1]] == pytest.approx(table["y"])
-    assert high[2] == pytest.approx(table["height"], abs=1e-12)
+    model = load("scene.xml")
+    check_table(model, model.key("ready").qpos, settings()["reach"]["table"])

@@ -14,6 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.models.arm_checks import check_keyframe, check_markers, check_table, posed, site, touching
+
 Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[2] / "models" / "puma560"
@@ -55,23 +57,6 @@ def settings(name: str) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def model() -> mujoco.MjModel:
     return load("puma560.xml")
-
-
-def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
-    found = data.site(name)
-    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
-    pairs = data.contact.geom[: data.ncon]
-    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
 
 
 angles = st.tuples(*(st.floats(-v, v) for v in np.radians(LIMIT_DEG))).map(np.array)
@@ -130,18 +115,7 @@ def test_gripper_frames_are_rigid_to_the_flange(model: mujoco.MjModel) -> None:
 
 def test_markers_lie_on_the_cube_with_z_outwards(model: mujoco.MjModel) -> None:
     reach = settings("robot.toml")["reach"]["tool_marker"]
-    data = posed(model, np.zeros(6))
-    cube = model.geom("marker_cube")
-    assert cube.size == pytest.approx([reach["cube"] / 2] * 3)
-    centre, axes = site(data, reach["site"])
-    assert centre == pytest.approx(data.geom("marker_cube").xpos)
-    outwards = [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)]
-    for number, out in zip(reach["ids"], outwards, strict=True):
-        position, rotation = site(data, f"marker_{number}")
-        assert rotation[:, 2] == pytest.approx(axes @ out, abs=1e-15), number
-        assert rotation[:, 1] == pytest.approx(-axes[:, 2], abs=1e-15), number
-        assert np.linalg.det(rotation) == pytest.approx(1.0)
-        assert position == pytest.approx(centre + reach["cube"] / 2 * rotation[:, 2], abs=1e-15), number
+    check_markers(model, posed(model, np.zeros(6)), reach)
     assert reach["size"] < reach["cube"]
 
 
@@ -159,18 +133,8 @@ def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int)
 @pytest.mark.parametrize("xml", ["puma560.xml", "scene.xml"])
 @pytest.mark.parametrize("key", ["home", "ready"])
 def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
-    model = load(xml)
-    q = model.key(key).qpos
-    lower, upper = model.jnt_range.T
-    assert np.minimum(q - lower, upper - q).min() > math.radians(15)
-    assert np.array_equal(model.key(key).ctrl, q)
-    data = posed(model, q)
-    assert touching(model, data) == []
-    jacobian = np.zeros((6, 6))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
-    assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.1
-    down = -site(data, "gripper")[1][2, 2]
-    assert math.sin(math.radians(40)) < down <= 1
+    data = check_keyframe(load(xml), key, 15, 0.1)
+    assert math.sin(math.radians(40)) < -site(data, "gripper")[1][2, 2] <= 1
 
 
 def test_folding_the_arm_into_its_base_is_a_contact(model: mujoco.MjModel) -> None:
@@ -225,14 +189,7 @@ def servo_ticks(row: dict[str, Any], degrees: float) -> float:
 
 
 def test_scene_table_is_that_of_robot_toml() -> None:
-    model = load("scene.xml")
-    table = settings("robot.toml")["reach"]["table"]
-    top = model.geom("table_top")
-    centre = posed(model, np.zeros(6)).geom("table_top").xpos
-    low, high = centre - top.size, centre + top.size
-    assert [low[0], high[0]] == pytest.approx(table["x"])
-    assert [low[1], high[1]] == pytest.approx(table["y"])
-    assert high[2] == pytest.approx(table["height"])
+    check_table(load("scene.xml"), np.zeros(6), settings("robot.toml")["reach"]["table"])
 
 
 def test_readme_names_its_sources() -> None:

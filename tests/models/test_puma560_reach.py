@@ -1,4 +1,4 @@
-"""The stage of `robot-ik reach` with the PUMA 560: reachable markers, and a camera that sees what it must."""
+"""The scene of `robot-ik reach` with the PUMA 560: reachable markers, and a camera that sees what it must."""
 
 import math
 import tomllib
@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from tests.models.arm_checks import check_way_from_ready, posed, site, solve
 
 Array = NDArray[np.float64]
 
@@ -23,25 +25,8 @@ def load(name: str) -> mujoco.MjModel:
 
 @cache
 def settings() -> dict[str, Any]:
-    stage: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text())["reach"]
-    return stage
-
-
-def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
-    found = data.site(name)
-    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
-    pairs = data.contact.geom[: data.ncon]
-    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
+    scene: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text())["reach"]
+    return scene
 
 
 def goal(x: float, y: float, yaw: float) -> tuple[Array, Array]:
@@ -52,44 +37,17 @@ def goal(x: float, y: float, yaw: float) -> tuple[Array, Array]:
     return np.array([x, y, reach["table"]["height"] + reach["hover"]]), rotation
 
 
-def solve(model: mujoco.MjModel, position: Array, rotation: Array) -> Array | None:
-    """Plain damped least squares from `ready`: a judge that shares nothing with the library's solvers."""
-    data = mujoco.MjData(model)
-    q: Array = model.key("ready").qpos.copy()
-    jacobian, gripper = np.zeros((6, 6)), model.site("gripper").id
-    lower, upper = model.jnt_range.T
-    for _ in range(200):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        have = data.site_xmat[gripper].reshape(3, 3)
-        turn = 0.5 * sum(np.cross(have[:, k], rotation[:, k]) for k in range(3))
-        miss = np.concatenate([position - data.site_xpos[gripper], turn])
-        if np.linalg.norm(miss) < 1e-9 and np.trace(rotation.T @ have) > 2.9:
-            return q
-        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], gripper)
-        square = jacobian @ jacobian.T + 1e-5 * np.eye(6)
-        q = np.clip(q + jacobian.T @ np.linalg.solve(square, np.clip(miss, -0.2, 0.2)), lower, upper)
-    return None
-
-
 @pytest.mark.parametrize("yaw_deg", [-90.0, -20.0, 45.0, 100.0])
 @pytest.mark.parametrize("x", [-0.50, -0.44, -0.38, -0.32])
 @pytest.mark.parametrize("y", [-0.20, -0.12, 0.05])
 def test_markers_on_the_table_are_reached_elbow_up(x: float, y: float, yaw_deg: float) -> None:
     model = load("scene.xml")
-    q = solve(model, *goal(x, y, math.radians(yaw_deg)))
-    assert q is not None
-    lower, upper = model.jnt_range.T
-    assert np.minimum(q - lower, upper - q).min() > math.radians(4)
-    start = model.key("ready").qpos
-    for t in np.linspace(0, 1, 21):
-        assert touching(model, posed(model, start + t * (q - start))) == []
-    assert posed(model, q).body("link3").xpos[2] > 1.0
+    q = solve(model, "gripper", *goal(x, y, math.radians(yaw_deg)))
+    check_way_from_ready(model, q, "link3", above=1.0)
 
 
 def camera() -> tuple[Array, Array]:
-    """Position and (3, 3) rotation of the stage's camera; columns right, down, forward."""
+    """Position and (3, 3) rotation of the scene's camera; columns right, down, forward."""
     shot = settings()["camera"]
     eye = np.array(shot["position"])
     forward = np.array(shot["look_at"]) - eye
@@ -150,7 +108,7 @@ def test_table_marker_lies_on_the_table_and_is_seen_from_home_and_ready() -> Non
 def test_two_sides_of_the_gripper_cube_are_seen_at_the_goal() -> None:
     model, reach = load("scene.xml"), settings()
     centre = table_marker()[0]
-    q = solve(model, *goal(centre[0], centre[1], math.radians(reach["marker"]["yaw_deg"])))
+    q = solve(model, "gripper", *goal(centre[0], centre[1], math.radians(reach["marker"]["yaw_deg"])))
     assert q is not None
     data, eye, visible = posed(model, q), camera()[0], 0
     for number in reach["tool_marker"]["ids"]:

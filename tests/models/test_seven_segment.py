@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from robot_ik.robot import load_robot
+from tests.models.arm_checks import posed
 
 Array = NDArray[np.float64]
 
@@ -25,13 +26,6 @@ FILES = ("seven_segment.xml", "limited.xml", "scene.xml")
 @cache
 def load(name: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(FOLDER / name))
-
-
-def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    return data
 
 
 def contacts(model: mujoco.MjModel, q: Array) -> int:

@@ -13,7 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robot_ik.robot import load_robot
+from tests.models.arm_checks import (
+    check_keyframe,
+    check_ready_is_held,
+    check_rigid_bodies,
+    check_settings,
+    posed,
+    quarter,
+    site,
+    touching,
+)
 
 Array = NDArray[np.float64]
 
@@ -32,28 +41,6 @@ def load(name: str) -> mujoco.MjModel:
 @cache
 def settings() -> dict[str, Any]:
     return tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))
-
-
-def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
-    found = data.site(name)
-    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
-    pairs = data.contact.geom[: data.ncon]
-    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
-
-
-def quarter(count: int) -> tuple[int, int]:
-    """Cosine and sine of so many right angles, exact."""
-    return ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
 
 
 def dh_flange(q: Array) -> Array:
@@ -131,42 +118,21 @@ def test_folding_the_hand_into_the_base_is_a_contact() -> None:
 @pytest.mark.parametrize("xml", ["srs_arm.xml", "scene.xml"])
 @pytest.mark.parametrize("key", ["home", "ready"])
 def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
-    model = load(xml)
-    q = model.key(key).qpos
-    lower, upper = model.jnt_range.T
-    assert np.minimum(q - lower, upper - q).min() > math.radians(30)
-    assert np.array_equal(model.key(key).ctrl, q)
-    data = posed(model, q)
-    assert touching(model, data) == []
-    jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
-    assert np.linalg.svd(jacobian, compute_uv=False).min() > 0.05
+    data = check_keyframe(load(xml), key, 30, 0.05)
     assert 0.8 < -site(data, "gripper")[1][2, 2] <= 1.0 + 1e-12
 
 
 def test_position_actuators_hold_the_ready_pose() -> None:
     model = load("scene.xml")
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("ready").id)
-    for _ in range(500):
-        mujoco.mj_step(model, data)
-    assert np.abs(data.qpos - model.key("ready").qpos).max() < math.radians(1.5)
+    check_ready_is_held(model)
     assert model.actuator_forcerange[:, 1] == pytest.approx([180, 180, 100, 100, 60, 40, 40])
 
 
 def test_masses_and_inertias_are_those_of_rigid_bodies() -> None:
     model = load("srs_arm.xml")
-    moving = model.body_mass > 0
-    inertia = model.body_inertia[moving]
-    assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) >= 2 * inertia.max(axis=1) - 1e-9)
+    check_rigid_bodies(model)
     assert 15 < model.body_mass.sum() < 20
 
 
 def test_robot_toml_names_what_the_model_has() -> None:
-    robot, model = load_robot("srs_arm"), load("srs_arm.xml")
-    assert robot.joints == JOINTS and robot.tool == "gripper"
-    assert set(settings()["tools"]) <= set(robot.frames)
-    assert robot.home == pytest.approx(model.key(settings()["home"]).qpos)
-    assert all(joint in JOINTS for group in settings()["groups"].values() for joint in group)
-    assert np.degrees(robot.velocity) == pytest.approx(settings()["motion"]["velocity_deg"])
-    assert robot.file.sources
+    check_settings("srs_arm", load("srs_arm.xml"), settings(), JOINTS, "gripper")

@@ -1,4 +1,4 @@
-"""The desk arm: the DH table, masses, servos and torques of its README; its fingers; its stage."""
+"""The desk arm: the DH table, masses, servos and torques of its README; its fingers; its scene."""
 
 import importlib.util
 import math
@@ -126,9 +126,9 @@ def test_limits_are_those_of_the_readme_and_of_the_arm_file() -> None:
 
 def test_masses_are_those_of_the_readme_and_servos_weigh_what_the_maker_says() -> None:
     model = load()
-    told = {name.strip("`"): float(grams) / 1000 for name, grams in rows("| body | mass")}
+    reported = {name.strip("`"): float(grams) / 1000 for name, grams in rows("| body | mass")}
     have = {model.body(b).name: float(model.body_mass[b]) for b in range(model.nbody)}
-    assert {name: round(mass, 4) for name, mass in have.items() if mass > 0} == pytest.approx(told)
+    assert {name: round(mass, 4) for name, mass in have.items() if mass > 0} == pytest.approx(reported)
     assert "0.68 kg" in README and sum(have.values()) == pytest.approx(0.675, abs=0.005)
     inertia = model.body_inertia[model.body_mass > 0]
     assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) > 2 * inertia.max(axis=1))
@@ -142,13 +142,13 @@ def test_masses_are_those_of_the_readme_and_servos_weigh_what_the_maker_says() -
 
 
 def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
-    told = {
+    reported = {
         joint: (servo, float(turns.split(",")[0]), float(free), float(used))
         for names, servo, turns, free, used in rows("| joint | servo | turns")[:5]
         for joint in names.split(", ")
     }
     for joint, speed in zip(arm().joints, robot().velocity, strict=True):
-        servo, ratio, free, used = told[joint.name.removeprefix("joint")]
+        servo, ratio, free, used = reported[joint.name.removeprefix("joint")]
         assert (joint.model, joint.ratio) == (servo, ratio)
         assert math.degrees(speed) == pytest.approx(used)
         assert math.degrees(joint.table.motor.no_load_speed) / ratio == pytest.approx(free, abs=0.6)
@@ -238,15 +238,15 @@ def test_folding_the_gripper_onto_the_shoulder_is_a_contact() -> None:
 
 
 def test_scene_table_and_markers_are_those_of_robot_toml() -> None:
-    stage: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))["reach"]
+    scene: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))["reach"]
     model = load("scene.xml")
     data = posed(model, robot().home)
     top = model.geom("table_top")
     low, high = data.geom("table_top").xpos - top.size, data.geom("table_top").xpos + top.size
     assert [low[0], high[0], low[1], high[1], high[2]] == pytest.approx(
-        [*stage["table"]["x"], *stage["table"]["y"], stage["table"]["height"]], abs=1e-12
+        [*scene["table"]["x"], *scene["table"]["y"], scene["table"]["height"]], abs=1e-12
     )
-    cube = stage["tool_marker"]
+    cube = scene["tool_marker"]
     assert model.geom("marker_cube").size == pytest.approx([cube["cube"] / 2] * 3)
     centre, axes = data.site(cube["site"]).xpos, data.site(cube["site"]).xmat.reshape(3, 3)
     for number, out in zip(cube["ids"], [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)], strict=True):

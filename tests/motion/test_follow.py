@@ -164,7 +164,7 @@ def test_tracking_error_is_that_of_the_source(puma):
     np.testing.assert_allclose(report.tracking_error, 0.003, atol=1e-12)
 
 
-def test_a_stall_is_counted_and_not_made_up(puma):
+def test_a_stall_is_counted_and_not_caught_up(puma):
     clock, recorder = VirtualClock(), RecorderSink(puma.joints)
 
     def stall(tick):

@@ -29,7 +29,7 @@ def test_a_second_command_for_one_time_replaces_the_first():
     assert len(sink) == 1 and sink.trajectory().q[0, 0] == 2.0
 
 
-def test_misuse_is_told():
+def test_misuse_is_reported():
     sink = RecorderSink(["a"])
     with pytest.raises(TrajectoryError, match="nothing was recorded"):
         sink.trajectory()

@@ -113,6 +113,22 @@ def test_import_opens_nothing_and_loads_nothing_heavy() -> None:
     assert heavy.isdisjoint(said["loaded"])
 
 
+ONE_SOLVE = """
+import sys
+import robot_ik as rik
+
+robot = rik.load_robot("puma560")
+rik.solve(robot, rik.PoseGoal.at(robot.tool, robot.forward(robot.home)), solver="lm")
+print(*sorted(name for name in sys.modules if name.partition(".")[0] == "robot_ik"))
+"""
+
+
+def test_a_solve_loads_what_it_needs() -> None:
+    """No reader of URDFs, no pose prior, no step of other methods, nothing above the solvers."""
+    run = subprocess.run([sys.executable, "-c", ONE_SOLVE], capture_output=True, text=True, check=True)
+    assert len(run.stdout.split()) <= 28, run.stdout
+
+
 def test_hardware_refuses_its_bare_name() -> None:
     """From the checkout `import hardware` would work, and load every module a second time."""
     bare = subprocess.run([sys.executable, "-c", "import hardware"], cwd=ROOT, capture_output=True, text=True)

@@ -94,7 +94,7 @@ def test_hinges_take_their_part_of_the_free_turn():
 @both_orders
 @pytest.mark.parametrize("factor", [0.5, 3.0, -0.7])
 def test_collinear_vectors_have_no_axis_and_do_no_harm(axis, order, factor):
-    """Straight chain, target on its line: no turn of a free bone is told from another, and nothing is NaN."""
+    """Straight chain, target on its line: no turn of a bone is better than another, and nothing is NaN."""
     chain = make_chain(4, length=0.3)
     tip = chain.forward(chain.home).position
     goal = PositionGoal(None, factor * tip)

@@ -1,7 +1,9 @@
 """Methods in turn, and batches."""
 
+import importlib.util
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -231,15 +233,24 @@ def test_a_batch_chooses_as_one_solve_does(name):
         np.testing.assert_allclose(batch.q[row], alone.q, atol=1e-7)
 
 
-def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
-    from robot_ik.bench.methods.first_choice import METHODS, choose, over_best
+@pytest.fixture(scope="module")
+def measure():
+    """The script that makes the table of first choices."""
+    file = Path(__file__).parents[2] / "docs" / "make" / "measure_first_choice.py"
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_table_of_first_choices_follows_the_times_and_nothing_else(measure):
     from robot_ik.solvers.analytic.recognise import Family
     from robot_ik.solvers.first_choice import FIRST_CHOICE
 
     families = {family.name.lower() for family in Family}
     assert {family for family, _ in FIRST_CHOICE} <= families
     assert {start for _, start in FIRST_CHOICE} == {"cold", "warm"} and set(FIRST_CHOICE.values()) <= set(
-        METHODS
+        measure.METHODS
     )
     times = {
         ("limb", "one", "cold"): {"lm": 12.0, "analytic": 36.0, "auto": 12.5},
@@ -248,16 +259,15 @@ def test_the_table_of_first_choices_follows_the_times_and_nothing_else():
         ("wrist", "other", "warm"): {"lm": 14.0, "analytic": 9.0, "auto": 9.5},
     }
     wanted = {("limb", "cold"): "lm", ("limb", "warm"): "analytic", ("wrist", "warm"): "analytic"}
-    assert choose(times) == wanted  # of two arms of a family both count
-    assert over_best(times["limb", "one", "warm"]) == pytest.approx(13.0 / 9.5)
+    assert measure.choose(times) == wanted  # of two arms of a family both count
+    assert measure.over_best(times["limb", "one", "warm"]) == pytest.approx(13.0 / 9.5)
 
 
-def test_what_the_choice_is_measured_on_has_a_closed_form_for_poses_in_every_family():
-    from robot_ik.bench.methods.first_choice import arms
+def test_what_the_choice_is_measured_on_has_a_closed_form_for_poses_in_every_family(measure):
     from robot_ik.solvers.first_choice import FIRST_CHOICE
 
     analytic, found = make_solver("analytic"), []
-    for arm in arms():
+    for arm in measure.arms():
         found.append(analytic.family(Problem(arm, PoseGoal(None, (0.0, 0.0, 0.0)))))
     assert set(found) == {family for family, _ in FIRST_CHOICE}
-    assert found[-1] == "limb" and arms()[-1].name == "iiwa-like"
+    assert found[-1] == "limb" and measure.arms()[-1].name == "iiwa-like"

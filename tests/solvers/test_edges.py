@@ -164,7 +164,7 @@ def test_no_goals_are_refused(puma, nothing):
         (lambda robot, goal: solve(robot, PostureGoal(q=[1, 2])), "has 6 numbers"),
     ],
 )
-def test_likely_slips_are_answered_in_a_sentence(puma, ask, says):
+def test_likely_mistakes_are_answered_in_a_sentence(puma, ask, says):
     with pytest.raises(RobotIkError, match=says):
         ask(puma, PositionGoal(None, (0.3, 0.3, 0.5)))
 

@@ -5,8 +5,6 @@ the sixth law.
 """
 
 import dataclasses
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,18 +20,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
-
-# The judge lies beside this file; it is nobody's package.
-_spec = importlib.util.spec_from_file_location("goal_judge", Path(__file__).with_name("goal_judge.py"))
-judge = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(judge)
-KINDS, TOLERANCE, goals_near, measured, near = (
-    judge.KINDS,
-    judge.TOLERANCE,
-    judge.goals_near,
-    judge.measured,
-    judge.near,
-)
+from tests.solvers.goal_judge import KINDS, TOLERANCE, goals_near, measured, near
 
 NAMES = list(SOLVERS)
 kinds = pytest.mark.parametrize("kind", KINDS)

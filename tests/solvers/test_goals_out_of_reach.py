@@ -1,8 +1,6 @@
 """Goals of every kind that cannot be met: an honest status, a local minimum, and rest."""
 
 import dataclasses
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,21 +22,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
-
-# The judge lies beside this file; it is nobody's package.
-_spec = importlib.util.spec_from_file_location("goal_judge", Path(__file__).with_name("goal_judge.py"))
-judge = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(judge)
-BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near = (
-    judge.BODY,
-    judge.KINDS,
-    judge.LOOKS,
-    judge.TOLERANCE,
-    judge.cost,
-    judge.direction,
-    judge.measured,
-    judge.near,
-)
+from tests.solvers.goal_judge import BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near
 
 UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
 

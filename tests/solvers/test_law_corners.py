@@ -1,8 +1,6 @@
 """Corners that every general method turns alike: starts outside, dead frames, several goals, traces."""
 
-import importlib.util
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,18 +9,7 @@ from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
-
-# The cases lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location("law_cases", Path(__file__).with_name("law_cases.py"))
-law = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(law)
-general, goal_of, measured, inside, outcome = (
-    law.general,
-    law.goal_of,
-    law.measured,
-    law.inside,
-    law.outcome,
-)
+from tests.solvers.law_cases import general, goal_of, inside, measured, outcome
 
 
 @general

@@ -1,8 +1,5 @@
 """The ten laws that every solver keeps, on every robot of the contract."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,39 +8,20 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
-
-# The cases lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location("law_cases", Path(__file__).with_name("law_cases.py"))
-law = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(law)
-(
+from tests.solvers.law_cases import (
     FLOORS,
     NAMES,
-    TOLERANCE,
-    serves,
-    cases,
     STEPPING,
-    general,
-    stepping,
+    TOLERANCE,
     all_robots,
+    cases,
+    general,
     goal_of,
-    measured,
     inside,
+    measured,
     outcome,
-) = (
-    law.FLOORS,
-    law.NAMES,
-    law.TOLERANCE,
-    law.serves,
-    law.cases,
-    law.STEPPING,
-    law.general,
-    law.stepping,
-    law.all_robots,
-    law.goal_of,
-    law.measured,
-    law.inside,
-    law.outcome,
+    serves,
+    stepping,
 )
 
 

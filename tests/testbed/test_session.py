@@ -354,7 +354,7 @@ def test_a_figure_decides_by_itself_and_says_why(session: Session) -> None:
     assert view.figure is None and view.instances[0].statistics.count <= 2
 
 
-def test_a_passive_figure_waits_until_it_is_told(session: Session) -> None:
+def test_a_passive_figure_waits_until_it_is_reported(session: Session) -> None:
     view = view_after(
         session, SetRobot("humanoid"), SetFigure("passive"), MoveGoal((0.5, -0.2, 1.3)), ticks=40
     )

@@ -102,26 +102,26 @@ def test_a_display_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None
         WindowSink(load_robot("puma560"))
 
 
-# Shows a stage as `reach --view` does, and ends when its window is closed.
-STAGE = """
+# Shows a scene as `reach --view` does, and ends when its window is closed.
+SCENE = """
 import threading
 import numpy as np
-from robot_ik.jobs.reach import stage_solids
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.reach import scene_solids
+from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import load_robot
 from robot_ik.testbed.frontends.window import WindowSink
 
 robot = load_robot("NAME")
-stage = stage_for(robot)
-marker = stage.pose_world_marker
-see = np.vstack([marker.position, marker.compose(stage.pose_marker_tool).position])
-with WindowSink(robot, solids=stage_solids(stage), see=see, eye=stage.pose_world_camera.position) as window:
-    scene = window._viewer.user_scn
-    assert scene.ngeom > 8, "floor, table, paper, square, cells"
-    window.show_goal(marker.compose(stage.pose_marker_tool))
-    assert scene.ngeom == window._fixed + 3
+scene = scene_for(robot)
+marker = scene.pose_world_marker
+see = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
+with WindowSink(robot, solids=scene_solids(scene), see=see, eye=scene.pose_world_camera.position) as window:
+    user = window._viewer.user_scn
+    assert user.ngeom > 8, "floor, table, paper, square, cells"
+    window.show_goal(marker.compose(scene.pose_marker_tool))
+    assert user.ngeom == window._fixed + 3
     window.clear_goals()
-    assert scene.ngeom == window._fixed
+    assert user.ngeom == window._fixed
     # everything within the cone of view, seen from where the camera stands
     camera, model = window._viewer.cam, window._model
     azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
@@ -138,8 +138,8 @@ print("closed", flush=True)
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda"])
-def test_the_stage_is_there_and_the_window_stays_until_it_is_closed(name: str, windows: Windows) -> None:
-    assert windows.run(STAGE.replace("NAME", name)) == ["closed"]
+def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, windows: Windows) -> None:
+    assert windows.run(SCENE.replace("NAME", name)) == ["closed"]
 
 
 # ------------------------------------------------------------------------------ the testbed's session

@@ -376,7 +376,7 @@ def hand_motion(t: float) -> Pose:
     return Pose(place, facing.compose(Pose(wxyz=lean)).wxyz)
 
 
-REMEDIES: dict[str, tuple[float, LatencyOptions]] = {
+LATENCY_CASES: dict[str, tuple[float, LatencyOptions]] = {
     "nothing": (1.0, LatencyOptions("latest")),
     "less delay (half)": (0.5, LatencyOptions("latest")),
     "image shifting": (1.0, LatencyOptions("latest", shift=True)),
@@ -403,7 +403,7 @@ def remedy_errors(
     looks = [watcher.see(frame) for frame in frames]
     return {
         name: _remedy_error(latency_options, round(share * steps), frames, looks, robot_points(seed))
-        for name, (share, latency_options) in REMEDIES.items()
+        for name, (share, latency_options) in LATENCY_CASES.items()
     }
 
 

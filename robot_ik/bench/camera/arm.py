@@ -26,7 +26,7 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import Robot, load_robot
 
 Array = NDArray[np.float64]
@@ -270,17 +270,17 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Figure]:
     """The whole job on the simulated arm, then the same views with the noise of metal added."""
     worst, largest, ratio, spoilt = [], [], [], []
     robot = load_robot(_VERIFIED_ROBOT, joints=[f"joint{k}" for k in range(1, 7)])
-    stage = stage_for(robot, robot.tool)
+    scene = scene_for(robot, robot.tool)
     for trial in range(1 if effort.quick else 2):
         seed = 1000 * effort.seed + trial
         rng = np.random.default_rng(seed)
         hidden = rng.uniform(-_LARGEST_DEG, _LARGEST_DEG, robot.nv)
         offsets = dict(zip(robot.joints, hidden.tolist(), strict=True))
         # What is known of the board is the drawing of its mount, off by what the mount is made to.
-        board = moved(stage.cube_offset, rng.normal(0.0, 1.0, 6) * np.repeat(_VERIFY_MOUNTED, 3))
+        board = moved(scene.cube_offset, rng.normal(0.0, 1.0, 6) * np.repeat(_VERIFY_MOUNTED, 3))
         request = VerifyRequest(
             _VERIFIED_ROBOT, views=_VERIFY_VIEWS, fit=True, seed=seed, zero_offset_deg=offsets,
-            frame=stage.cube_frame, pose_frame_board=board, board_sigma=_VERIFY_MOUNTED,
+            frame=scene.cube_frame, pose_frame_board=board, board_sigma=_VERIFY_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
         assert report.fit is not None and report.true_offsets is not None

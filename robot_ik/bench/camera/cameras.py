@@ -120,8 +120,8 @@ def measured(
             )
             centre = markers_centre(STANDARD_CAMERA, placed)
             for condition in conditions:
-                grain = np.random.default_rng([seed, number, round(1e3 * distance)])
-                image = photograph(light, centre, grain, condition.sensor)
+                noise = np.random.default_rng([seed, number, round(1e3 * distance)])
+                image = photograph(light, centre, noise, condition.sensor)
                 _see(tracker, image, pose, distance, result[condition.name], board)
     return result
 

@@ -1,4 +1,4 @@
-"""What made-up pictures cannot tell: photographs of your own, and the first command on a bare machine."""
+"""What synthetic pictures cannot tell: photographs of your own, and the first command on a bare machine."""
 
 from __future__ import annotations
 

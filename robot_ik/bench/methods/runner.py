@@ -44,12 +44,12 @@ class Bench:
     cell: Cell
     problem: Problem | None = None
 
-    def run(self, settings: Settings, tell: Callable[[float], None] = lambda share: None) -> None:
+    def run(self, settings: Settings, progress: Callable[[float], None] = lambda share: None) -> None:
         """Solves all problems, or as many as there is time for (at least ten).
 
         Args:
             settings: Tolerances and seconds.
-            tell: Called with the share done, 0 … 1.
+            progress: Called with the share done, 0 … 1.
         """
         problem = self.problem
         if problem is None:
@@ -73,7 +73,7 @@ class Bench:
                         self.cell.jumps += step > JUMP
                     # Lost: put back on the path, so that one miss is one miss.
                     previous = q if good else self.problems.witnesses[index]
-                tell((index + 1) / len(self.problems))
+                progress((index + 1) / len(self.problems))
                 if time.perf_counter() > deadline and index >= 9:
                     break
 

@@ -24,7 +24,7 @@ TIGHT = (1e-6, 1e-6)
 #: The arms, and the figure with four goals; each ends in these sites.
 ARMS = ("puma560", "ur5e", "panda")
 FIGURE = "humanoid"
-LIMBS = {
+FIGURE_SITES = {
     "left_palm": "left_hand",
     "right_palm": "right_hand",
     "left_foot": "left_foot",
@@ -49,7 +49,7 @@ def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
     robot = load_robot(name)
     figure = name == FIGURE
     model = mujoco.MjModel.from_xml_string(
-        written := plain_mjcf(robot, LIMBS if figure else {"ee": robot.tool})
+        written := plain_mjcf(robot, FIGURE_SITES if figure else {"ee": robot.tool})
     )
     write_atomically(folder / "model.xml", written)
     write_atomically(folder / "model.urdf", urdf_of(model))

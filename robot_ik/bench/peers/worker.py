@@ -370,8 +370,8 @@ def _try(
     try:
         return solve(target, start)
     except Exception as error:  # a solve that breaks is one that failed
-        told = f"{type(error).__name__}: {str(error)[:80]}"
-        errors[told] = errors.get(told, 0) + 1
+        text = f"{type(error).__name__}: {str(error)[:80]}"
+        errors[text] = errors.get(text, 0) + 1
         return None
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
+from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
@@ -34,7 +34,7 @@ def chain_witness(links: int, target: Pose, *, oriented: bool) -> Array:
 
     Args:
         links: How many.
-        target: Pose of the tip, world; of its orientation nothing is heeded unless ``oriented``.
+        target: Pose of the tip, world; its orientation does not count unless ``oriented``.
         oriented: Whether the last link has to be turned as ``target`` says.
 
     Raises:
@@ -151,7 +151,7 @@ class Course:
 
     def witness_miss(self) -> tuple[float, float]:
         """Farthest that a witness is from its goal by MuJoCo's forward pass: metres, radians."""
-        judge = Judge(self.robot, self.goal)
+        judge = CourseJudge(self.robot, self.goal)
         metres, radians = np.max(list(map(judge.miss, self.witnesses, self.targets)), axis=0)
         return float(metres), float(radians)
 
@@ -360,7 +360,7 @@ def ask_a00(
     )
 
 
-def run_a00(report: A00Report, progress: Progress = lambda stage, share: None) -> A00Report:
+def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -> A00Report:
     """Runs what the report asks for and has not yet, and fills it in."""
     gauge = Gauge(progress, len(report.numbers) * len(report.solvers))
     for number in report.numbers:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.theses.tracking import Gauge, Judge, Progress, Track, track
+from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
 from robot_ik.errors import MissingExtraError
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal, Tolerance
@@ -164,7 +164,7 @@ def steps_of(name: str, track: Track) -> float:
     return track.iterations * (SEGMENTS if name == "ccd" else 1)
 
 
-def run_s12(report: S12Report, progress: Progress = lambda stage, share: None) -> S12Report:
+def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
     """Runs all cases and fills the report in."""
     gauge = Gauge(progress, len(CASES) * sum(len(v.methods) for v in VARIANTS))
     for case in CASES:
@@ -187,7 +187,7 @@ def run_s12(report: S12Report, progress: Progress = lambda stage, share: None) -
 
 def _witness_miss(arm: Robot, witnesses: Array, targets: list[Pose]) -> float:
     """Farthest that a witness is from its target by MuJoCo's forward pass, metres; all are inside limits."""
-    judge = Judge(arm, PositionGoal("tip", targets[0].position))
+    judge = CourseJudge(arm, PositionGoal("tip", targets[0].position))
     assert not any(arm.outside(q) for q in witnesses)
     return max(judge.miss(q, target)[0] for q, target in zip(witnesses, targets, strict=True))
 

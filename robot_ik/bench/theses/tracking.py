@@ -18,7 +18,7 @@ from robot_ik.solvers.base import Solver
 Array = NDArray[np.float64]
 
 Progress = Callable[[str, float], None]
-"""Told what is being done and which share of all is behind."""
+"""Called with what is being done and which share of all is behind."""
 
 # Looks at the progress bar this often, frames: a look costs more than a solve.
 _LOOK = 25
@@ -57,10 +57,10 @@ class Track:
 
 
 class Gauge:
-    """How far a row of jobs has come, told as a share of all of them.
+    """How far a row of jobs has come, as a share of all of them.
 
     Args:
-        progress: Told what is being done and which share of all is behind.
+        progress: Called with what is being done and which share of all is behind.
         jobs: How many there are.
     """
 
@@ -68,22 +68,22 @@ class Gauge:
         self._progress = progress
         self._jobs = jobs
         self._begun = 0
-        self._stage, self._frames, self._behind = "", 1, 0
+        self._phase, self._frames, self._behind = "", 1, 0
 
-    def begin(self, stage: str, frames: int) -> None:
+    def begin(self, phase: str, frames: int) -> None:
         """The next job, of so many frames."""
         self._begun += 1
-        self._stage, self._frames, self._behind = stage, frames, 0
+        self._phase, self._frames, self._behind = phase, frames, 0
         self.tick(0)
 
     def tick(self, frames: int) -> None:
         """So many frames more are done."""
         self._behind += frames
         share = (self._begun - 1 + self._behind / self._frames) / self._jobs
-        self._progress(self._stage, share)
+        self._progress(self._phase, share)
 
 
-class Judge:
+class CourseJudge:
     """MuJoCo's forward pass, again and again: ``Robot.measure`` without new memory for each frame."""
 
     def __init__(self, robot: Robot, goal: Goal) -> None:
@@ -109,13 +109,13 @@ def track(
     start: Array,
     tick: Callable[[int], None] = lambda frames: None,
 ) -> Track:
-    """Follows ``targets`` from ``start`` (nq,) on; ``tick`` is told how many frames have gone by."""
+    """Follows ``targets`` from ``start`` (nq,) on; ``tick`` is called with how many frames have gone by."""
     if not solver.applies(problem):
         tick(len(targets))
         return Track(len(targets), refused=True)
     problem.retarget(targets[0])
     solver.solve(problem, start)  # compiles what is not compiled yet: not to be counted
-    judge, allowed = Judge(problem.robot, problem.goals[0]), problem.tolerance
+    judge, allowed = CourseJudge(problem.robot, problem.goals[0]), problem.tolerance
     q, solved, lost, seconds, iterations, restarts = start, 0, None, 0.0, 0, 0
     for k, target in enumerate(targets):
         problem.retarget(target)

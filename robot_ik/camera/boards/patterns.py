@@ -25,7 +25,7 @@ from robot_ik.camera.image import (
     marker_dictionary,
     quiet,
     reduced,
-    reduction_for,
+    times_smaller,
     to_reduced,
 )
 from robot_ik.errors import CalibrationError
@@ -201,7 +201,7 @@ class ChessboardPattern:
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)
-        times = reduction_for(gray)
+        times = times_smaller(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         with quiet():
             good, corners = cv2.findChessboardCorners(
@@ -275,7 +275,7 @@ class CharucoPattern:
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)
-        times = reduction_for(gray)
+        times = times_smaller(gray)
         found = self._find(gray, times)
         if times > 1 and (found is None or len(found.ids) < self.corners[0] * self.corners[1]):
             # A board far away in a large picture is too small in a reduced one.
@@ -359,7 +359,7 @@ def _check_count(what: str, of: str, columns: int, rows: int, least: int) -> Non
 
 
 def _check_length(what: str, length: float) -> None:
-    # A print of more than a metre a square, or less than a millimetre, is a slip of the unit.
+    # A print of more than a metre a square, or less than a millimetre, is a mistake of the unit.
     if not 1e-3 <= length <= 1.0:
         raise CalibrationError(
             f"{what} of {length:g} m cannot be meant",

@@ -127,7 +127,7 @@ class Compressed:
 
     Attributes:
         pseudo_measurement: (n, 6) twist of the hand with which the view's own corners fit best.
-        covariance: (n, 6, 6) of the wish, from the pixels alone.
+        covariance: (n, 6, 6) of the target, from the pixels alone.
         by_shared: (n, 6, 12) by how much camera and board (12,) change it.
         left: For each view (k,) how far each corner is off after that, in its standard deviations.
         freedom: How many numbers ``left`` is made of, less those that were fitted.
@@ -551,7 +551,7 @@ def _residual(
     points: Array,
 ) -> ViewResidual:
     others = mount.moved(step)
-    # The wish moves the hand so that the board is where it was seen.
+    # The target moves the hand so that the board is where it was seen.
     expected = others.pose_camera_board(sample)
     moved = HandEyeSample(sample.pose_world_hand.compose(Pose.exp(pseudo_measurement)), sample.view)
     found = others.pose_camera_board(moved)

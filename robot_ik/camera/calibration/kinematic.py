@@ -22,11 +22,11 @@ from robot_ik.camera.calibration.handeye import (
 )
 from robot_ik.camera.calibration.least_squares import (
     JointNoise,
-    Mixture,
     Normal,
+    Unobservable,
     cost,
     estimate_joint_noise,
-    find_mixture,
+    find_unobservable,
     inverse,
     joint_information,
     normal_equations,
@@ -99,7 +99,7 @@ class ArmView:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmState:
+class ArmEstimate:
     """The unknowns.
 
     Attributes:
@@ -110,10 +110,10 @@ class ArmState:
     offsets: Array
     mount: Mount
 
-    def moved(self, step: Array) -> ArmState:
+    def moved(self, step: Array) -> ArmEstimate:
         """Moved by offsets (nv,) and the two twists (12,)."""
         n = len(self.offsets)
-        return ArmState(self.offsets + step[:n], self.mount.moved(step[n:]))
+        return ArmEstimate(self.offsets + step[:n], self.mount.moved(step[n:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,20 +163,20 @@ class ArmModel:
     board: KnownPose
     mounting: Mounting
 
-    def start(self) -> ArmState:
+    def start(self) -> ArmEstimate:
         """No offsets, the poses as they are thought to be."""
         mount = Mount(self.camera.pose, self.board.pose, self.mounting)
-        return ArmState(np.zeros(self.robot.nv), mount)
+        return ArmEstimate(np.zeros(self.robot.nv), mount)
 
-    def hand(self, state: ArmState, view: ArmView) -> Pose:
+    def hand(self, state: ArmEstimate, view: ArmView) -> Pose:
         """``pose_world_hand`` with the offsets."""
         return self.robot.forward(view.q + state.offsets, self.frame)
 
-    def samples(self, state: ArmState) -> list[HandEyeSample]:
+    def samples(self, state: ArmEstimate) -> list[HandEyeSample]:
         """The views, with the hand where the offsets put it."""
         return [HandEyeSample(self.hand(state, one), one.view) for one in self.views]
 
-    def linear(self, state: ArmState, weights: Sequence[Array] | None = None) -> Linear:
+    def linear(self, state: ArmEstimate, weights: Sequence[Array] | None = None) -> Linear:
         """All views at ``state``; ``weights`` of their corners as for ``compress``."""
         samples = self.samples(state)
         data = compress(state.mount, samples, self.intrinsics, weights)
@@ -191,14 +191,14 @@ class ArmModel:
         arm = by_joint @ by_joint.transpose(0, 2, 1)
         return Linear(data.pseudo_measurement, data.covariance, rows, arm, prior, off, data)
 
-    def _hand_jacobian(self, state: ArmState, view: ArmView) -> Array:
+    def _hand_jacobian(self, state: ArmEstimate, view: ArmView) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
         q = view.q + state.offsets
         turn = self.robot.forward(q, self.frame).rotation.T
         jacobian = self.robot.jacobian(q, self.frame)
         return np.concatenate([turn @ jacobian[:3], turn @ jacobian[3:]])
 
-    def apart(self, state: ArmState, view: ArmView) -> tuple[Array, float]:
+    def apart(self, state: ArmEstimate, view: ArmView) -> tuple[Array, float]:
         """Where the picture shows the carried thing less where the joints put it: world, metres (3,), rad.
 
         Eye to hand it is the board; eye in hand, the camera.
@@ -248,7 +248,7 @@ class PoseError:
 
 
 def pose_error(
-    model: ArmModel, state: ArmState, view: int, covariance: Array, sigmas: float = 0.0
+    model: ArmModel, state: ArmEstimate, view: int, covariance: Array, sigmas: float = 0.0
 ) -> PoseError:
     """One view at a state.
 
@@ -340,7 +340,7 @@ class ZeroOffsets:
         joints: Names, in the order of the rest.
         offsets: (nv,) to be added to the angles that the servos say, rad; 0 for those held.
         covariance: (nv, nv); zeros for those held, given which the others are known so well.
-        mixtures: What could not be told apart, and which joint is held for it.
+        unobservable: What could not be told apart, and which joint is held for it.
         pose_parent_camera, pose_other_board: The poses, refined.
         pose_covariance: (12, 12) of their twists.
         errors: Of each view, as the fit to all *other* views has it.
@@ -353,7 +353,7 @@ class ZeroOffsets:
     joints: tuple[str, ...]
     offsets: Array
     covariance: Array
-    mixtures: tuple[Mixture, ...]
+    unobservable: tuple[Unobservable, ...]
     pose_parent_camera: Pose
     pose_other_board: Pose
     pose_covariance: Array
@@ -412,18 +412,18 @@ def fit_zero_offsets(
     _check(views, robot, mounting, hold)
     model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, mounting)
     held = set(hold)
-    mixtures: list[Mixture] = []
+    unobservable: list[Unobservable] = []
     parent, other = (frame, "the world") if mounting == "eye_in_hand" else ("the world", frame)
     state = model.start()
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
         fitted = _fit(model, state, np.array([*free, *range(robot.nv, robot.nv + 12)]))
-        mixture = find_mixture(fitted.normal, robot.joints, unclear, parent, other)
-        if mixture is None:
+        worst = find_unobservable(fitted.normal, robot.joints, unclear, parent, other)
+        if worst is None:
             # With all joints held it is the arm's errors that are asked for, however large.
-            return _result(model, fitted, mixtures, judge=not set(hold) >= set(robot.joints))
-        mixtures.append(mixture)
-        held.add(mixture.joint)
+            return _result(model, fitted, unobservable, judge=not set(hold) >= set(robot.joints))
+        unobservable.append(worst)
+        held.add(worst.joint)
         # From the start again: an offset that nothing determines may have gone anywhere.
         state = model.start()
 
@@ -447,14 +447,14 @@ def _check(views: Sequence[ArmView], robot: Robot, mounting: str, hold: Sequence
 class _Fitted:
     """The end of an iteration: where, the views linear there, and what they are worth."""
 
-    state: ArmState
+    state: ArmEstimate
     linear: Linear
     noise: JointNoise
     normal: Normal
     scale: float
 
 
-def _fit(model: ArmModel, state: ArmState, free: NDArray[np.int64]) -> _Fitted:
+def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitted:
     corners: list[Array] | None = None
     noise: JointNoise | None = None
     damping = _FIRST_DAMPING
@@ -475,7 +475,7 @@ def _fit(model: ArmModel, state: ArmState, free: NDArray[np.int64]) -> _Fitted:
 
 def _downhill(
     model: ArmModel,
-    state: ArmState,
+    state: ArmEstimate,
     corners: list[Array] | None,
     equations: tuple[Linear, JointNoise, Normal],
     damping: float,
@@ -494,7 +494,9 @@ def _downhill(
     return np.zeros_like(step), damping
 
 
-def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture], *, judge: bool) -> ZeroOffsets:
+def _result(
+    model: ArmModel, fitted: _Fitted, unobservable: list[Unobservable], *, judge: bool
+) -> ZeroOffsets:
     n = model.robot.nv
     covariance = fitted.normal.spread_out(inverse(fitted.normal.matrix))
     errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
@@ -511,7 +513,7 @@ def _result(model: ArmModel, fitted: _Fitted, mixtures: list[Mixture], *, judge:
         joints=model.robot.joints,
         offsets=fitted.state.offsets,
         covariance=covariance[:n, :n],
-        mixtures=tuple(mixtures),
+        unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
         pose_covariance=covariance[n:, n:],

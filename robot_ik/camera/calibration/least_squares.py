@@ -312,7 +312,7 @@ _LEVER = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Mixture:
+class Unobservable:
     """A combination of joint offsets that the views do not determine.
 
     Attributes:
@@ -347,9 +347,9 @@ def joint_information(normal: Normal, joints: int) -> tuple[Array, Array, Array]
     return values, rows.T, along
 
 
-def find_mixture(
+def find_unobservable(
     normal: Normal, names: Sequence[str], unclear: float, parent: str, other: str
-) -> Mixture | None:
+) -> Unobservable | None:
     """The worst determined combination of offsets, if its standard deviation is beyond ``unclear`` rad.
 
     Args:
@@ -368,7 +368,7 @@ def find_mixture(
     whole[normal.free[: len(free)]] = v
     known = values[-1] > 1e-12 * values[0] and values[-1] > 1e-6
     held = free[int(np.argmax(np.abs(v)))]
-    return Mixture(
+    return Unobservable(
         held, whole, float(values[-1] ** -0.5) if known else np.inf,
         _words(free, v, along @ v, parent, other),
     )  # fmt: skip

@@ -52,7 +52,7 @@ class ViewGatherer:
     Attributes:
         pattern: The pattern that is found.
         views: The views so far.
-        notices: What is to be told, once.
+        notices: What is to be said, once.
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -83,7 +83,7 @@ class ViewGatherer:
 
         Raises:
             FrameSizeError: It has another size than the others.
-            CalibrationError: Another pattern than the wished one is in the pictures.
+            CalibrationError: Another pattern than the wanted one is in the pictures.
         """
         self._check_size(frame, name)
         found = self.pattern.find(frame.image)

@@ -174,8 +174,7 @@ class GlArtist:
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """See ``Artist``."""
-        faces, things, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()
         pinhole, (map_x, map_y) = self._lens(intrinsics)
@@ -190,7 +189,7 @@ class GlArtist:
         robot = Layer(box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
         if not figure.shadow:
             return Drawing(((robot, 1.0),))
-        return Drawing((shadow_sheet(faces, things, intrinsics, pose_board_camera), (robot, 1.0)))
+        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
 
     def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
         if intrinsics not in self._maps:
@@ -211,8 +210,8 @@ class GlArtist:
         if figure.occluder_geoms is not None:
             hidden |= (geom >= 0) & figure.occluder_geoms[geom]
         if figure.occluders is not None:
-            things = figure.occluders
-            _, other, before = self._pictures(things, things.qpos0, pinhole, pose_board_camera)
+            occluders = figure.occluders
+            _, other, before = self._pictures(occluders, occluders.qpos0, pinhole, pose_board_camera)
             hidden |= (other >= 0) & (before < depth * figure.scale)
         return colour, np.where(hidden, 0, 255).astype(np.uint8)
 

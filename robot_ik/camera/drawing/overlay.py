@@ -126,7 +126,6 @@ Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 Style = Literal["solid", "outline", "registered"]
 
-BLUE: Colour = (240, 150, 30)
 GREEN: Colour = (90, 190, 60)
 ORANGE: Colour = (30, 140, 250)
 RED: Colour = (60, 60, 230)

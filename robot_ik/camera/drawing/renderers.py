@@ -104,15 +104,18 @@ def seen_faces(
     faces = painter.faces_in_picture(figure.model, qpos, intrinsics, figure.camera(pose_board_camera))
     faces = replace(faces, inverse=faces.inverse / figure.scale, points=faces.points * figure.scale)
     box = painter.bounding_box(faces, *intrinsics.size)
-    things = None
+    occluders = None
     if figure.occluders is not None and box != EMPTY:
         model = figure.occluders
-        things = painter.faces_in_picture(model, model.qpos0, intrinsics, pose_board_camera, planes=True)
-    return faces, things, box
+        occluders = painter.faces_in_picture(model, model.qpos0, intrinsics, pose_board_camera, planes=True)
+    return faces, occluders, box
 
 
 def shadow_sheet(
-    faces: painter.Faces, things: painter.Faces | None, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    faces: painter.Faces,
+    occluders: painter.Faces | None,
+    intrinsics: CameraIntrinsics,
+    pose_board_camera: Pose,
 ) -> tuple[Layer, float]:
     """The shadow that ``faces`` throw on the board's plane, and its strength; occluders hide it."""
     inverse = pose_board_camera.inverse()
@@ -146,9 +149,9 @@ def shadow_sheet(
     dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
     dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = (_COARSE * v for v in box)
-    if things is not None:
+    if occluders is not None:
         behind = painter.Samples((x0, y0, x1, y1), 1)
-        behind.fill(things)
+        behind.fill(occluders)
         # what stands on the plane does not hide the plane where it stands
         hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
@@ -181,18 +184,17 @@ class PainterArtist:
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """See ``Artist``."""
-        faces, things, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()
         samples = painter.Samples(box, self._samples)
-        if things is not None:
-            samples.fill(things, occluders=True)
+        if occluders is not None:
+            samples.fill(occluders, occluders=True)
         samples.fill(faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)
         robot = (samples.layer(painter.base_colours(figure.model, figure.tint)), 1.0)
         if not figure.shadow:
             return Drawing((robot,))
-        return Drawing((shadow_sheet(faces, things, intrinsics, pose_board_camera), robot))
+        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), robot))
 
 
 @dataclass(frozen=True)
@@ -222,8 +224,7 @@ class RayArtist:
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """See ``Artist``."""
-        faces, things, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
+        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()
         size = (box[3] - box[1], box[2] - box[0])
@@ -243,7 +244,7 @@ class RayArtist:
         robot = Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
         if not figure.shadow:
             return Drawing(((robot, 1.0),))
-        return Drawing((shadow_sheet(faces, things, intrinsics, pose_board_camera), (robot, 1.0)))
+        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
 
     def look(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose

@@ -21,21 +21,21 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.photograph import QUALITIES, Photographer, PlacedSheet
 from robot_ik.camera.synthetic.prints import Condition, PaintedMarker, make_sheet
-from robot_ik.camera.synthetic.scene import Lights, Table
+from robot_ik.camera.synthetic.scene import Lights, TableTop
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock
 
 # ------------------------------------------------------------------------------------------
-# Noise of a made-up sensor.
+# Noise of a synthetic sensor.
 
 
 # Pixels by which the piece of noise is larger that pictures share: 257² parts.
 _LARGER = 256
 
 
-class Grain:
+class SensorNoise:
     """Normal noise of sigma 1 for one picture after the other.
 
     Args:
@@ -161,7 +161,7 @@ class SyntheticScene:
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
     markers: tuple[SyntheticMarker, ...] = ()
-    table: Table | None = None
+    table: TableTop | None = None
     lights: Lights | None = None
 
     def __post_init__(self) -> None:
@@ -231,7 +231,7 @@ class SyntheticSource(ClosingSource):
         self._sequence = 0
         self._photographer: Photographer | None = None
         self._vignette: NDArray[np.float32] | None = None
-        self._grain = Grain(self.size, seed, self._quality.same_grain)
+        self._noise = SensorNoise(self.size, seed, self._quality.same_noise)
 
     def read(self) -> Frame:
         """Takes the next picture; its ``truth`` is a dict.
@@ -241,13 +241,13 @@ class SyntheticSource(ClosingSource):
         * ``corners``: by id (4, 2) pixels in OpenCV's order, ``visible``: by id the part seen, 0..1.
         """
         # Before the clock is asked: a sensor has its noise in no time.
-        grain = self._grain.of(self._sequence) if self._sensor.noise > 0 else None
+        noise = self._noise.of(self._sequence) if self._sensor.noise > 0 else None
         now = time.monotonic() if self._clock is None else self._clock.now()
         scene, q = self.scene, np.array(self._true_q(), dtype=float)
         poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
         light, painted = self._camera().expose(scene.robot.qpos(q), sheets, self._quality)
-        frame = Frame(self._develop(light, grain), now, self._sequence, self._truth(q, poses, painted))
+        frame = Frame(self._develop(light, noise), now, self._sequence, self._truth(q, poses, painted))
         self._sequence += 1
         return frame
 
@@ -256,21 +256,21 @@ class SyntheticSource(ClosingSource):
             scene = self.scene
             pose, robot = scene.pose_world_camera, scene.robot
             distance = _subject_distance(scene)
-            subject = pose.apply([0.0, 0.0, distance])
+            x, y, z = pose.apply([0.0, 0.0, distance]).tolist()
             lights = scene.lights or Lights.beside(pose, distance)
             self._photographer = Photographer(
-                robot.model, scene.intrinsics, pose, scene.table, lights, subject
+                robot.model, scene.intrinsics, pose, scene.table, lights, (x, y, z)
             )
         return self._photographer
 
-    def _develop(self, light: NDArray[np.float32], grain: NDArray[np.float32] | None) -> NDArray[np.uint8]:
+    def _develop(self, light: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.uint8]:
         """Lens and sensor: vignette, then what the model of the sensor says."""
         if self._vignette is None:
             w, h = self.size
             x, y = np.linspace(-1, 1, w, dtype=np.float32), np.linspace(-1, 1, h, dtype=np.float32)
             plain = 255.0 * (1 - _VIGNETTE * 0.5 * (x[None, :] ** 2 + y[:, None] ** 2))
             self._vignette = np.dstack([plain, plain, plain])
-        return self._sensor.developed(self._sensor.scattered(cv2.multiply(light, self._vignette)), grain)
+        return self._sensor.developed(self._sensor.scattered(cv2.multiply(light, self._vignette)), noise)
 
     def _truth(self, q: Array, poses: list[Pose], painted: list[PaintedMarker | None]) -> dict[str, object]:
         scene = self.scene
@@ -322,7 +322,7 @@ def _subject_distance(scene: SyntheticScene) -> float:
 class CarriedSource(ClosingSource):
     """Photographs of a ``SyntheticScene`` by a camera that a frame of the robot carries.
 
-    Each picture is of a new stage, so it takes longer than with a camera that stands.
+    Each picture is of a new scene, so it takes longer than with a camera that stands.
 
     Args:
         scene: What to look at; its ``pose_world_camera`` is not used.

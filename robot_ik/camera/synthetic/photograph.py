@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, paint_mask
-from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
+from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.prints import PaintedMarker, Sheet, nearer, paint_marker
-from robot_ik.camera.synthetic.scene import Lights, Stage, StillPicture, Table
+from robot_ik.camera.synthetic.scene import Lights, Point, StillPicture, TableTop, still_picture
 from robot_ik.geometry import Pose
 
 # ------------------------------------------------------------------------------------------
@@ -38,19 +38,19 @@ class Quality:
     Attributes:
         stride: Robot rays every so many pixels; markers are exact always.
         self_stride, self_spots: Shadows on the robot: every so many pixels, so many points of each light.
-        stage_stride, stage_spots: The same for shadows of the robot on table and floor.
-        same_grain: Pictures share their noise, each moved to another place.
+        ground_stride, ground_spots: The same for shadows of the robot on table and floor.
+        same_noise: Pictures share their noise, each moved to another place.
     """
 
     stride: int
     self_stride: int
     self_spots: int
-    stage_stride: int
-    stage_spots: int
-    same_grain: bool = False
+    ground_stride: int
+    ground_spots: int
+    same_noise: bool = False
 
 
-QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1, same_grain=True)}
+QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1, same_noise=True)}
 
 
 @dataclass(frozen=True)
@@ -62,19 +62,18 @@ class View:
         camera: ``pose_world_camera``.
         lights: Lamp, ceiling, window.
         robot: The robot's model, to be asked by rays; placed anew for each picture.
-        stage: The empty scene.
+        still: The empty scene.
     """
 
     field: RayField
     camera: Pose
     lights: Lights
     robot: Caster
-    stage: StillPicture
+    still: StillPicture
 
     def world(self, normalized: Array) -> Array:
-        """World directions (n, 3), unit along the optical axis, of ideal coordinates (n, 2)."""
-        turn = self.camera.rotation
-        return np.asarray(normalized @ turn.T[:2] + turn[:, 2])
+        """World directions (n, 3), unit along the optical axis, of normalized coordinates (n, 2)."""
+        return world_directions(self.camera, normalized)
 
     def visibility(self, points: Array, tile: NDArray[np.int64], spots: int) -> Array:
         """Part (n, 2) of lamp and ceiling that each point sees past the robot.
@@ -185,7 +184,7 @@ class RobotRenderer:
         asked = np.flatnonzero(mask[np.ix_(rows, columns)])
         rays = self._view.world(normalized.reshape(-1, 2)[asked])
         hits = self._view.robot.cast(self._view.camera.position, rays)
-        behind = self._view.stage.depth[box[1] : box[3], box[0] : box[2]][np.ix_(rows, columns)].reshape(-1)[
+        behind = self._view.still.depth[box[1] : box[3], box[0] : box[2]][np.ix_(rows, columns)].reshape(-1)[
             asked
         ]
         on = np.flatnonzero(hits.depth < behind)
@@ -264,7 +263,7 @@ class RobotRenderer:
         pixels = np.stack([columns + box[0], rows + box[1]], axis=1)[:, None, :] + _ROOKS
         rays = self._view.world(self._view.field.points(pixels.reshape(-1, 2)))
         hits = self._view.robot.cast(self._view.camera.position, rays)
-        behind = np.repeat(self._view.stage.depth[rows + box[1], columns + box[0]], len(_ROOKS))
+        behind = np.repeat(self._view.still.depth[rows + box[1], columns + box[0]], len(_ROOKS))
         on = np.flatnonzero(hits.depth < behind)
         points = self._view.camera.position + rays[on] * hits.depth[on, None]
         total = np.zeros((len(rays), 4))
@@ -295,19 +294,19 @@ class PlacedSheet:
 
 
 class Photographer:
-    """Takes pictures of one model on one stage with one camera."""
+    """Takes pictures of one model in one still scene with one camera."""
 
     def __init__(
         self,
         model: mujoco.MjModel,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        table: Table | None,
+        table: TableTop | None,
         lights: Lights,
-        subject: Array,
+        subject: Point,
     ) -> None:
-        stage = Stage(intrinsics, pose_world_camera, table, lights, subject).picture
-        self._view = View(ray_field(intrinsics), pose_world_camera, lights, Caster(model), stage)
+        still = still_picture(intrinsics, pose_world_camera, table, lights, subject)
+        self._view = View(ray_field(intrinsics), pose_world_camera, lights, Caster(model), still)
         self._renderer = RobotRenderer(self._view, model)
 
     def expose(
@@ -321,12 +320,12 @@ class Photographer:
             quality: How finely.
         """
         self._view.robot.place(qpos)
-        lit = self._stage_visibility(quality)
-        stage = self._view.stage
+        lit = self._ground_visibility(quality)
+        still = self._view.still
         lamp, ceiling = (cv2.merge([share] * 3) for share in cv2.split(lit))
-        picture = np.asarray(cv2.multiply(stage.lamp, lamp, dst=lamp), dtype=np.float32)
-        picture += stage.ambient
-        picture += cv2.multiply(stage.ceiling, ceiling, dst=ceiling)
+        picture = np.asarray(cv2.multiply(still.lamp, lamp, dst=lamp), dtype=np.float32)
+        picture += still.ambient
+        picture += cv2.multiply(still.ceiling, ceiling, dst=ceiling)
         empty = picture.copy() if sheets else picture
         layer = self._renderer.render(qpos, quality)
         if layer is not None:
@@ -339,19 +338,19 @@ class Photographer:
         painted = [self._add_sheet(picture, empty, layer, lit, sheet) for sheet in sheets]
         return picture, painted
 
-    def _stage_visibility(self, quality: Quality) -> Float32:
+    def _ground_visibility(self, quality: Quality) -> Float32:
         """Light (h, w, 2) that the robot leaves to table and floor."""
         w, h = self._view.field.intrinsics.size
-        stride = quality.stage_stride
+        stride = quality.ground_stride
         x, y = lattice((0, 0, w, h), stride)
         rays = self._view.world(self._view.field.grid(x, y).reshape(-1, 2))
         rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
-        depth = self._view.stage.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
+        depth = self._view.still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
         seen = np.full((len(rays), 2), 1.0, dtype=np.float32)
         near = np.flatnonzero(depth < _SHADOW_REACH)
         points = self._view.camera.position + rays[near] * depth[near, None]
         seen[near] = self._view.visibility(
-            points, tiles((len(y), len(x))).reshape(-1)[near], quality.stage_spots
+            points, tiles((len(y), len(x))).reshape(-1)[near], quality.ground_spots
         )
         return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
@@ -366,7 +365,7 @@ class Photographer:
             w, h = self._view.field.intrinsics.size
             column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, w - 1)
             row = np.clip(np.rint(pixels[:, 1]).astype(int), 0, h - 1)
-            hidden = nearer(self._view.stage.depth[row, column], depth)
+            hidden = nearer(self._view.still.depth[row, column], depth)
             if layer is not None:
                 x0, y0, x1, y1 = layer.box
                 ask = np.flatnonzero((column >= x0) & (column < x1) & (row >= y0) & (row < y1))

@@ -1,24 +1,34 @@
 """The still surroundings of a synthetic photograph: a wooden table, a floor, a calm backdrop, light.
 
 Everything here is computed once per camera and kept; the robot, its shadow and the markers are added to
-each picture by ``synthetic.py``.
+each picture by ``photograph.py``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing.raycast import Caster, ray_field
+from robot_ik.camera.drawing.raycast import Caster, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Point = tuple[float, float, float]
+
 # ------------------------------------------------------------------------------------------
 # Where the light of a synthetic photograph comes from.
+
+
+def _point(values: Array) -> Point:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -26,20 +36,20 @@ class Lights:
     """One large lamp, a bright ceiling, a window behind the camera, and light from everywhere.
 
     Attributes:
-        lamp: Position (3,) of the lamp, metres, world.
+        lamp: Position of the lamp, metres, world.
         lamp_radius: Its radius: how soft its shadows are.
-        ceiling: Centre (3,) of the bright ceiling; ``ceiling_radius`` its radius.
+        ceiling: Centre of the bright ceiling; ``ceiling_radius`` its radius.
         ceiling_radius: See ``ceiling``.
-        window: Where the window (3,) is; it throws no shadows.
+        window: Where the window is; it throws no shadows.
         strength: Of lamp, ceiling, window, ambient from above, ambient from below; they add up to about 1
             on a level sheet of paper.
     """
 
-    lamp: Array
+    lamp: Point
     lamp_radius: float
-    ceiling: Array
+    ceiling: Point
     ceiling_radius: float
-    window: Array
+    window: Point
     strength: tuple[float, float, float, float, float] = (0.25, 0.17, 0.33, 0.35, 0.28)
 
     @classmethod
@@ -49,13 +59,13 @@ class Lights:
         subject = eye + turn[:, 2] * distance
         lamp = eye - 0.55 * distance * turn[:, 0] + np.array([0.0, 0.0, 0.9 * distance])
         overhead = subject + np.array([0.0, 0.0, 1.6 * distance])
-        return cls(lamp, 0.10 * distance, overhead, 0.8 * distance, eye)
+        return cls(_point(lamp), 0.10 * distance, _point(overhead), 0.8 * distance, _point(eye))
 
     def terms(self, points: Array, normals: Array) -> tuple[Array, Array, Array]:
         """Light (n,) that ``points`` (n, 3) with ``normals`` (n, 3) get: lamp, ceiling, ambient."""
         lamp, ceiling, window, above, below = self.strength
 
-        def facing(source: Array) -> Array:
+        def facing(source: Point) -> Array:
             way = source - points
             return np.asarray(
                 np.maximum(
@@ -113,9 +123,6 @@ def wood(x: Array, y: Array) -> Array:
     return np.asarray(tone * (1 - 0.45 * np.exp(-((gap / _GROOVE) ** 2)))[:, None])
 
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-
 # Colours as BGR reflectance.
 _LEG = np.array([0.20, 0.19, 0.18])
 _FLOOR = np.array([0.60, 0.585, 0.57])
@@ -128,7 +135,7 @@ _LIGHT_STRIDE = 8
 
 
 @dataclass(frozen=True)
-class Table:
+class TableTop:
     """A rectangular table on the floor; world frame, metres.
 
     Attributes:
@@ -150,7 +157,7 @@ class Table:
         return 0.0 if self.height > 0.2 else self.height - 0.7
 
 
-def _environment(table: Table | None, floor: float) -> mujoco.MjModel:
+def _environment(table: TableTop | None, floor: float) -> mujoco.MjModel:
     """Floor and table as a model of their own: geom 0 floor, 1 table top, then legs."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], pos=[0, 0, floor])
@@ -182,32 +189,43 @@ class StillPicture:
     depth: Float32
 
 
-class Stage:
-    """Table, floor and backdrop seen by one camera.
+# A picture of 1280x720 takes 37 MB and half a second.
+@lru_cache(maxsize=2)
+def still_picture(
+    intrinsics: CameraIntrinsics,
+    pose_world_camera: Pose,
+    table: TableTop | None,
+    lights: Lights,
+    subject: Point,
+) -> StillPicture:
+    """The (cached) empty scene that a camera sees; its arrays are not to be written to.
 
-    Attributes:
-        picture: The empty scene, computed on construction.
+    Args:
+        intrinsics: The lens.
+        pose_world_camera: Where the camera stands.
+        table: What stands on the floor.
+        lights: What lights it.
+        subject: What the camera looks at, world: floor fades into backdrop around it.
     """
+    return _StillScene(intrinsics, pose_world_camera, table, lights, subject).render()
+
+
+class _StillScene:
+    """Table, floor and backdrop seen by one camera."""
 
     def __init__(
         self,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        table: Table | None,
+        table: TableTop | None,
         lights: Lights,
-        subject: Array,
+        subject: Point,
     ) -> None:
         self._floor = table.floor_height if table is not None else 0.0
         self._caster = Caster(_environment(table, self._floor))
         self._caster.place(np.zeros(0))
         self._camera, self._lights, self._subject = pose_world_camera, lights, subject
         self._field = ray_field(intrinsics)
-        self.picture = self._render()
-
-    def _world(self, normalized: Array) -> Array:
-        """World directions (n, 3), unit along the optical axis, of ideal coordinates (n, 2)."""
-        turn = self._camera.rotation
-        return np.asarray(normalized @ turn.T[:2] + turn[:, 2])
 
     def _backdrop(self, rays: Array) -> Array:
         rise = rays[:, 2] / np.linalg.norm(rays, axis=1)
@@ -240,7 +258,7 @@ class Stage:
 
     def _shade(self, normalized: Array) -> Array:
         """Light shares (n, 3 lights, 3 BGR) along any rays (n, 2): exact and slow."""
-        rays = self._world(normalized)
+        rays = world_directions(self._camera, normalized)
         hits = self._caster.cast(self._camera.position, rays)
         points = self._camera.position + rays * np.where(np.isfinite(hits.depth), hits.depth, 0.0)[:, None]
         albedo, shine = self._backdrop(rays), np.ones(len(rays))
@@ -254,7 +272,7 @@ class Stage:
 
     def _level(self, normalized: Array, height: float) -> tuple[Array, Array]:
         """Points (n, 3) at which rays (n, 2) meet a level plane, far away where they do not; and the rays."""
-        rays = self._world(normalized)
+        rays = world_directions(self._camera, normalized)
         drop = height - self._camera.position[2]
         with np.errstate(divide="ignore"):
             depth = drop / rays[:, 2]
@@ -286,10 +304,11 @@ class Stage:
             self._light(points, np.tile([0.0, 0.0, 1.0], (len(points), 1))), shape, _LIGHT_STRIDE
         )
 
-    def _render(self) -> StillPicture:
+    def render(self) -> StillPicture:
         w, h = self._field.intrinsics.size
         normalized, _ = self._coarse(1)
-        hits = self._caster.cast(self._camera.position, self._world(normalized), normals=False)
+        rays = world_directions(self._camera, normalized)
+        hits = self._caster.cast(self._camera.position, rays, normals=False)
         coarse, shape = self._coarse(2)
         points, rays = self._level(coarse, self._floor)
         albedo, shine = self._floor_albedo(points, rays)

@@ -105,23 +105,23 @@ class SensorModel:
             light = cv2.filter2D(light, -1, _smear(self.motion), borderType=cv2.BORDER_REFLECT)
         return light
 
-    def developed(self, light: NDArray[Any], grain: NDArray[Any] | None) -> Image:
+    def developed(self, light: NDArray[Any], unit_noise: NDArray[Any] | None) -> Image:
         """The picture (as ``light``) uint8 of light behind the lens.
 
         Args:
             light: (h, w) or (h, w, 3), 255 is all that the sensor can take.
-            grain: Noise of sigma 1, as ``light``; None: none.
+            unit_noise: Noise of sigma 1, as ``light``; None: none.
         """
-        noise = 0.0 if grain is None else self.noise
+        noise = 0.0 if unit_noise is None else self.noise
         if self.bayer:
             levels: NDArray[Any] = _toned(
-                _demosaiced(light * self.exposure, grain, noise, self.tone), self.tone
+                _demosaiced(light * self.exposure, unit_noise, noise, self.tone), self.tone
             )
         else:
             plain = self.tone == "linear" and self.exposure == 1.0
             levels = light if plain else _toned(_raw(light * self.exposure), self.tone)
             if noise > 0.0:
-                levels = levels + noise * np.asarray(grain)
+                levels = levels + noise * np.asarray(unit_noise)
         if self.sharpening > 0.0:
             soft = cv2.GaussianBlur(levels, (0, 0), _SHARP)
             levels = cv2.addWeighted(levels, 1.0 + self.sharpening, soft, -self.sharpening, 0.0)
@@ -146,7 +146,7 @@ def _tone_table(tone: str) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=8)
-def _grain_table(tone: str) -> NDArray[np.float32]:
+def _noise_table(tone: str) -> NDArray[np.float32]:
     """How much light makes one grey level, in steps of 16 bit: where a curve is steep, little."""
     slope = np.gradient(_tone_table(tone).astype(float))
     return np.asarray(1.0 / np.maximum(slope, 1e-4), dtype=np.float32)
@@ -162,16 +162,16 @@ def _toned(raw: NDArray[np.uint16], tone: str) -> NDArray[np.float32]:
 
 
 def _demosaiced(
-    light: NDArray[Any], grain: NDArray[Any] | None, noise: float, tone: str
+    light: NDArray[Any], unit_noise: NDArray[Any] | None, noise: float, tone: str
 ) -> NDArray[np.uint16]:
     """Each pixel sees one colour, with its noise, and takes the others from its neighbours."""
     mosaic = np.array(light if light.ndim == 2 else light[..., 1], dtype=np.float32)
     if light.ndim == 3:  # BGR: red at the upper left, blue at the lower right of each four
         mosaic[0::2, 0::2], mosaic[1::2, 1::2] = light[0::2, 0::2, 2], light[1::2, 1::2, 0]
     raw = _raw(mosaic)
-    if grain is not None and noise > 0.0:
-        own = np.asarray(grain if grain.ndim == 2 else grain[..., 0])
-        noisy = raw + noise * own * _grain_table(tone)[raw]
+    if unit_noise is not None and noise > 0.0:
+        own = np.asarray(unit_noise if unit_noise.ndim == 2 else unit_noise[..., 0])
+        noisy = raw + noise * own * _noise_table(tone)[raw]
         raw = np.clip(np.rint(noisy), 0, _RAW).astype(np.uint16)
     colours = cv2.demosaicing(raw, cv2.COLOR_BayerRGGB2BGR)
     if light.ndim == 3:

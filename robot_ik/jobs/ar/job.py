@@ -22,10 +22,9 @@ from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.ar.motion import Motion, Replay, Standing, make_motion
+from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
 from robot_ik.jobs.ar.output import open_sink
-from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, Stage, synthetic_stage
-from robot_ik.jobs.ar.scene import Motion as BoardMotion
+from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.robot import load_robot
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# On the made-up table a robot is drawn so high, metres; films of it are this long unless said otherwise.
+# On the synthetic table a robot is drawn so high, metres; films of it are this long unless said otherwise.
 _TABLE_SIZE, _SECONDS = 0.40, 4.0
 _RATE_HZ = 30.0
 # All of it stays in the picture, with so much of the picture's size to spare; looked at in so many moments.
@@ -133,7 +132,7 @@ class ArReport:
 
 
 Progress = Callable[[int, int], None]
-Mover = Callable[["Robot", DrawnRobot], Motion]
+Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
 
 
 def run_ar(
@@ -147,7 +146,7 @@ def run_ar(
 
     Args:
         request: What to draw on what.
-        progress: Told how many pictures are done, and of how many (0: nobody knows).
+        progress: Called with how many pictures are done, and of how many (0: nobody knows).
         robot: Who is drawn; default: the request's.
         mover: Makes what moves the robot, in place of ``request.motion``.
 
@@ -162,9 +161,9 @@ def run_ar(
         figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
         make = mover or (lambda robot, figure: make_motion(request.motion, robot, figure, stack))
         motion = make(robot, figure)
-        frames, intrinsics, total, stage = _open(request, motion, stack)
-        if stage is not None and not request.scale:
-            figure = _figure(request, robot, _scale_in_view(request, robot, motion, stage, total))
+        frames, intrinsics, total, scene = _open(request, motion, stack)
+        if scene is not None and not request.scale:
+            figure = _figure(request, robot, _scale_in_view(request, robot, motion, scene, total))
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = make(robot, figure)
         artist, notice = make_artist(request.backend)
@@ -238,8 +237,10 @@ def _usual_scale(request: ArRequest, robot: Robot) -> float:
     return _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
 
 
-def _scale_in_view(request: ArRequest, robot: Robot, motion: Motion, stage: Stage, pictures: int) -> float:
-    """The usual scale, or the largest at which the whole robot is in all pictures of the stage.
+def _scale_in_view(
+    request: ArRequest, robot: Robot, motion: DrawnMotion, scene: BoardScene, pictures: int
+) -> float:
+    """The usual scale, or the largest at which the whole robot is in all pictures of the scene.
 
     A robot that is nowhere near the middle of the picture (``base``) keeps the usual one.
     """
@@ -247,14 +248,14 @@ def _scale_in_view(request: ArRequest, robot: Robot, motion: Motion, stage: Stag
     # A few moments tell as much as all of them: robot and board go on slowly.
     times = np.linspace(0.0, pictures / _RATE_HZ, min(_MOMENTS, pictures)).tolist()
     moments = [
-        (surface_points(robot.model, robot.qpos(motion.q(time, None))), stage.pose_board_camera(time))
+        (surface_points(robot.model, robot.qpos(motion.q(time, None))), scene.pose_board_camera(time))
         for time in times
     ]
 
     def fits(scale: float) -> bool:
         figure = _figure(request, robot, scale)
         return all(
-            in_picture(figure.camera(camera).inverse().apply(points), stage.intrinsics)
+            in_picture(figure.camera(camera).inverse().apply(points), scene.intrinsics)
             for points, camera in moments
         )
 
@@ -310,29 +311,29 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
 
 
 def _open(
-    request: ArRequest, motion: Motion, stack: contextlib.ExitStack
-) -> tuple[Iterator[Frame], CameraIntrinsics, int, Stage | None]:
-    """Frames, their optics, how many there will be (0: nobody knows), and the made-up stage, if it is one."""
+    request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack
+) -> tuple[Iterator[Frame], CameraIntrinsics, int, BoardScene | None]:
+    """Frames, their optics, how many there will be (0: nobody knows), and the synthetic scene or None."""
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
-        things = None if request.occluders is None else load_occluders(request.occluders)
-        still = None if things is None else AT_REST
-        made_up, clock = synthetic_stage(
-            width, height, rate_hz=_RATE_HZ, motion=still, things=things,
+        occluders = None if request.occluders is None else load_occluders(request.occluders)
+        still = None if occluders is None else AT_REST
+        source, clock = synthetic_scene(
+            width, height, rate_hz=_RATE_HZ, motion=still, occluders=occluders,
             follow=request.motion == "follow", seed=request.seed,
         )  # fmt: skip
-        stage = Stage(made_up.scene.intrinsics, made_up.scene.pose_world_camera, still or BoardMotion())
+        scene = BoardScene(source.scene.intrinsics, source.scene.pose_world_camera, still or BoardMotion())
         seconds = request.seconds or (motion.trajectory.duration if isinstance(motion, Replay) else _SECONDS)
         count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
             for _ in range(count):
-                yield made_up.read().without_truth()
+                yield source.read().without_truth()
                 clock.ticks += 1
 
-        return made(), made_up.scene.intrinsics, count, stage
-    source, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
-    return _limited(source, request.seconds), lens, 0, None
+        return made(), source.scene.intrinsics, count, scene
+    real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
+    return _limited(real, request.seconds), lens, 0, None
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

@@ -112,7 +112,7 @@ _WAVE_SHARE, _WAVE_MOST, _WAVE_PERIOD = 0.25, 0.45, 4.0
 _CHASE = 0.35
 
 
-class Motion(Protocol):
+class DrawnMotion(Protocol):
     """Gives joint angles for each picture."""
 
     def q(self, time: float, seen: Seen | None) -> Array:
@@ -127,7 +127,6 @@ class Standing:
     robot: Robot
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``Motion``."""
         return self.robot.home
 
 
@@ -138,7 +137,6 @@ class Waving:
     robot: Robot
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``Motion``."""
         robot = self.robot
         if robot.nq != robot.nv:
             return robot.home
@@ -161,7 +159,6 @@ class Replay:
     notice: str = ""
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``Motion``."""
         length = self.trajectory.duration
         return self.trajectory.at(float(self.trajectory.times[0]) + (time % length if length > 0 else 0.0))
 
@@ -175,7 +172,6 @@ class Following:
         self._q = np.array(robot.home)
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``Motion``."""
         if seen is None or seen.marker is None:
             return self._q
         marker = seen.marker.pose
@@ -196,11 +192,10 @@ class Mirroring:
     source: JointSource
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """See ``Motion``."""
         return self.source.read().q
 
 
-def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack) -> Motion:
+def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack) -> DrawnMotion:
     """The motion that ``text`` names; ``stack`` closes what it opens.
 
     Args:

@@ -89,7 +89,6 @@ class Film(_Closing):
         self._first = self._last = 0
 
     def write(self, image: Image, time: float) -> None:
-        """See ``PictureSink``."""
         with _unbroken():
             self._write(image, time)
 
@@ -126,7 +125,6 @@ class Film(_Closing):
         self._stream.codec_context.time_base = Fraction(1, _TICKS)
 
     def close(self) -> Path | None:
-        """See ``PictureSink``."""
         if self._container is None:
             return self._path if self._path.exists() and self._last else None
         self._container.mux(self._stream.encode(None))
@@ -144,7 +142,6 @@ class Pictures(_Closing):
         self._folder, self._older, self._count = folder, older, 0
 
     def write(self, image: Image, time: float) -> None:
-        """See ``PictureSink``."""
         if not self._count:
             for path in self._older:
                 path.unlink(missing_ok=True)
@@ -152,7 +149,6 @@ class Pictures(_Closing):
         self._count += 1
 
     def close(self) -> Path | None:
-        """See ``PictureSink``."""
         return self._folder if self._count else None
 
 
@@ -164,11 +160,9 @@ class LastPicture(_Closing):
         self._image: Image | None = None
 
     def write(self, image: Image, time: float) -> None:
-        """See ``PictureSink``."""
         self._image = image
 
     def close(self) -> Path | None:
-        """See ``PictureSink``."""
         if self._image is None:
             return None
         write_atomically(self._path, encoded(self._image, self._path.suffix.lower()))

@@ -1,4 +1,4 @@
-"""The synthetic stage of ``robot-ik ar``: a table, a printed board that a hand moves, a marker above."""
+"""The synthetic scene of ``robot-ik ar``: a table, a printed board that a hand moves, a marker above."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
-from robot_ik.camera.synthetic.scene import Table
+from robot_ik.camera.synthetic.scene import TableTop
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
 
-#: The board of the stage: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
+#: The board of the scene: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
 BOARD = "grid:2x2:50:12.5"
 #: Marker that can be followed: id and side in metres.
 FOLLOWED = (9, 0.05)
@@ -40,7 +40,7 @@ class SteppedClock:
         return self.ticks / self.rate_hz
 
     def sleep_until(self, deadline: float) -> None:
-        """Nobody waits for a made-up picture."""
+        """Nobody waits for a synthetic picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class Furniture:
     model: mujoco.MjModel = field(default_factory=lambda: mujoco.MjSpec().compile())
 
     def qpos(self, q: Array) -> Array:
-        """The things stand as the model says."""
+        """It stands as the model says."""
         return np.array(self.model.qpos0)
 
     def forward(self, q: Array, frame: str | None = None) -> Pose:
@@ -59,7 +59,7 @@ class Furniture:
 
 
 @dataclass(frozen=True)
-class Motion:
+class BoardMotion:
     """How the board is moved about: sines with an amplitude and a rate each.
 
     Attributes:
@@ -83,16 +83,16 @@ class Motion:
 
 
 #: The board lies still in the middle, so that its frame is the table's.
-AT_REST = Motion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
+AT_REST = BoardMotion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Where the camera stands on the made-up table, and how the board moves before it."""
+class BoardScene:
+    """Where the camera stands on the synthetic table, and how the board moves before it."""
 
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
-    motion: Motion
+    motion: BoardMotion
 
     def pose_board_camera(self, t: float) -> Pose:
         """The camera seen from the board at time t."""
@@ -116,13 +116,13 @@ def carried_marker(t: float) -> Pose:
     return Pose(place, rotation_exp([1.0, 0.0, 0.0]))
 
 
-def synthetic_stage(
+def synthetic_scene(
     width: int = 1280,
     height: int = 720,
     *,
     rate_hz: float = 30.0,
-    motion: Motion | None = None,
-    things: mujoco.MjModel | None = None,
+    motion: BoardMotion | None = None,
+    occluders: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
     sensor: SensorModel = WEBCAM,
@@ -137,7 +137,7 @@ def synthetic_stage(
         height: Of the pictures.
         rate_hz: Pictures a second.
         motion: Of the board; at rest when its amplitudes are 0.
-        things: What stands on the table, in the world's frame.
+        occluders: What stands on the table, in the world's frame.
         follow: Also show the marker that can be followed.
         seed: Of the noise.
         sensor: What the camera makes of the light.
@@ -145,7 +145,7 @@ def synthetic_stage(
         eye: Where the camera is; ``look`` where it looks.
         look: See ``eye``.
     """
-    way = motion or Motion()
+    way = motion or BoardMotion()
     board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
@@ -160,11 +160,11 @@ def synthetic_stage(
     if follow:
         markers.append(SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY))
     scene = SyntheticScene(
-        Furniture() if things is None else Furniture(things),
+        Furniture() if occluders is None else Furniture(occluders),
         lens(width, height),
         look_at(eye, look),
         tuple(markers),
-        table=Table(0.0, (-0.55, 0.55), (-0.40, 0.45)),
+        table=TableTop(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = SteppedClock(rate_hz)
     source = SyntheticSource(

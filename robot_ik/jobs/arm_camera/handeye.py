@@ -20,10 +20,10 @@ from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, Syn
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stops
+from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stations
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
-from robot_ik.jobs.scene import Stage, stage_for
+from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.vision import calibration_of, open_calibrated
 from robot_ik.robot import Robot
 
@@ -37,7 +37,7 @@ _WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
 _BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
 # Sides of the tool to carry it on, rad, and how far it must see ahead, in reaches: past the tool.
 _SIDES, _SEEN_AHEAD = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
-# The simulated board on the table: columns, rows, first id, and parts of the stage's marker.
+# The simulated board on the table: columns, rows, first id, and parts of the scene's marker.
 _GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.
 _STALE_FRAMES = 3
@@ -49,7 +49,7 @@ class HandEyeRequest(ArmCameraRequest):
 
     Attributes:
         mounting: ``eye_in_hand`` or ``eye_to_hand``.
-        pose_parent_camera, pose_other_board: Where they are, roughly; None: as on the stage.
+        pose_parent_camera, pose_other_board: Where they are, roughly; None: as in the scene.
     """
 
     mounting: Mounting = "eye_to_hand"
@@ -101,43 +101,43 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
             "the synthetic camera looks at a board of its own",
             file="command line", key="--board", allowed="only with a real camera",
         )  # fmt: skip
-    stage = stage_for(setup.robot, setup.frame)
+    scene = scene_for(setup.robot, setup.frame)
     made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
-    return made(request, setup, stage, stack)
+    return made(request, setup, scene, stack)
 
 
 def _standing_camera(
-    request: HandEyeRequest, setup: RobotSetup, stage: Stage, stack: contextlib.ExitStack
+    request: HandEyeRequest, setup: RobotSetup, scene: Scene, stack: contextlib.ExitStack
 ) -> HandEyeScene:
-    """The stage's camera looks at the markers on the tool."""
-    truth = Mount(stage.pose_world_camera, stage.cube_offset, "eye_to_hand")
+    """The scene's camera looks at the markers on the tool."""
+    truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
     source = SyntheticSource(
-        stage.scene(setup.robot), setup.true_q, seed=request.seed, clock=setup.clock, quality="fast"
+        scene.synthetic(setup.robot), setup.true_q, seed=request.seed, clock=setup.clock, quality="fast"
     )
-    board = MarkerBoard(dict(stage.cube), stage.dictionary)
-    task = ViewTask(_roughly(request, truth), stage.cube_frame, board.layout, stage.intrinsics, stage.table)
+    board = MarkerBoard(dict(scene.cube), scene.dictionary)
+    task = ViewTask(_roughly(request, truth), scene.cube_frame, board.layout, scene.intrinsics, scene.table)
     return HandEyeScene(task, board, stack.enter_context(source), truth)
 
 
 def _carried_camera(
-    request: HandEyeRequest, setup: RobotSetup, stage: Stage, stack: contextlib.ExitStack
+    request: HandEyeRequest, setup: RobotSetup, scene: Scene, stack: contextlib.ExitStack
 ) -> HandEyeScene:
     """A camera beside the tool looks at a board of markers on the table."""
     camera = _beside_the_tool(setup.robot, setup.frame)
-    truth = Mount(camera, stage.pose_world_marker, "eye_in_hand")
-    size = _MARKER_PART * stage.marker_size
-    layout = grid_body(*_GRID, size, _GAP_PART * stage.marker_size, _FIRST_ID).markers
+    truth = Mount(camera, scene.pose_world_marker, "eye_in_hand")
+    size = _MARKER_PART * scene.marker_size
+    layout = grid_body(*_GRID, size, _GAP_PART * scene.marker_size, _FIRST_ID).markers
     markers = tuple(
         SyntheticMarker(
-            id, side, truth.pose_other_board.compose(pose), dictionary=stage.dictionary,
-            margin=0.5 * _GAP_PART * stage.marker_size,
+            id, side, truth.pose_other_board.compose(pose), dictionary=scene.dictionary,
+            margin=0.5 * _GAP_PART * scene.marker_size,
         )
         for id, (side, pose) in layout.items()
     )  # fmt: skip
-    scene = SyntheticScene(setup.robot, STANDARD_CAMERA, Pose(), markers, table=stage.table)
-    source = CarriedSource(scene, setup.frame, camera, setup.true_q, seed=request.seed, clock=setup.clock)
-    task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, stage.table)
-    return HandEyeScene(task, MarkerBoard(layout, stage.dictionary), stack.enter_context(source), truth)
+    synthetic = SyntheticScene(setup.robot, STANDARD_CAMERA, Pose(), markers, table=scene.table)
+    source = CarriedSource(synthetic, setup.frame, camera, setup.true_q, seed=request.seed, clock=setup.clock)
+    task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, scene.table)
+    return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), stack.enter_context(source), truth)
 
 
 def _beside_the_tool(robot: Robot, frame: str) -> Pose:
@@ -179,11 +179,11 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
             "recorded pictures do not show this arm where it goes",
             file="command line", key="--camera", allowed="a camera or a stream, or --samples FILE",
         )  # fmt: skip
-    stage = stage_for(setup.robot, setup.frame)
-    camera = request.pose_parent_camera or (Pose() if carried else stage.pose_world_camera)
-    board = request.pose_other_board or (stage.pose_world_marker if carried else Pose())
+    scene = scene_for(setup.robot, setup.frame)
+    camera = request.pose_parent_camera or (Pose() if carried else scene.pose_world_camera)
+    board = request.pose_other_board or (scene.pose_world_marker if carried else Pose())
     layout: Layout = request.board.layout
-    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, layout, intrinsics, stage.table)
+    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, layout, intrinsics, scene.table)
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
 
 
@@ -196,14 +196,14 @@ class HandEyeReport:
     """What came out.
 
     Attributes:
-        stops: (nq,) planned, in order.
+        stations: (nq,) planned, in order.
         samples: What was measured.
-        unseen: Numbers of the stops where the board was not found.
+        unseen: Numbers of the stations where the board was not found.
         result: None for a dry run.
         truth: Where camera and board really are; None where nobody knows.
     """
 
-    stops: tuple[Array, ...]
+    stations: tuple[Array, ...]
     samples: SampleSet
     unseen: tuple[int, ...]
     result: HandEye | None
@@ -237,18 +237,18 @@ def run_handeye(
     *,
     dry_run: bool = False,
     keep: Callable[[SampleSet], None] = lambda samples: None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda phase, share: None,
 ) -> HandEyeReport:
     """Plans, moves, looks, solves.
 
     Args:
         request: What to do.
         dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each stop, so that an interruption loses none.
-        progress: Told the stage and the share of it that is done.
+        keep: Handed the samples after each station, so that an interruption loses none.
+        progress: Called with the phase and the share of it that is done.
 
     Raises:
-        MarkerNotFoundError: The board was seen at fewer than four stops.
+        MarkerNotFoundError: The board was seen at fewer than four stations.
         RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
     """
     with contextlib.ExitStack() as stack:
@@ -258,20 +258,20 @@ def run_handeye(
         samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
         stack.enter_context(setup.connected())
         progress("planning", 0.0)
-        stops = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
+        stations = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
         if dry_run:
-            return HandEyeReport(tuple(stops), samples, (), None, scene.truth)
+            return HandEyeReport(tuple(stations), samples, (), None, scene.truth)
         setup.energise()
-        unseen = measure_stops(
-            setup, scene, stops, samples, speed=request.speed, keep=keep, progress=progress
+        unseen = measure_stations(
+            setup, scene, stations, samples, speed=request.speed, keep=keep, progress=progress
         )
     if len(samples) < LEAST_VIEWS:
         raise MarkerNotFoundError(
-            f"the board was seen at {len(samples)} of {len(stops)} stops; {LEAST_VIEWS} are the least",
+            f"the board was seen at {len(samples)} of {len(stations)} stations; {LEAST_VIEWS} are the least",
             hint="check board, dictionary and light, and say better where camera and board are",
         )
     progress("solving", 0.0)
-    return HandEyeReport(tuple(stops), samples, unseen, _solved(samples, setup), scene.truth)
+    return HandEyeReport(tuple(stations), samples, unseen, _solved(samples, setup), scene.truth)
 
 
 def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
@@ -297,44 +297,44 @@ def samples_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}.samples.json")
 
 
-def measure_stops(
+def measure_stations(
     setup: RobotSetup,
     scene: HandEyeScene,
-    stops: Sequence[Array],
+    stations: Sequence[Array],
     samples: SampleSet,
     *,
     speed: float = 1.0,
     keep: Callable[[SampleSet], None] = lambda samples: None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda phase, share: None,
 ) -> tuple[int, ...]:
-    """Goes to all stops and looks at the board.
+    """Goes to all stations and looks at the board.
 
     Args:
         setup: Connected and energised.
         scene: Camera and board.
-        stops: (nq,) each, as ``plan_views`` gives them.
+        stations: (nq,) each, as ``plan_views`` gives them.
         samples: Joint angles read and corners seen are added to it.
         speed: Share of the joints' speed limits.
-        keep: Handed the samples after each stop.
-        progress: Told "view 3 of 15" and the share of all that is done.
+        keep: Handed the samples after each station.
+        progress: Called with "view 3 of 15" and the share of all that is done.
 
     Returns:
-        Numbers, from 0, of the stops where the board was not found or the arm did not come to rest.
+        Numbers, from 0, of the stations where the board was not found or the arm did not come to rest.
 
     Raises:
         HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
     """
     unseen = []
 
-    def tell(number: int, share: float) -> None:
-        progress(f"view {number + 1} of {len(stops)}", (number + share) / len(stops))
+    def report(number: int, share: float) -> None:
+        progress(f"view {number + 1} of {len(stations)}", (number + share) / len(stations))
 
-    for stop in visit_stops(setup, stops, scene.take, speed=speed, progress=tell):
-        view = scene.board.see(stop.frame, scene.task.intrinsics) if stop.still else None
+    for station in visit_stations(setup, stations, scene.take, speed=speed, progress=report):
+        view = scene.board.see(station.frame, scene.task.intrinsics) if station.still else None
         if view is None:
-            unseen.append(stop.number)
+            unseen.append(station.number)
             continue
-        samples.add(stop.q, view)
+        samples.add(station.q, view)
         keep(samples)
     return tuple(unseen)
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.calibration.extrinsics import today
@@ -27,7 +27,7 @@ from robot_ik.jobs.reach import ReachRequest, Rehearsal
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.robot import Robot, load_robot
-from robot_ik.tables import config_error
+from robot_ik.tables import Pair, Place, Several, Table, Wxyz, config_error
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class ArmCameraRequest:
         robot: Catalogue name, or path of an MJCF or URDF file.
         bus: ``sim``, ``pty`` or a serial port.
         arm_file: None: the one beside the model, else a generic one.
-        frame: What carries camera or board; None: the tool, or what carries the stage's markers.
+        frame: What carries camera or board; None: the tool, or what carries the scene's markers.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file; needed for a real camera.
         board: None: the simulated one.
@@ -72,7 +72,7 @@ class ArmCameraRequest:
 
 
 # ------------------------------------------------------------------------------------------
-# Drives an arm from stop to stop; at each it stands still, its joints are read and a picture is taken.
+# Drives an arm from station to station; at each it stands still, its joints are read and a picture is taken.
 
 
 Array = NDArray[np.float64]
@@ -84,8 +84,8 @@ _STILL_TICKS = 1.01
 
 
 @dataclass(frozen=True, eq=False)
-class Stop:
-    """The arm at one stop.
+class Station:
+    """The arm at one station.
 
     Attributes:
         number: From 0.
@@ -102,28 +102,28 @@ class Stop:
     frame: Frame
 
 
-def visit_stops(
+def visit_stations(
     setup: RobotSetup,
-    stops: Sequence[Array],
+    stations: Sequence[Array],
     take: Callable[[], Frame],
     *,
     speed: float = 1.0,
     progress: Callable[[int, float], None] = lambda number, share: None,
-) -> Iterator[Stop]:
-    """Goes to each stop in turn; a generator, so that what was seen before an interruption is kept.
+) -> Iterator[Station]:
+    """Goes to each station in turn; a generator, so that what was seen before an interruption is kept.
 
     Args:
         setup: Connected and energised (``setup.connected()``, ``setup.energise()``).
-        stops: (nq,) each, inside the limits; see ``plan_views``.
+        stations: (nq,) each, inside the limits; see ``plan_views``.
         take: Takes a picture.
         speed: Share of the joints' speed limits.
-        progress: Told the number of the stop and the share of the way to it.
+        progress: Called with the number of the station and the share of the way to it.
 
     Raises:
         TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm is left as its exit policy
             says.
     """
-    for number, asked in enumerate(stops):
+    for number, asked in enumerate(stations):
         trajectory = joint_move(
             setup.robot, setup.q, asked, speed=speed, rate=setup.rate,
             velocity=setup.velocity, acceleration=setup.acceleration,
@@ -139,7 +139,7 @@ def visit_stops(
         )  # fmt: skip
         before, still = _come_to_rest(setup)
         frame = take()
-        yield Stop(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
+        yield Station(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
 
 
 def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
@@ -174,7 +174,7 @@ class SampleSet:
         mounting: Which of the two.
         intrinsics: Of the pictures.
         date: ISO 8601.
-        q: (nq,) of each stop; ``views``: what was seen there.
+        q: (nq,) of each station; ``views``: what was seen there.
     """
 
     robot: str
@@ -190,7 +190,7 @@ class SampleSet:
         return len(self.q)
 
     def add(self, q: Array, view: BoardView) -> None:
-        """One stop more."""
+        """One station more."""
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
 
@@ -240,9 +240,18 @@ class SampleSet:
         Raises:
             ValueError (pydantic's ValidationError among them), RobotIkError: It is something else.
         """
-        file = _HandEyeFile.model_validate(data)
+        of_verify = isinstance(data, dict) and data.get("job") == "verify"
+        return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
+
+    @classmethod
+    def of_file(cls, file: _SampleFile) -> SampleSet:
+        """What the file says.
+
+        Raises:
+            ValueError, RobotIkError: It says something impossible.
+        """
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
-        found = cls(file.robot, tuple(file.joints), file.frame, file.mounting, lens, file.date)
+        found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date)
         for k, one in enumerate(file.samples):
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
@@ -268,43 +277,36 @@ class SampleSet:
         return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-
-Place = Annotated[list[float], Field(min_length=3, max_length=3)]
-Turn = Annotated[list[float], Field(min_length=4, max_length=4)]
-
-
-class _Lens(_Table):
+class _Lens(Table):
     width: int
     height: int
     fx: float
     fy: float
     cx: float
     cy: float
-    distortion: list[float]
+    distortion: Several[float]
     model: str
 
 
-class _Sample(_Table):
-    q: list[float]
-    points: list[Place]
-    pixels: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
+class _Sample(Table):
+    q: Several[float]
+    points: Several[Place]
+    pixels: Several[Pair]
     sigma: float
     position: Place
-    wxyz: Turn
+    wxyz: Wxyz
 
 
-class _HandEyeFile(_Table):
+class _SampleFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
+    job: str
     robot: str
-    joints: list[str]
+    joints: Several[str]
     frame: str
     mounting: Mounting
     intrinsics: _Lens
     date: str
-    samples: list[_Sample]
+    samples: Several[_Sample]
 
 
 Made = TypeVar("Made")
@@ -388,7 +390,7 @@ class VerifySamples:
         file = _VerifyFile.model_validate(data)
         offsets = file.true_offsets
         return cls(
-            SampleSet.of_values(data),
+            SampleSet.of_file(file),
             _pose_of(file.camera),
             _pose_of(file.board),
             file.by_arm,
@@ -434,29 +436,24 @@ def _pose_of(data: _Known) -> KnownPose:
     return KnownPose(Pose(data.position, data.wxyz), np.array(data.covariance))
 
 
-_Six = Annotated[list[float], Field(min_length=6, max_length=6)]
+_Six = Annotated[Several[float], Field(min_length=6, max_length=6)]
 
 
-class _Known(BaseModel):
-    model_config = ConfigDict(strict=True)
-
+class _Known(Table):
     position: Place
-    wxyz: Turn
-    covariance: Annotated[list[_Six], Field(min_length=6, max_length=6)]
+    wxyz: Wxyz
+    covariance: Annotated[Several[_Six], Field(min_length=6, max_length=6)]
 
 
-class _Servo(BaseModel):
+class _Servo(Table):
     model_config = ConfigDict(extra="allow")
 
     name: str
 
 
-class _VerifyFile(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    job: str
+class _VerifyFile(_SampleFile):
     camera: _Known
     board: _Known
     by_arm: bool
-    true_offsets: list[float] | None
-    servos: list[_Servo]
+    true_offsets: Several[float] | None
+    servos: Several[_Servo]

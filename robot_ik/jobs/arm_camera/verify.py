@@ -30,12 +30,12 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, measure_stops, open_scene
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, measure_stations, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.arm_camera.view_planning import plan_views
 from robot_ik.jobs.reach import Rehearsal
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -137,9 +137,9 @@ class VerifyReport:
 
     Attributes:
         robot: Inside the limits that were used; ``frame``: what carries the board.
-        stops: (nq,) planned, in order.
+        stations: (nq,) planned, in order.
         samples: What was measured.
-        unseen: Numbers of the stops where the board was not found.
+        unseen: Numbers of the stations where the board was not found.
         camera, board: Their poses as they were known, for all that follows.
         by_arm: Whether the camera's place was found by moving the arm, so that only ``fit`` tells anything.
         errors: Of each view, with the joints as the servos say; empty for a dry run.
@@ -150,7 +150,7 @@ class VerifyReport:
 
     robot: Robot
     frame: str
-    stops: tuple[Array, ...]
+    stations: tuple[Array, ...]
     samples: SampleSet
     unseen: tuple[int, ...]
     camera: KnownPose
@@ -201,18 +201,18 @@ def run_verify(
     *,
     dry_run: bool = False,
     keep: Callable[[VerifySamples], None] = lambda samples: None,
-    progress: Progress = lambda stage, share: None,
+    progress: Progress = lambda phase, share: None,
 ) -> VerifyReport:
     """Locates the camera, plans, moves, looks, compares.
 
     Args:
         request: What to do.
         dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each stop, so that an interruption loses none.
-        progress: Told the stage and the share of it that is done.
+        keep: Handed the samples after each station, so that an interruption loses none.
+        progress: Called with the phase and the share of it that is done.
 
     Raises:
-        RobotIkError: Wrong input or environment; the board was seen at too few stops, or the table's not.
+        RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
     """
     if request.zero_offset_deg and request.camera != "synthetic":
         raise ConfigError(
@@ -231,15 +231,15 @@ def run_verify(
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
         scene = replace(scene, task=replace(scene.task, mount=mount))
         progress("planning", 0.0)
-        stops = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
+        stations = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
         unseen: tuple[int, ...] = ()
         if not dry_run:
             setup.energise()
-            unseen = measure_stops(
-                setup, scene, stops, known.samples, speed=request.speed,
+            unseen = measure_stations(
+                setup, scene, stations, known.samples, speed=request.speed,
                 keep=lambda samples: keep(known), progress=progress,
             )  # fmt: skip
-    report = _report(known, setup.robot, setup.config, tuple(stops), unseen)
+    report = _report(known, setup.robot, setup.config, tuple(stations), unseen)
     if dry_run:
         return report
     progress("comparing", 0.0)
@@ -288,12 +288,12 @@ def _report(
     known: VerifySamples,
     robot: Robot,
     config: ArmConfig | None,
-    stops: tuple[Array, ...],
+    stations: tuple[Array, ...],
     unseen: tuple[int, ...],
 ) -> VerifyReport:
     """Before anything is judged."""
     return VerifyReport(
-        robot, known.samples.frame, stops, known.samples, unseen, known.camera, known.board,
+        robot, known.samples.frame, stations, known.samples, unseen, known.camera, known.board,
         known.by_arm, (), None, config, known.true_offsets,
     )  # fmt: skip
 
@@ -303,7 +303,8 @@ def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
     samples, robot = report.samples, report.robot
     if len(samples) < LEAST_VIEWS:
         raise MarkerNotFoundError(
-            f"the board was seen at {len(samples)} of {len(report.stops)} stops; {LEAST_VIEWS} are the least",
+            f"the board was seen at {len(samples)} of {len(report.stations)} stations; "
+            f"{LEAST_VIEWS} are the least",
             hint="check board, dictionary and light, and where camera and board are said to be",
         )
     views = [ArmView(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
@@ -336,8 +337,8 @@ def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> Camera
 
 def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
     """The simulated camera finds its place by the marker on the table, as a person would have it do."""
-    stage = stage_for(setup.robot, setup.frame)
-    marker = MarkerBoard({stage.marker_id: (stage.marker_size, Pose())}, stage.dictionary)
+    around = scene_for(setup.robot, setup.frame)
+    marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
     looks = [marker.see(scene.take(), scene.task.intrinsics) for _ in range(_LOCATE_PICTURES)]
     seen = [view for view in looks if view is not None]
     if not seen:
@@ -345,7 +346,7 @@ def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
             "the marker on the table is hidden, so the simulated camera does not know where it stands",
             hint="give where it is: --camera-extrinsics FILE",
         )
-    return locate_camera(seen, stage.pose_world_marker, scene.task.intrinsics)
+    return locate_camera(seen, around.pose_world_marker, scene.task.intrinsics)
 
 
 def _known(

@@ -18,7 +18,7 @@ from robot_ik.camera.boards.board import BoardView, Layout
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.scene import Table
+from robot_ik.camera.synthetic.scene import TableTop
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
@@ -48,7 +48,7 @@ class Clearance:
         table: None for no table.
     """
 
-    def __init__(self, robot: Robot, free: Array, table: Table | None = None) -> None:
+    def __init__(self, robot: Robot, free: Array, table: TableTop | None = None) -> None:
         self._robot, self._table = robot, table
         self._data = mujoco.MjData(robot.model)
         model = robot.model
@@ -113,12 +113,12 @@ class Clearance:
 # In which order to go to places, so that the way is short and free.
 
 
-def short_way(robot: Robot, start: Array, stops: Sequence[Array], clearance: Clearance) -> list[int]:
-    """Indices of stops, ordered by short free ways: the nearest each time, then crossings undone (2-opt).
+def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], clearance: Clearance) -> list[int]:
+    """Indices of stations, ordered by short free ways: the nearest each time, then crossings undone (2-opt).
 
-    Stops that no free way leads to are left out.
+    Stations that no free way leads to are left out.
     """
-    places = [start, *stops]
+    places = [start, *stations]
     cost = np.zeros((len(places), len(places)))
     for i in range(len(places)):
         for j in range(i):
@@ -158,7 +158,7 @@ _LEAST_PART = 0.75
 _LARGEST_TILT = np.deg2rad(50.0)
 # Random starts in all, and candidates wanted for each view that is chosen.
 _TRIES, _POOL = 3000, 5
-# How often stops that cannot be got to are replaced.
+# How often stations that cannot be got to are replaced.
 _REPAIRS = 4
 # Where not one of so many shows anything, none will.
 _HOPELESS = 300
@@ -186,7 +186,7 @@ class ViewTask:
     frame: str
     layout: Layout
     intrinsics: CameraIntrinsics
-    table: Table | None = None
+    table: TableTop | None = None
 
     def pose_camera_board(self, robot: Robot, q: Array) -> Pose:
         """Where the board is seen at ``q``."""
@@ -255,7 +255,7 @@ def plan_views(
     ordered: list[Array] = []
     for _ in range(_REPAIRS):
         chosen = _most_informative([information for _, information in pool], count)
-        way = short_way(robot, start, [pool[k][0] for k in chosen], clearance)
+        way = visiting_order(robot, start, [pool[k][0] for k in chosen], clearance)
         ordered = max(ordered, [pool[chosen[k]][0] for k in way], key=len)
         if len(way) == len(chosen):
             break

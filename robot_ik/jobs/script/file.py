@@ -11,7 +11,8 @@ from pydantic import Field, model_validator
 from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.files import parse_toml, read_text, shown
 from robot_ik.jobs.script.state import Script
-from robot_ik.jobs.script.steps import ExpectStep, Step, step_class
+from robot_ik.jobs.script.steps import ScriptStep, step_class
+from robot_ik.jobs.script.steps.expect import ExpectStep
 from robot_ik.tables import Place, Several, Table, WrongKey, check_table, chosen
 
 _Word = Annotated[str, Field(min_length=1)]
@@ -56,7 +57,7 @@ class ScriptFile(Table):
     marker_at: Annotated[Several[float], Field(min_length=3, max_length=4)] | None = None
     physics: bool = False
     objects: Several[ObjectTable] = ()
-    steps: Annotated[Several[Annotated[Step, chosen(step_class)]], Field(min_length=1)]
+    steps: Annotated[Several[Annotated[ScriptStep, chosen(step_class)]], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _known_objects(self) -> ScriptFile:

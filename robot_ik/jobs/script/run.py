@@ -19,11 +19,11 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.reach import ReachRequest
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
-from robot_ik.jobs.scene import stage_for
+from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.script.file import ObjectTable
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
 from robot_ik.jobs.script.state import Context, RunState, Script, StepFailed, error_classes
-from robot_ik.jobs.script.steps import Action, Step
+from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
@@ -40,31 +40,31 @@ SMALLER = 2
 def open_camera(
     setup: RobotSetup, marker_at: Sequence[float] | None, seed: int, stack: contextlib.ExitStack
 ) -> Vision:
-    """The camera of the robot's stage, ready: the first picture, which takes longest, has been taken.
+    """The camera of the robot's scene, ready: the first picture, which takes longest, has been taken.
 
     Args:
         setup: What it looks at.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker; None: the stage's own.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker; None: the scene's own.
         seed: Of its noise.
         stack: Closes it.
 
     Raises:
-        CameraError: The robot's model says of no stage, and none can be made up.
+        CameraError: The robot's model has no scene, and none can be generated.
     """
-    stage = stage_for(setup.robot, setup.frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
-    width, height = stage.intrinsics.size
-    stage = replace(stage, intrinsics=stage.intrinsics.scaled(width // SMALLER, height // SMALLER))
+    scene = scene_for(setup.robot, setup.frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
+    width, height = scene.intrinsics.size
+    scene = replace(scene, intrinsics=scene.intrinsics.scaled(width // SMALLER, height // SMALLER))
     if marker_at is not None:
         yaw = marker_at[3] if len(marker_at) == 4 else 0.0
         pose = Pose(marker_at[:3], rotation_exp([0.0, 0.0, np.radians(yaw)]))
-        stage = replace(stage, pose_world_marker=pose)
-    scene = replace(stage, cube={}).scene(setup.robot)  # nobody judges by the gripper's markers here
-    source = SyntheticSource(scene, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
+        scene = replace(scene, pose_world_marker=pose)
+    synthetic = replace(scene, cube={}).synthetic(setup.robot)  # nobody judges by the gripper's markers here
+    source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
     vision = Vision(
-        stage,
+        scene,
         stack.enter_context(source),
-        stage.intrinsics,
-        stage.pose_world_camera,
+        scene.intrinsics,
+        scene.pose_world_camera,
         setup,
         setup.frame,
         synthetic=source,
@@ -245,7 +245,7 @@ def _report_leaving(now: RunState, row: StepResult) -> None:
         row.found += f"; {left.doubt}"
 
 
-def run_step(now: RunState, step: Step, result: StepResult) -> None:
+def run_step(now: RunState, step: ScriptStep, result: StepResult) -> None:
     """One step; how it went is in ``result``."""
     begin = now.setup.clock.now()
     wanted = step.raises if isinstance(step, Action) else None

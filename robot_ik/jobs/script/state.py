@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.jobs.script.file import ScriptFile
-    from robot_ik.jobs.script.steps import Step
+    from robot_ik.jobs.script.steps import ScriptStep
     from robot_ik.jobs.vision import Vision
     from robot_ik.ports import Array, JointSink
     from robot_ik.robot import Robot
@@ -68,7 +68,7 @@ class Script:
         return self.content.name
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[ScriptStep, ...]:
         """In order."""
         return self.content.steps
 

@@ -24,6 +24,7 @@ from robot_ik.goals import AimGoal, Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
 from robot_ik.kernels.workspace import (
@@ -108,18 +109,11 @@ def closed_form(tree, goals, work, form, family, mode):
 def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
-    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
     for row in range(targets.shape[0]):
-        for i in range(12):
-            target[0, i] = targets[row, i]
-        for i in range(start.shape[0]):
-            start[i] = starts[row, i]
+        take_row(goal, work, targets, starts, row)
         answer(tree, goal, work, form, family, SOLVE)
-        for i in range(start.shape[0]):
-            q[row, i] = best[i]
-        status[row] = state[STATUS]
-        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
-        iterations[row] = state[ITERATIONS]
+        give_row(work, q, miss, iterations, row)
+        status[row] = work.state[STATUS]
 
 
 # ------------------------------------------------------------------------------------------
@@ -154,18 +148,11 @@ def closed_limb(tree, goals, work, form, _family, mode):
 def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
-    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
     for row in range(targets.shape[0]):
-        for i in range(12):
-            target[0, i] = targets[row, i]
-        for i in range(start.shape[0]):
-            start[i] = starts[row, i]
+        take_row(goal, work, targets, starts, row)
         answer_limb(tree, goal, work, form, SOLVE)
-        for i in range(start.shape[0]):
-            q[row, i] = best[i]
-        status[row] = state[STATUS]
-        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
-        iterations[row] = state[ITERATIONS]
+        give_row(work, q, miss, iterations, row)
+        status[row] = work.state[STATUS]
 
 
 # ------------------------------------------------------------------------------------------
@@ -196,19 +183,12 @@ def closed_part_many(tree, goals, work, form, family, targets, starts, q, status
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
     none = types.int64(0)
-    target, start, best, state, now = goal.target, work.start, work.best, work.state, work.miss
     for row in range(targets.shape[0]):
-        for i in range(12):
-            target[0, i] = targets[row, i]
-        for i in range(start.shape[0]):
-            start[i] = starts[row, i]
+        take_row(goal, work, targets, starts, row)
         if look(tree, goal, work, form, SOLVE):
             settle(tree, goal, work, form, part_of_limb(tree, goal, work, form, family == _AIM), none)
-        for i in range(start.shape[0]):
-            q[row, i] = best[i]
-        status[row] = state[STATUS]
-        miss[row, 0], miss[row, 1] = now[0, 0], now[0, 1]
-        iterations[row] = state[ITERATIONS]
+        give_row(work, q, miss, iterations, row)
+        status[row] = work.state[STATUS]
 
 
 # ------------------------------------------------------------------------------------------
@@ -381,7 +361,7 @@ class Analytic(Solver):
     def _require(self, problem: Problem) -> Prepared:
         prepared = self.prepare(problem)
         if prepared is None:
-            from robot_ik.solvers import able_solvers
+            from robot_ik.solvers import able_solvers  # as in ``Solver.require_support``
 
             self.require_support(problem)
             raise UnsupportedGoalError(

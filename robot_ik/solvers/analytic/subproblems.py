@@ -15,10 +15,6 @@ from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
 from robot_ik.kernels.workspace import BEST_COST, BLOCKED, CONVERGED, COST, ITERATIONS, STALLED, STATUS
 
-# Cosines beyond 1 by less than this are rounding of an arm that is just stretched (its square root is the
-# angle that is lost: 1e-10 -> 1e-5 rad of joint, 1e-10 of reach).
-STRETCH = 1e-10
-
 
 @pure
 def turn(kx, ky, kz, c, s, x, y, z):

@@ -33,7 +33,7 @@ from robot_ik.testbed.frontends.panels import (
     page,
     pressed,
 )
-from robot_ik.testbed.frontends.scene import Scene, reach_cloud
+from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
 from robot_ik.testbed.keymap import KEYMAP, Key
 from robot_ik.testbed.session import Session, View
 from robot_ik.testbed.staging import FIELD_OF_VIEW, corners, fitted_camera
@@ -91,7 +91,7 @@ class Page:
         query = f"?token={self.gate.token}" if self.gate.token else ""
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         self.url = f"http://{shown}:{self.server.get_port()}/{query}"
-        self._scene: Scene | None = None
+        self._scene: BrowserScene | None = None
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
         self._panel_due = self._table_due = 0.0
@@ -261,7 +261,7 @@ class Page:
         if self._scene is not None:
             self._scene.remove()
         self._grab = None
-        self._scene = scene = Scene(self.server, self.session.robot, view.count)
+        self._scene = scene = BrowserScene(self.server, self.session.robot, view.count)
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_overlay(self._overlay)
         scene.show_axes(self._axes.value)

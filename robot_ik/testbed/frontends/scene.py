@@ -128,7 +128,7 @@ def _poses(count: int) -> tuple[Floats, Floats]:
     return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
 
 
-class Scene:
+class BrowserScene:
     """What is drawn of one robot in n instances; thrown away when robot or count change."""
 
     def __init__(self, server: viser.ViserServer, robot: Robot, count: int) -> None:

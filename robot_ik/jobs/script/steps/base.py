@@ -1,0 +1,305 @@
+"""What steps share: a name, a check, a run; joints, frames and grippers by name, and how far off they are.
+
+A subclass of ``ScriptStep`` that has a key ``do`` is a kind of step.  Lengths are metres, angles degrees
+(``_deg``), tolerances millimetres and degrees, times seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
+
+import mujoco
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from robot_ik.errors import apart
+from robot_ik.jobs.script.report import StepResult
+from robot_ik.jobs.script.state import Context, RunState, error_classes
+from robot_ik.tables import Pair, Table, WrongKey
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.joint_map import JointMap
+    from robot_ik.ports import Array
+    from robot_ik.robot import Robot
+
+
+def _error_class(name: str) -> str:
+    if name not in error_classes():
+        raise WrongKey.unknown("error", name, error_classes())
+    return name
+
+
+def _rising(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] > span[1]:
+        raise WrongKey(f"{list(span)} is empty", allowed="[from, to]")
+    return span
+
+
+# A day: a script that waits longer waits for something else.
+LONGEST = 86_400.0
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Seconds = Annotated[float, Field(gt=0.0, le=LONGEST)]
+Span = Annotated[Pair, AfterValidator(_rising)]
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
+Word = Annotated[str, Field(min_length=1)]
+ErrorClass = Annotated[Word, AfterValidator(_error_class)]
+
+
+STEPS: dict[str, type[ScriptStep]] = {}
+"""Every kind of step by the value of ``do``; classes enter themselves."""
+
+
+class ScriptStep(Table):
+    """What every step has.
+
+    Attributes:
+        name: For the report; by default what the step does.
+    """
+
+    words: ClassVar[tuple[str, ...]] = ()
+    """Keys that, with ``do``, say what a step without a name is called."""
+    simulated_only: ClassVar[bool] = False
+    """On a real port nothing is broken on purpose, and nothing that shut down is switched on by itself."""
+
+    do: str
+    name: str = ""
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        super().__pydantic_init_subclass__(**kwargs)
+        STEPS.update(dict.fromkeys(get_args(cls.model_fields["do"].annotation), cls))
+
+    @property
+    def looks(self) -> bool:
+        """Whether it needs the synthetic camera."""
+        return False
+
+    @property
+    def title(self) -> str:
+        """What it is called in the report."""
+        if self.name:
+            return self.name
+        found = [self.do]
+        for key in self.words:
+            value = getattr(self, key)
+            if isinstance(value, dict):
+                unit = " mm" if key == "joints_mm" else "°"
+                found += [f"{joint} {number:g}{unit}" for joint, number in value.items()]
+            elif isinstance(value, tuple):
+                found += [f"{number:g}" for number in value]
+            elif value is not None:
+                found.append(f"{value:g} s" if key == "seconds" else str(value))
+        return " ".join(found)
+
+    def check(self, context: Context) -> None:
+        """Whether this robot, arm and bus can do it; before anything is opened or moves.
+
+        Raises:
+            WrongKey: They cannot.
+        """
+        if not context.simulated and self.simulated_only:
+            problem = f"{self.do!r} is for simulated servos, and this is a real port"
+            raise WrongKey(problem, "do", "--bus sim or pty")
+        if not context.simulated and self.looks:
+            problem = "the synthetic camera does not see a real desk"
+            raise WrongKey(problem, "do", "other steps, or robot-ik reach")
+
+    def run(self, now: RunState, result: StepResult) -> None:
+        """Does it; what was found goes into ``result``.
+
+        Raises:
+            StepFailed: It did not do what it should.
+            RobotIkError: Of the arm, the camera or the solver.
+        """
+        raise NotImplementedError
+
+
+def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
+    """The class of a step by what stands in its table.
+
+    Raises:
+        WrongKey: There is no such step.
+    """
+    if "do" not in table:
+        raise WrongKey("this key is missing", "do", ", ".join(STEPS))
+    if not isinstance(table["do"], str) or table["do"] not in STEPS:
+        raise WrongKey.unknown("step", table["do"], STEPS, "do")
+    return STEPS[table["do"]]
+
+
+class Action(ScriptStep):
+    """A step that takes time.
+
+    Attributes:
+        time_limit_s: The step fails when it takes longer.
+        raises: Class of the error with which it must end; without it, an error is a failure.
+    """
+
+    time_limit_s: Seconds | None = None
+    raises: ErrorClass | None = None
+
+
+# ------------------------------------------------------------------------------------------
+# Joints and frames by name, and how far off they are.
+
+
+def keyframes(robot: Robot) -> dict[str, Array]:
+    """Name -> (nq,) of the model's keyframes, and ``home``."""
+    model = robot.model
+    places = model.jnt_qposadr[list(robot.tree.joint_ids)]  # a servo's joint is a hinge: one number
+    found = {model.key(k).name: np.array(model.key_qpos[k][places]) for k in range(model.nkey)}
+    return {**found, "home": robot.home}
+
+
+def slides(robot: Robot, joint: str) -> bool:
+    """Whether a joint slides: then it counts in millimetres, else in degrees."""
+    return int(robot.model.joint(joint).type[0]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def per_unit(robot: Robot, joint: str) -> float:
+    """One degree in rad; one millimetre in m of a slide."""
+    return 1e-3 if slides(robot, joint) else float(np.radians(1.0))
+
+
+class Framed(ScriptStep):
+    """A step for a frame of the robot; by default its tool."""
+
+    frame: str | None = None
+
+    def check(self, context: Context) -> None:
+        """Whether the robot has it."""
+        super().check(context)
+        if self.frame is not None and self.frame not in context.robot.frames:
+            raise WrongKey.unknown("frame", self.frame, context.robot.frames, "frame")
+
+
+def require_keyframe(robot: Robot, keyframe: str | None) -> None:
+    """Raises ``WrongKey`` unless the robot has that keyframe."""
+    if keyframe is not None and keyframe not in (known := keyframes(robot)):
+        raise WrongKey.unknown("keyframe", keyframe, known, "keyframe")
+
+
+class JointValues(ScriptStep):
+    """Joints at angles, slides at millimetres."""
+
+    joints_deg: Annotated[dict[str, float], Field(min_length=1)] | None = None
+    joints_mm: Annotated[dict[str, float], Field(min_length=1)] | None = None
+
+    anywhere: ClassVar[bool] = False
+    """Whether the joints may be named outside their limits."""
+
+    def placed(self, robot: Robot, q: Array) -> Array:
+        """``q`` (nq,) with the joints that are named at their degrees and millimetres."""
+        wanted = q.copy()
+        for name, number in {**(self.joints_deg or {}), **(self.joints_mm or {})}.items():
+            wanted[robot.joints.index(name)] = number * per_unit(robot, name)
+        return wanted
+
+    def check(self, context: Context) -> None:
+        """Names and kinds of the joints, and whether they can go there."""
+        super().check(context)
+        robot = context.robot
+        for key in ("joints_deg", "joints_mm"):
+            for joint, number in (getattr(self, key) or {}).items():
+                at = f"{key}.{joint}"
+                if joint not in robot.joints:
+                    raise WrongKey.unknown("joint", joint, robot.joints, at)
+                right, unit = ("joints_mm", " mm") if slides(robot, joint) else ("joints_deg", "°")
+                if key != right:
+                    counts = "a slide counts in millimetres" if unit == " mm" else "a hinge counts in degrees"
+                    raise WrongKey(counts, at, right)
+                k, one = robot.joints.index(joint), per_unit(robot, joint)
+                low, high = float(robot.lower[k]) / one, float(robot.upper[k]) / one
+                if not self.anywhere and not low - 1e-9 <= number <= high + 1e-9:
+                    asked, lowest, highest = apart(number, low, high)
+                    raise WrongKey(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
+
+
+class Tolerant(ScriptStep):
+    """A step that judges where something is.
+
+    Attributes:
+        tolerance_mm, tolerance_deg: Of the frame; or of each slide, and of each other joint.
+    """
+
+    tolerance_mm: Positive = 2.0
+    tolerance_deg: Positive = 0.5
+
+    def farthest(self, robot: Robot, q: Array, wanted: Array) -> tuple[str, float, float, str]:
+        """The joint that is farthest off: its name, by how much, what is allowed, and the unit of both."""
+        rows = []
+        for joint, off in zip(robot.joints, np.abs(q - wanted).tolist(), strict=True):
+            allowed, unit = (self.tolerance_mm, " mm") if slides(robot, joint) else (self.tolerance_deg, "°")
+            rows.append((joint, off / per_unit(robot, joint), allowed, unit))
+        return max(rows, key=lambda row: row[1] / row[2])
+
+
+# ------------------------------------------------------------------------------------------
+# Grippers: of a servo of the arm's q, or of an auxiliary one that can be asked how hard to press.
+
+
+GRIPPER = "gripper"
+"""Group of ``robot.toml`` and of the arm file."""
+
+
+def gripper_joints(robot: Robot) -> list[str]:
+    """The joints of the group ``gripper`` that are part of q and have servos."""
+    return [name for name in robot.file.groups.get(GRIPPER, ()) if name in robot.joints]
+
+
+def fingers_on(robot: Robot, joint: JointMap) -> int:
+    """How many fingers one servo moves: its own, and those that a coupling of the model makes follow it."""
+    model = robot.model
+    leader = next((k for k in range(model.njnt) if model.joint(k).name == joint.name), -1)
+    return 1 + sum(coupling.leader == leader for coupling in robot.couplings)
+
+
+def width_mm(now: RunState) -> float:
+    """Millimetres between the fingers, measured."""
+    at = now.arm.positions()
+    joints = now.config.auxiliary_of(GRIPPER)
+    return sum(1e3 * at[joint.name] * fingers_on(now.robot, joint) for joint in joints)
+
+
+def current_for(joint: JointMap, newtons: float, fingers: int) -> float:
+    """mA with which each finger presses so hard, friction not counted; at most ``current_ma``.
+
+    Where a horn is near a dead centre a torque presses harder: nowhere harder than asked.
+    """
+    torque = newtons * fingers * joint.levers[0] / joint.ratio
+    wanted = 1e3 * torque / joint.table.motor.torque_per_ampere
+    return wanted if joint.current is None else min(wanted, joint.current)
+
+
+class GripperWidth(ScriptStep):
+    """Something about the width between fingers that slide."""
+
+    width_mm: NotNegative | None = None
+
+    by_opening: ClassVar[bool] = False
+    """Whether joints of q will do, which know no width."""
+
+    def check_gripper(self, context: Context) -> None:
+        """Whether there is a gripper, and one that can do this.
+
+        Raises:
+            WrongKey: There is none, or it opens no width, or cannot be asked how hard to press.
+        """
+        joints = context.config.auxiliary_of(GRIPPER)
+        if not joints and (not self.by_opening or not gripper_joints(context.robot)):
+            problem = f"the arm of {context.robot.name!r} has no gripper"
+            allowed = "an arm file with a servo for a joint of the group gripper (robot.toml)"
+            raise WrongKey(problem, "do", allowed)
+        sliding = bool(joints) and all(joint.slides for joint in joints)
+        for key, able in (("width_mm", sliding), ("force_n", bool(joints)), ("held", bool(joints))):
+            if getattr(self, key, None) is not None and not able:
+                what = "slide" if key == "width_mm" else "joint"
+                problem = f"that needs a {what} of the arm file's group gripper"
+                raise WrongKey(problem, key, "opening alone")
+        if self.width_mm is not None:
+            most = sum(1e3 * joint.limits[1] * fingers_on(context.robot, joint) for joint in joints)
+            if self.width_mm > most + 1e-9:
+                asked, widest = apart(self.width_mm, most, digits=6, form="g")
+                raise WrongKey(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")

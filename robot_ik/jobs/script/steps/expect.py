@@ -1,0 +1,196 @@
+"""The step that says what must be true now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import model_validator
+
+from robot_ik.errors import apart
+from robot_ik.geometry import Pose
+from robot_ik.jobs.script.report import StepResult
+from robot_ik.jobs.script.state import Context, RunState, StepFailed, error_classes
+from robot_ik.jobs.script.steps.base import (
+    ErrorClass,
+    Framed,
+    GripperWidth,
+    JointValues,
+    Span,
+    Tolerant,
+    Word,
+    keyframes,
+    require_keyframe,
+    width_mm,
+)
+from robot_ik.solution import Status
+from robot_ik.tables import Place, WrongKey, Wxyz
+
+if TYPE_CHECKING:
+    from robot_ik.ports import Array
+    from robot_ik.robot import Robot
+
+
+ROUNDING = 1e-9
+"""s; sums of periods are not exact."""
+
+
+@dataclass(frozen=True)
+class _Finding:
+    """One thing that was looked at: what it is, and what it should be."""
+
+    right: bool
+    found: str
+    wanted: str
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.found if self.right else f"{self.found} instead of {self.wanted}"
+
+
+def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Finding:
+    here, most = apart(off, allowed, digits=2)
+    return _Finding(off <= allowed, f"{what} {here}{unit} off", f"at most {most}{unit}", {key: round(off, 4)})
+
+
+_PLACES = ("position", "wxyz", "joints_deg", "joints_mm", "keyframe", "width_mm")
+_REST = ("state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
+
+
+class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
+    """What must be true now; at least one thing.
+
+    Attributes:
+        shafts: Judge by where the simulated shafts really are, not by what the servos say.
+        object: ``position`` is where this one of the script's objects lies, not the frame.
+        width_mm: Between the fingers, within ``tolerance_mm``.
+        state: Of the arm.
+        error: Class of the last error; ``joint`` and ``cause``: what it says of them.
+        status: Of the last solve.
+        step_seconds, run_seconds: How long the last action, and the run, took: from, to.
+    """
+
+    words = ("keyframe", "joint", "position", "joints_deg", "joints_mm", "width_mm")
+    anywhere = True
+
+    do: Literal["expect"]
+    position: Place | None = None
+    wxyz: Wxyz | None = None
+    keyframe: Word | None = None
+    shafts: bool = False
+    object: Word | None = None
+    state: Literal["connected", "enabled", "hold", "fault"] | None = None
+    error: ErrorClass | None = None
+    joint: Word | None = None
+    cause: Word | None = None
+    status: Word | None = None
+    step_seconds: Span | None = None
+    run_seconds: Span | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> ExpectStep:
+        if all(getattr(self, key) is None for key in (*_PLACES, *_REST)):
+            raise WrongKey("nothing is expected", allowed=f"one or more of {', '.join((*_PLACES, *_REST))}")
+        if self.object is not None and self.position is None:
+            raise WrongKey("this key is missing", "position", "where the object is to lie")
+        return self
+
+    def check(self, context: Context) -> None:
+        super().check(context)
+        robot = context.robot
+        if self.shafts and not context.simulated:
+            problem = "nobody knows where real shafts are"
+            raise WrongKey(problem, "shafts", "false, or --bus sim or pty")
+        require_keyframe(robot, self.keyframe)
+        if self.status is not None and self.status not in (names := [s.name for s in Status]):
+            raise WrongKey.unknown("status", self.status, names, "status")
+        if self.joint is not None and self.joint not in robot.joints:
+            raise WrongKey.unknown("joint", self.joint, robot.joints, "joint")
+        if self.width_mm is not None:
+            self.check_gripper(context)
+
+    def run(self, now: RunState, result: StepResult) -> None:
+        """Looks at everything that is expected, and reports all of it.
+
+        Raises:
+            StepFailed: Something is otherwise.
+            RobotIkError: Of the arm, while it is read.
+        """
+        findings = [*self._places(now), *self._error(now), *self._rest(now)]
+        for finding in findings:
+            result.numbers.update(finding.numbers)
+        result.found = "; ".join(str(finding) for finding in findings)
+        if not all(finding.right for finding in findings):
+            raise StepFailed("; ".join(str(finding) for finding in findings if not finding.right))
+
+    def _places(self, now: RunState) -> Iterator[_Finding]:
+        if self.width_mm is not None:
+            off = abs(width_mm(now) - self.width_mm)
+            yield _near(off, self.tolerance_mm, " mm", "gripper's width", "width_off_mm")
+        if self.object is not None and self.position is not None:
+            off = 1e3 * float(np.linalg.norm(_place_of(now, self.object) - self.position))
+            yield _near(off, self.tolerance_mm, " mm", self.object, "off_mm")
+            return
+        placed = self.position is not None or self.wxyz is not None
+        jointwise = any(key is not None for key in (self.joints_deg, self.joints_mm, self.keyframe))
+        if not placed and not jointwise:
+            return
+        q = now.setup.true_q() if self.shafts else now.arm.read().q
+        if placed:
+            yield from self._pose(now.robot, q)
+        if jointwise:
+            goal = q if self.keyframe is None else keyframes(now.robot)[self.keyframe]
+            joint, off, allowed, unit = self.farthest(now.robot, q, self.placed(now.robot, goal))
+            yield _near(off, allowed, unit, joint, "joint_off_deg" if unit == "°" else "joint_off_mm")
+
+    def _pose(self, robot: Robot, q: Array) -> Iterator[_Finding]:
+        """How far the frame at ``q`` is off, by MuJoCo."""
+        at, what = robot.measure(q, self.frame), self.frame or robot.tool
+        if self.position is not None:
+            metres = float(np.linalg.norm(at.position - np.asarray(self.position)))
+            yield _near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")
+        if self.wxyz is not None:
+            degrees = float(np.degrees(at.distance(Pose(at.position, self.wxyz))[1]))
+            yield _near(degrees, self.tolerance_deg, "°", what, "off_deg")
+
+    def _error(self, now: RunState) -> Iterator[_Finding]:
+        wanted = [word for word in (self.error, self.joint, self.cause) if word is not None]
+        if not wanted:
+            return
+        error = now.error
+        if error is None:
+            yield _Finding(False, "no error", ", ".join(wanted))
+            return
+        if self.error is not None:
+            right = isinstance(error, error_classes()[self.error])
+            yield _Finding(right, type(error).__name__, self.error)
+        if self.joint is not None:
+            joint = str(getattr(error, "joint", ""))
+            yield _Finding(joint == self.joint, joint or "no joint", self.joint)
+        if self.cause is not None:
+            causes = getattr(error, "status", ())
+            yield _Finding(self.cause in causes, ", ".join(causes) or "no cause", self.cause)
+
+    def _rest(self, now: RunState) -> Iterator[_Finding]:
+        if self.state is not None:
+            state = now.arm.state.value
+            yield _Finding(state == self.state, f"state {state}", self.state)
+        if self.status is not None:
+            yield _Finding(now.status == self.status, f"solver {now.status or 'not asked'}", self.status)
+        for what, seconds, span in (
+            ("last step", now.seconds, self.step_seconds),
+            ("run", now.now(), self.run_seconds),
+        ):
+            if span is not None:
+                inside = span[0] - ROUNDING <= seconds <= span[1] + ROUNDING
+                yield _Finding(inside, f"{what} {seconds:.3f} s", f"{span[0]:g} … {span[1]:g} s")
+
+
+def _place_of(now: RunState, name: str) -> Array:
+    """(3,) m where an object lies, which nobody measures: the world knows."""
+    assert now.servos.world is not None
+    with now.servos.lock:
+        now.servos.advance()
+        return np.array(now.servos.world.data.body(name).xpos)

@@ -1,0 +1,319 @@
+"""Steps that move the arm, or its gripper, to a place; they are over when the servos have arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from robot_ik.errors import apart
+from robot_ik.geometry import Pose
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.jobs.reach import SOLVE_TOLERANCE
+from robot_ik.jobs.script.report import StepResult
+from robot_ik.jobs.script.state import Context, RunState, StepFailed
+from robot_ik.jobs.script.steps.base import (
+    GRIPPER,
+    Action,
+    Framed,
+    GripperWidth,
+    JointValues,
+    Positive,
+    Share,
+    Tolerant,
+    Word,
+    current_for,
+    fingers_on,
+    gripper_joints,
+    keyframes,
+    require_keyframe,
+    width_mm,
+)
+from robot_ik.motion.line import line_move
+from robot_ik.motion.trajectory import joint_move
+from robot_ik.problem import Problem
+from robot_ik.solvers import make_solver
+from robot_ik.tables import Place, WrongKey, Wxyz
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.joint_map import JointMap
+    from robot_ik.motion.trajectory import Trajectory
+    from robot_ik.ports import Array
+
+
+Judge = Callable[[], tuple[bool, str, dict[str, float]]]
+"""Whether it has arrived, what was found, and its numbers."""
+
+
+class Move(Tolerant, Action):
+    """A planned motion; it is over when the servos have arrived within the tolerance.
+
+    Attributes:
+        speed: Share of the speed limits.
+    """
+
+    speed: Share | None = None
+
+    def run(self, now: RunState, result: StepResult) -> None:
+        """Plans, sends, and waits until the servos have arrived.
+
+        Raises:
+            StepFailed: They did not, or not in time.
+            NotConvergedError, TrajectoryError: There is no way; nothing was sent.
+            RobotIkError: Of the arm or the camera.
+        """
+        trajectory, judge = self.plan(now, now.start(), result)
+        now.play(trajectory, self.time_limit_s, lambda: judge()[0], result)
+        there, result.found, numbers = judge()
+        result.numbers.update(numbers)
+        if not there:
+            raise StepFailed(f"not arrived: {result.found}")
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        """The way from ``start`` (nq,), and who says whether the arm is at its end."""
+        raise NotImplementedError
+
+    def caps(self, now: RunState) -> dict[str, Any]:
+        """Speed limits, as ``joint_move`` takes them."""
+        return {
+            "velocity": now.config.velocity,
+            "acceleration": now.config.acceleration,
+            "rate": now.config.rate_hz,
+            "speed": self.speed or now.script.content.speed,
+        }
+
+    def by_goal(self, now: RunState, goal: Goal) -> Judge:
+        """Judges by MuJoCo where the goal's frame is."""
+
+        def judge() -> tuple[bool, str, dict[str, float]]:
+            metres, radians = goal.off(now.robot.measure(now.arm.read().q, goal.frame), goal.target)
+            rows = [("off_mm", 1e3 * metres, self.tolerance_mm, " mm")]
+            if goal.has_angle:
+                rows.append(("off_deg", float(np.degrees(radians)), self.tolerance_deg, "°"))
+            texts = [[text + row[3] for text in apart(row[1], row[2], digits=2)] for row in rows]
+            off, allowed = (", ".join(column) for column in zip(*texts, strict=True))
+            inside = all(row[1] <= row[2] for row in rows)
+            return inside, f"{off} off; allowed {allowed}", {row[0]: round(row[1], 4) for row in rows}
+
+        return judge
+
+    def by_joints(self, now: RunState, wanted: Array) -> Judge:
+        """Judges by the joint that is farthest off."""
+
+        def judge() -> tuple[bool, str, dict[str, float]]:
+            joint, off, allowed, unit = self.farthest(now.robot, now.arm.read().q, wanted)
+            here, most = apart(off, allowed, digits=2)
+            text = f"{joint} {here}{unit} off; allowed {most}{unit}"
+            return off <= allowed, text, {"off_deg" if unit == "°" else "off_mm": round(off, 4)}
+
+        return judge
+
+    def to_goal(self, now: RunState, start: Array, goal: Goal, wanted: Goal) -> tuple[Trajectory, Judge]:
+        """Straight in joint space to what meets ``goal``; judged by ``wanted``."""
+        q = solve_for(now, goal, start)
+        return joint_move(now.robot, start, q, **self.caps(now)), self.by_goal(now, wanted)
+
+    def to_joints(self, now: RunState, start: Array, q: Array) -> tuple[Trajectory, Judge]:
+        """Straight in joint space; judged joint by joint."""
+        return joint_move(now.robot, start, q, **self.caps(now)), self.by_joints(now, q)
+
+
+def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
+    """(nq,) that meets the goal.
+
+    Raises:
+        NotConvergedError: None was found.
+    """
+    problem = Problem(now.robot, goal, tolerance=SOLVE_TOLERANCE, seed=now.seed)
+    solution = make_solver(now.solver).solve(problem, start)
+    now.status = solution.status.name
+    q = np.array(solution.require().q)
+    fingers = [k for k, name in enumerate(now.robot.joints) if name in gripper_joints(now.robot)]
+    q[fingers] = start[fingers]  # what is in the gripper stays there
+    return q
+
+
+class PositionStep(Framed, Move):
+    """The frame's origin goes to a position, however it is turned."""
+
+    words = ("position",)
+
+    do: Literal["position"]
+    position: Place
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        goal = PositionGoal(self.frame or now.robot.tool, self.position)
+        return self.to_goal(now, start, goal, goal)
+
+
+class PoseStep(Framed, Move):
+    """The frame goes to a position and an orientation, straight in joint space."""
+
+    words = ("position",)
+
+    do: Literal["pose"]
+    position: Place
+    wxyz: Wxyz
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        goal = PoseGoal(self.frame or now.robot.tool, self.position, self.wxyz)
+        return self.to_goal(now, start, goal, goal)
+
+
+class MarkerStep(Move):
+    """The synthetic camera looks for the printed marker, and the tool goes above it."""
+
+    do: Literal["marker"]
+
+    @property
+    def looks(self) -> bool:
+        return True
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        """To where it was seen; judged by where it truly is."""
+        assert now.vision is not None
+        seen = now.vision.find_target()
+        assert seen.true_pose is not None  # the camera is synthetic
+        true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)
+        off = float(np.linalg.norm(seen.goal.target.position - true.position))
+        result.numbers["seen_off_mm"] = round(1e3 * off, 4)
+        goal = seen.goal
+        if isinstance(goal, PoseGoal) and goal.free_axis is not None:
+            # Five joints point the axis within a plane, and it is seen a little beside that.
+            near = Tolerance(SOLVE_TOLERANCE.position, 0.5 * float(np.radians(self.tolerance_deg)))
+            return self.to_goal(now, start, replace(goal, tolerance=near), goal.moved_to(true))
+        return self.to_goal(now, start, goal, goal.moved_to(true))
+
+
+class LineStep(Framed, Move):
+    """The frame goes straight to a position or by a vector, and keeps its rotation unless asked."""
+
+    words = ("position", "by")
+
+    do: Literal["line"]
+    position: Place | None = None
+    by: Place | None = None
+    wxyz: Wxyz | None = None
+    linear_speed: Positive = 0.25
+
+    @model_validator(mode="after")
+    def _one_end(self) -> LineStep:
+        if (self.position is None) == (self.by is None):
+            raise WrongKey("a line goes to a position or by a vector", "position", "position or by")
+        return self
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        begin = now.robot.forward(start, self.frame)
+        position = (
+            begin.position + np.asarray(self.by) if self.position is None else np.asarray(self.position)
+        )
+        target = Pose(position, begin.wxyz if self.wxyz is None else self.wxyz)
+        trajectory = line_move(
+            now.robot, start, target, frame=self.frame, linear_speed=self.linear_speed, **self.caps(now)
+        )
+        return trajectory, self.by_goal(now, PoseGoal.at(self.frame, target))
+
+
+class JointsStep(JointValues, Move):
+    """Joints go to angles, slides to millimetres; those that are not named stay."""
+
+    words = ("joints_deg", "joints_mm")
+
+    do: Literal["joints"]
+
+    @model_validator(mode="after")
+    def _some(self) -> JointsStep:
+        if self.joints_deg is None and self.joints_mm is None:
+            raise WrongKey("no joint is named", "joints_deg", "joints_deg, joints_mm (slides) or both")
+        return self
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        return self.to_joints(now, start, self.placed(now.robot, start))
+
+
+class KeyframeStep(Move):
+    """All joints go to a keyframe of the model."""
+
+    words = ("keyframe",)
+
+    do: Literal["keyframe"]
+    keyframe: Word = "home"
+
+    def check(self, context: Context) -> None:
+        super().check(context)
+        require_keyframe(context.robot, self.keyframe)
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        return self.to_joints(now, start, keyframes(now.robot)[self.keyframe])
+
+
+class GripStep(GripperWidth, Move):
+    """The gripper opens or closes: to a share of its range, or to a width.
+
+    Attributes:
+        opening: 0 closed, 1 open; ``width_mm``: instead, between two fingers that slide.
+        force_n: How hard each finger presses from here on, where the servo can be asked.
+        held: Whether something must be between the fingers then; without it, either is right.
+    """
+
+    words = ("opening", "width_mm")
+    by_opening = True
+
+    do: Literal["grip"]
+    opening: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    force_n: Positive | None = None
+    held: bool | None = None
+
+    @model_validator(mode="after")
+    def _one_width(self) -> GripStep:
+        if (self.opening is None) == (self.width_mm is None):
+            raise WrongKey("a grip is to an opening or to a width", "opening", "opening or width_mm")
+        return self
+
+    def check(self, context: Context) -> None:
+        super().check(context)
+        self.check_gripper(context)
+
+    def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
+        """The gripper to a share of its range: 0 at the lower limits, 1 at the upper."""
+        robot, q = now.robot, start.copy()
+        for name in gripper_joints(robot):
+            k = robot.joints.index(name)
+            q[k] = robot.lower[k] + (self.opening or 0.0) * (robot.upper[k] - robot.lower[k])
+        return self.to_joints(now, start, q)
+
+    def run(self, now: RunState, result: StepResult) -> None:
+        """Moves the fingers until they are there or something stops them.
+
+        Raises:
+            StepFailed: Something is between them that should not be, or nothing that should.
+            RobotIkError: Of the arm.
+        """
+        joints = now.config.auxiliary_of(GRIPPER)
+        if not joints:
+            super().run(now, result)
+            return
+        for joint in joints:
+            self._move(now, joint, len(joints), result)
+        held = "something is held" if result.numbers["held"] else "nothing is held"
+        result.found = f"{result.numbers['width_mm']:.1f} mm, {held}"
+        if "current_ma" in result.numbers:
+            result.found += f", {result.numbers['current_ma']:.0f} mA"
+        if self.held is not None and self.held != result.numbers["held"]:
+            raise StepFailed(result.found)
+
+    def _move(self, now: RunState, joint: JointMap, of: int, result: StepResult) -> None:
+        """One of so many joints."""
+        fingers = fingers_on(now.robot, joint)
+        lower, upper = joint.limits
+        goal = lower + (self.opening or 0.0) * (upper - lower)
+        if self.width_mm is not None:
+            goal = max(lower, min(upper, 1e-3 * self.width_mm / fingers / of))
+        current = None if self.force_n is None else current_for(joint, self.force_n, fingers)
+        (report,) = now.arm.grip({joint.name: goal}, current=current, timeout=self.time_limit_s)
+        result.numbers.update(held=report.held, width_mm=round(width_mm(now), 4))
+        if report.current is not None:
+            result.numbers["current_ma"] = round(report.current, 1)

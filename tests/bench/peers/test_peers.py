@@ -1,0 +1,216 @@
+"""The comparison with other libraries: all get the same robot, MuJoCo judges, and a poor peer fails."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot_ik.bench.peers import worker
+from robot_ik.bench.peers.__main__ import compare, main
+from robot_ik.bench.peers.results import merged
+from robot_ik.bench.peers.tasks import ARMS, Sites, frames_of, roll_pitch_yaw, urdf_of, write_task
+
+COUNT = 20
+PEERS = """
+import numpy as np
+
+
+class Library:
+    needs = ("numpy",)
+    settings = "made for a test"
+
+    def setup(self, task):
+        self.task = task
+        return True
+
+    def forward(self, q):
+        return None
+
+
+class Idle(Library):
+    def solve(self, target, start):
+        return start
+
+
+class Broken(Library):
+    def solve(self, target, start):
+        raise ArithmeticError("it broke")
+
+
+class Beyond(Library):
+    def setup(self, task):
+        from robot_ik.bench.peers.ours import Numeric
+        self.good = Numeric()
+        return self.good.setup(task)
+
+    def solve(self, target, start):
+        return self.good.solve(target, start) + 2.0 * np.pi
+
+
+class OtherRobot(Idle):
+    def forward(self, q):
+        return np.eye(4)
+
+
+class NotHere(Library):
+    needs = ("nobody-has-this", "numpy<2")
+
+    def setup(self, task):
+        import nobody_has_this
+
+
+class Picky(Library):
+    def setup(self, task):
+        return False
+
+
+class Dead(Library):
+    def setup(self, task):
+        raise SystemExit(3)
+"""
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_task("puma560", tmp_path_factory.mktemp("tasks") / "puma560", COUNT, seed=1)
+
+
+@pytest.mark.parametrize("name", [*ARMS, "humanoid"])
+def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> None:
+    folder = write_task(name, tmp_path, COUNT, seed=1)
+    task = worker.Task.load(folder)
+    plain = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    text = (folder / "model.urdf").read_text(encoding="utf-8")
+    text = text.replace('name="plain">', 'name="plain"><mujoco><compiler fusestatic="false"/></mujoco>')
+    read = mujoco.MjModel.from_xml_string(text)
+    data, rng, base = mujoco.MjData(read), np.random.default_rng(3), 7 if task.free_base else 0
+    for _ in range(5):
+        q = np.array(task.home)
+        q[base:] = rng.uniform(task.lower, task.upper)
+        for joint, angle in zip(task.joints, q[base:], strict=True):
+            data.joint(joint).qpos[:] = angle
+        mujoco.mj_kinematics(read, data)
+        there = Sites(plain).poses(q)
+        if task.free_base:  # a URDF has no base that floats: seen from the body that does
+            root = mujoco.MjData(plain)
+            root.qpos[:] = q
+            mujoco.mj_kinematics(plain, root)
+            turn, place = root.xmat[1].reshape(3, 3), root.xpos[1]
+            there = [np.block([[turn.T @ t[:3, :3], turn.T @ (t[:3, 3:] - place[:, None])]]) for t in there]
+        for site, pose in zip(task.sites, there, strict=True):
+            np.testing.assert_allclose(data.body(site).xpos, np.asarray(pose)[:3, 3], atol=1e-9)
+        if not task.free_base:
+            pose = task.frames[0]
+            for angle, frame in zip(q, task.frames[1:], strict=True):
+                turn = np.eye(4)
+                turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+                pose = pose @ turn @ frame
+            np.testing.assert_allclose(pose, there[0], atol=1e-12)
+    if not task.free_base:
+        np.testing.assert_allclose(frames_of(plain), task.frames)
+        assert urdf_of(plain) == (folder / "model.urdf").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("pitch", [0.3, np.pi / 2, -np.pi / 2])
+def test_roll_pitch_yaw_is_a_urdfs(pitch: float) -> None:
+    def about(axis: int, angle: float) -> np.ndarray:
+        quat = np.zeros(4)
+        mujoco.mju_axisAngle2Quat(quat, np.eye(3)[axis], angle)
+        return quat
+
+    def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        made = np.zeros(4)
+        mujoco.mju_mulQuat(made, a, b)
+        return made
+
+    wanted = times(about(2, -1.1), times(about(1, pitch), about(0, 0.7)))
+    r, p, y = roll_pitch_yaw(wanted)
+    again = times(about(2, y), times(about(1, p), about(0, r)))
+    assert abs(again @ wanted) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "robots", [["puma560"], pytest.param(["puma560", "humanoid"], marks=pytest.mark.soak)]
+)
+def test_ours_solves_all_and_the_results_say_with_what(robots: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "results"
+    arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "2", "--seed", "5"]
+    names = ["robot_ik", "robot_ik_analytic"] + ["robot_ik_lm"] * ("humanoid" in robots)
+    assert main(["run", *arguments, "--libraries", *names, "--robots", *robots]) == 0
+    said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
+    assert said["seed"] == 5 and said["rounds"] == 2 and said["machine"]["when"]
+    assert set(said["libraries"]) == set(names) and not said["missing"] and not said["failed"]
+    for name in names:
+        one = said["libraries"][name]
+        assert set(one["versions"]) == {"robot_ik", "mujoco", "numba"} and len(one["calibration_us"]) >= 2
+        for kind in ("cold", "warm", "wrist", "elbow"):
+            cell = one["robots"]["puma560"][kind]
+            assert cell["exact"] == 1.0 and cell["n"] == 2 * COUNT and cell["median_us"] > 0.0, (name, kind)
+        assert one["robots"]["puma560"]["unreachable"]["success"] == 0.0
+    assert set(said["libraries"]["robot_ik_analytic"]["robots"]) == {"puma560"}, (
+        "no closed form for four goals"
+    )
+    if "humanoid" in robots:
+        assert said["libraries"]["robot_ik_lm"]["robots"]["humanoid"]["cold"]["success"] == 1.0
+
+
+def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "peers.py"
+    file.write_text(PEERS, encoding="utf-8")
+    kinds = ("Idle", "Broken", "Beyond", "OtherRobot", "NotHere", "Picky", "Dead")
+    names = [f"{file}:{kind}" for kind in kinds]
+    out = tmp_path / "results"
+    arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "1", "--robots", "puma560"]
+    assert main(["run", *arguments, "--libraries", *names, f"{tmp_path}/none.py:Gone"]) == 1
+    reported = capsys.readouterr().err
+    said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
+
+    def cold(kind: str) -> Any:
+        return said["libraries"][f"{file}:{kind}"]["robots"]["puma560"]["cold"]
+
+    assert [cold(kind)["success"] for kind in ("Idle", "Broken", "Beyond")] == [0.0, 0.0, 0.0]
+    assert said["libraries"][f"{file}:Picky"]["robots"] == {}
+    assert "reads another robot" in said["failed"][f"{file}:OtherRobot"]
+    assert (
+        f"{file}:Dead" in said["failed"] and "there is no file" in said["failed"][f"{tmp_path}/none.py:Gone"]
+    )
+    assert "pip install 'nobody-has-this' 'numpy<2'" in said["missing"][f"{file}:NotHere"]
+    assert "missing: " in reported and "pip install 'nobody-has-this'" in reported and "failed: " in reported
+
+
+def test_an_unknown_library_is_reported_with_those_that_there_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["run", "--out", str(tmp_path), "--libraries", "eaikk"])
+    assert end.value.code == 2 and "eaikk" in capsys.readouterr().err
+
+
+def test_libraries_say_what_pip_installs_for_them() -> None:
+    for name, kind in worker.LIBRARIES.items():
+        assert isinstance(kind, str) or kind.needs, name
+
+
+def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> None:
+    one = {"n": 10, "success": 1.0, "exact": 0.5, "median_us": 5.0, "cpu_mean_us": 9.0, "cpu_p99_us": 20.0}
+    two = one | {"n": 30, "success": 0.0, "exact": 0.5, "median_us": 7.0, "cpu_mean_us": 8.0, "jumps": 2}
+    found = merged([one, two])
+    assert found["success"] == 0.25 and found["exact"] == 0.5 and found["n"] == 40 and found["jumps"] == 2
+    assert (found["median_us"], found["mean_us"], found["p99_us"]) == (5.0, 8.0, 20.0)
+
+
+@pytest.mark.parametrize(("name", "module"), [("ikpy", "ikpy"), ("rtb_lm", "roboticstoolbox")])
+def test_another_library_takes_part(name: str, module: str, tmp_path: Path) -> None:
+    if importlib.util.find_spec(module) is None:
+        pytest.skip(f"needs {module}: python -m robot_ik.bench.peers install ENVIRONMENTS --libraries {name}")
+    said = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
+    cell = said["libraries"][name]["robots"]["puma560"]["warm"]
+    assert cell["success"] > 0.9 and not said["failed"]

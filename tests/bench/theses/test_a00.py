@@ -1,0 +1,211 @@
+"""A00's courses: goals that can be met, moving as his did; the judge is no solver; losses are reported."""
+
+from __future__ import annotations
+
+import csv
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import robot_ik as rik
+from robot_ik.bench.theses import a00
+from robot_ik.bench.theses.a00 import DIAGONAL, NUMBERS, Course, chain_witness, make_course
+from robot_ik.bench.theses.results import save_a00
+from robot_ik.bench.theses.tracking import Gauge, track
+from robot_ik.errors import ConfigError, UnknownSolverError
+from robot_ik.problem import Problem
+from robot_ik.solvers import SOLVERS, make_solver
+
+FEW = 12
+
+
+@pytest.fixture(scope="module")
+def courses() -> dict[int, Course]:
+    return {n: make_course(n, frames=100 if n in (6, 7, 11, 12) else None) for n in NUMBERS}
+
+
+def rotations(course: Course) -> Rotation:
+    return Rotation.from_quat([pose.wxyz for pose in course.targets], scalar_first=True)
+
+
+def positions(course: Course) -> np.ndarray:
+    return np.array([pose.position for pose in course.targets])
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_every_goal_has_a_witness(number: int, courses: dict[int, Course]) -> None:
+    course = courses[number]
+    assert len(course.at) == len(course.targets) == len(course.witnesses) > 70
+    assert max(course.witness_miss()) < 1e-11
+    # The same by the robot's own measure, which shares nothing with the judge of the tracks but MuJoCo.
+    for k in (0, len(course.at) // 3, -1):
+        metres, radians = course.robot.measure(course.witnesses[k]).distance(course.targets[k])
+        assert metres < 1e-11 and (radians < 1e-11 or not course.goal.has_angle)
+
+
+def test_a_witness_that_is_off_is_noticed() -> None:
+    course = make_course(6, frames=3)
+    course.witnesses[1] = course.witnesses[0]
+    assert course.witness_miss()[0] == pytest.approx(2.5 * np.radians(0.1), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("number", "joints", "oriented"),
+    [(1, 3, False), (2, 5, False), (3, 5, True), (6, 5, False), (7, 5, True), (8, 5, True), (10, 5, True),
+     (11, 3, False), (12, 5, False), (13, 2, True)],
+)  # fmt: skip
+def test_chains_and_kinds_are_his(
+    number: int, joints: int, oriented: bool, courses: dict[int, Course]
+) -> None:
+    course = courses[number]
+    assert (len(course.robot.joints), course.goal.has_angle) == (joints, oriented)
+
+
+@pytest.mark.parametrize(
+    ("number", "normal", "step"),
+    [(1, (0, 0, 1), 1.0), (2, (0, 0, 1), 1.0), (3, (0, 0, 1), 1.0), (4, (0, 1, 0), 1.0), (5, (1, 0, 0), 1.0),
+     (6, DIAGONAL, 0.1), (7, DIAGONAL, 0.1), (9, DIAGONAL, 5.0)],
+)  # fmt: skip
+def test_circles_go_round_the_origin(
+    number: int, normal: Any, step: float, courses: dict[int, Course]
+) -> None:
+    course = courses[number]
+    points = positions(course)
+    np.testing.assert_allclose(points @ np.asarray(normal), 0.0, atol=1e-12)
+    turned = Rotation.from_rotvec(np.radians(step) * np.asarray(normal)).apply(points[:-1])
+    np.testing.assert_allclose(points[1:], turned, atol=1e-12)
+    if step >= 1.0:
+        np.testing.assert_allclose(points[-1], points[0], atol=1e-11)  # a whole turn
+    assert np.linalg.norm(points[0]) == pytest.approx(0.5 * len(course.robot.joints))
+
+
+def test_orientations_turn_as_stated(courses: dict[int, Course]) -> None:
+    for number, share, axis in ((3, 0.25, (0, 0, 1)), (7, 1.0, DIAGONAL), (8, 1.0, DIAGONAL)):
+        turns = rotations(courses[number])
+        step = np.radians(courses[number].at[1]) * share
+        between = (turns[1:] * turns[:-1].inv()).as_rotvec()
+        np.testing.assert_allclose(between, np.tile(step * np.asarray(axis), (len(between), 1)), atol=1e-10)
+    assert np.ptp(positions(courses[8]), axis=0).max() == 0.0
+    one_side = courses[10]
+    assert positions(one_side)[:, 0].min() > 1.0
+    assert (rotations(one_side)[1:] * rotations(one_side)[:-1].inv()).magnitude().min() > 0.01
+    assert np.linalg.norm(np.diff(positions(one_side), axis=0), axis=1).min() > 0.01
+
+
+def test_lines_are_straight_and_random_by_seed(courses: dict[int, Course]) -> None:
+    points = positions(courses[12])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert steps.max() < 0.02 + 1e-9
+    assert np.sum(steps < 0.0199) <= 9  # only round the corners
+    other = positions(make_course(12, seed=1, frames=2))
+    assert np.linalg.norm(other[0] - points[0]) > 0.01
+
+
+def test_two_balls_never_have_six_freedoms() -> None:
+    """Why test 13 could not be solved with an inverse: J is square and of rank 5 everywhere."""
+    chain, rng = rik.make_chain(2), np.random.default_rng(3)
+    for _ in range(50):
+        sigma = np.linalg.svd(chain.jacobian(chain.sample(rng)), compute_uv=False)
+        assert sigma.shape == (6,) and sigma[5] < 1e-12 < 0.3 < sigma[4]
+
+
+def test_a_chain_is_drawn_to_where_it_can_get() -> None:
+    with pytest.raises(ValueError, match="span"):
+        chain_witness(3, rik.Pose((3.1, 0.0, 0.0)), oriented=False)
+    with pytest.raises(ValueError, match="one link"):  # two balls cannot take any pose within reach
+        chain_witness(2, rik.Pose((1.0, 0.0, 0.0)), oriented=True)
+    for point in ((0.0, 0.0, 0.0), (0.0, 0.0, -2.0), (0.0, 0.0, 3.0), (1e-12, 0.0, 0.0)):
+        q = chain_witness(3, rik.Pose(point), oriented=False)
+        np.testing.assert_allclose(rik.make_chain(3).measure(q).position, point, atol=1e-7)
+
+
+# -------------------------------------------------------------------------------------- the job
+
+
+def test_what_must_pass_passes_on_the_first_frames_of_every_course(tmp_path: Any) -> None:
+    names = [name for name in a00.MUST_PASS if name in SOLVERS]
+    assert {"lm", "dls", "auto"} <= set(names)
+    report = a00.run_a00(a00.ask_a00(solvers=names, frames=FEW))
+    assert report.passed, report.failures
+    assert set(report.tracks) == {(name, number) for name in names for number in NUMBERS}
+    assert all(track.solved == track.frames == FEW for track in report.tracks.values())
+    files = save_a00(report, tmp_path)
+    summary = json.loads((tmp_path / "a00.json").read_text())
+    assert summary["passed"] and summary["complete"] and len(summary["tests"]) == 13
+    with files[1].open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(report.tracks) and {row["share"] for row in rows} == {"1.0"}
+
+
+def test_a_method_without_the_kind_of_goal_is_refused_not_lost() -> None:
+    report = a00.run_a00(a00.ask_a00([5, 8], ["triangulation", "analytic"], frames=3))
+    refused = {key for key, track in report.tracks.items() if track.refused}
+    assert refused == {("triangulation", 8), ("analytic", 5), ("analytic", 8)}
+    assert report.tracks["triangulation", 5].passed and report.passed
+
+
+def test_a_loss_is_counted_and_placed(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = a00.make_solver
+    monkeypatch.setattr(a00, "make_solver", lambda name: made(name, max_step=1e-4, restarts=0))
+    report = a00.run_a00(a00.ask_a00([6], ["dls"], frames=6))
+    assert report.complete and not report.passed and report.failures == [("dls", 6)]
+    assert report.tracks["dls", 6].lost == 0 and report.lost_at("dls", 6) == "0°"
+
+
+def test_the_solver_is_not_believed() -> None:
+    """A method that says CONVERGED and lies is found out by MuJoCo's forward pass."""
+    course, truth = make_course(4, frames=5), make_solver("lm")
+
+    class Liar(type(truth)):  # type: ignore[misc]
+        def solve(self, problem: Problem, start: Any = None) -> Any:
+            solution = super().solve(problem, start)
+            solution.q = problem.robot.integrate(solution.q, np.full(15, 1e-3))
+            assert solution.converged
+            return solution
+
+    problem = Problem(course.robot, course.goal)
+    honest = track(problem, truth, course.targets, course.witnesses[0])
+    assert honest.passed and honest.lost is None
+    found = track(problem, Liar(), course.targets, course.witnesses[0])
+    assert found.solved == 0 and found.lost == 0
+
+
+def test_an_interruption_keeps_what_is_done() -> None:
+    report, seen = a00.ask_a00([4, 5], ["lm"], frames=5), []
+
+    def progress(phase: str, share: float) -> None:
+        seen.append(share)
+        if phase.startswith("test 5"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        a00.run_a00(report, progress)
+    assert set(report.tracks) == {("lm", 4)} and not report.complete and not report.passed
+    assert seen == sorted(seen) and max(seen) == pytest.approx(0.5)
+
+
+def test_a_gauge_ends_at_one() -> None:
+    reported: list[tuple[str, float]] = []
+    gauge = Gauge(lambda phase, share: reported.append((phase, share)), 2)
+    for name in ("a", "b"):
+        gauge.begin(name, 4)
+        gauge.tick(1)
+        gauge.tick(3)
+    assert reported == [("a", 0.0), ("a", 0.125), ("a", 0.5), ("b", 0.5), ("b", 0.625), ("b", 1.0)]
+
+
+def test_what_is_not_there_is_said() -> None:
+    with pytest.raises(ConfigError, match="14"):
+        a00.ask_a00([14])
+    with pytest.raises(UnknownSolverError, match="lm"):
+        a00.ask_a00([1], ["lmm"])
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(3))
+def test_the_whole_course(seed: int) -> None:
+    report = a00.run_a00(a00.ask_a00(seed=seed))
+    assert report.passed, report.failures

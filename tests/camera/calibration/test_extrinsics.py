@@ -1,0 +1,207 @@
+"""Where a camera is: found from a board, kept in a file that belongs to one calibration."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.camera.boards.board import BoardView, MarkerBoard, PatternBoard, parse_board
+from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera, today
+from robot_ik.camera.observations import marker_points
+from robot_ik.camera.sources import Frame
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.errors import CalibrationError, CameraError
+from robot_ik.geometry import Pose, rotation_exp
+
+LAYOUT = grid_body(3, 2, 0.05, 0.0125).markers
+POINTS = np.concatenate([pose.apply(marker_points(side)) for side, pose in LAYOUT.values()])
+BOARD = Pose((0.4, -0.1, 0.02), rotation_exp([0.0, 0.0, 0.7]))
+SEEN = Pose((0.03, -0.02, 0.7), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, -0.3, 0.2])))
+
+
+def looked(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
+    """One frame of the board."""
+    pixels = STANDARD_CAMERA.project(SEEN.apply(POINTS)) + rng.normal(0, noise, (len(POINTS), 2))
+    return BoardView(POINTS, pixels, SEEN.compose(Pose.exp(rng.normal(0, 2e-3, 6))), 0.1)
+
+
+def place_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
+    return CameraExtrinsics(pose, "world", covariance, 0.12, 0.2, today(), STANDARD_CAMERA.digest)
+
+
+@settings(max_examples=10)
+@given(
+    twist=st.lists(st.floats(-3, 3), min_size=6, max_size=6),
+    parent=st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=12),
+)
+def test_the_file_gives_back_what_was_written(
+    twist: list[float], parent: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("place") / "place.toml"
+    place = dataclasses.replace(place_of(Pose.exp(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent)
+    place.save(path)
+    read = CameraExtrinsics.load(path, STANDARD_CAMERA)
+    np.testing.assert_array_equal(read.pose_parent_camera.position, place.pose_parent_camera.position)
+    assert max(read.pose_parent_camera.distance(place.pose_parent_camera)) < 1e-15
+    np.testing.assert_array_equal(read.covariance, place.covariance)
+    assert (read.parent, read.date, read.residual_px, read.views) == (parent, today(), 0.12, 1)
+    assert "OpenCV" in path.read_text(encoding="utf-8")
+
+
+def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
+    path = tmp_path / "place.toml"
+    place_of(Pose(), np.eye(6)).save(path)
+    other = dataclasses.replace(STANDARD_CAMERA, fx=801.0)
+    with pytest.raises(CalibrationError, match="another calibration") as refused:
+        CameraExtrinsics.load(path, other)
+    assert STANDARD_CAMERA.digest in str(refused.value) and other.digest in str(refused.value)
+    with pytest.raises(CalibrationError, match="'world'"):
+        CameraExtrinsics.load(path).require_parent("gripper")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("parent = [", "not valid TOML"),
+        ("parent = 'world'", "position: this key is missing"),
+        (None, "cannot be read"),
+        ("wxyz", "wxyz: a quaternion of zeros"),
+        ("schema = 2", "schema: 2 is not right; allowed: 1"),
+        ("covariance", "covariance"),
+    ],
+)
+def test_a_wrong_file_is_reported_in_one_sentence(tmp_path: Path, text: str | None, words: str) -> None:
+    path = tmp_path / "place.toml"
+    place_of(Pose(), np.eye(6)).save(path)
+    good = path.read_text()
+    if text is None:
+        path.unlink()
+    elif text == "wxyz":
+        path.write_text(good.replace("wxyz = [1.0, 0.0, 0.0, 0.0]", "wxyz = [0, 0, 0, 0]"))
+    elif text == "schema = 2":
+        path.write_text(good.replace("schema = 1", text))
+    elif text == "covariance":
+        path.write_text(good.replace("  [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],\n", ""))
+    else:
+        path.write_text(text)
+    with pytest.raises(CalibrationError, match=words):
+        CameraExtrinsics.load(path)
+
+
+def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
+    true = BOARD.compose(SEEN.inverse())
+    errors, stated = [], []
+    for seed in range(12):
+        place = locate_camera([looked(np.random.default_rng(seed))], BOARD, STANDARD_CAMERA)
+        errors.append(place.pose_parent_camera.distance(true))
+        stated.append((place.sigma_position, place.sigma_angle))
+    off, said = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
+    assert off[0] < 2e-3 and off[1] < np.deg2rad(0.25)
+    assert (off < 2 * said).all() and (said < 2 * off).all()
+    assert 0.05 < place.residual_px < 0.2
+    assert place.residual_mm == pytest.approx(1e3 * place.residual_px * 0.7 / 800, rel=0.1)
+
+
+def test_frames_are_averaged_and_a_hand_before_the_board_does_no_harm() -> None:
+    true, rng = BOARD.compose(SEEN.inverse()), np.random.default_rng(1)
+    views = [looked(rng) for _ in range(9)]
+    one = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
+    spoilt = BoardView(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
+    part = BoardView(POINTS[:8], views[1].pixels[:8], SEEN, 0.1)
+    many = locate_camera([*views, spoilt, part], BOARD, STANDARD_CAMERA)
+    assert many.residual_px < 0.6 * one.residual_px and many.views == 11
+    assert many.pose_parent_camera.distance(true)[0] < 5e-4
+    with pytest.raises(CameraError, match="no picture"):
+        locate_camera([], BOARD, STANDARD_CAMERA)
+
+
+def test_markers_are_seen_in_a_picture_as_a_board() -> None:
+    markers = {id: (side, SEEN.compose(pose)) for id, (side, pose) in LAYOUT.items()}
+    rng = np.random.default_rng(0)
+    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary="DICT_5X5_50", margin=0.12)
+    frame = Frame(np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)
+    board = parse_board("grid:3x2:50:12.5")
+    assert isinstance(board, MarkerBoard)
+    view = board.see(frame, STANDARD_CAMERA)
+    assert view is not None and len(view.points) == 24
+    place = locate_camera([view], BOARD, STANDARD_CAMERA)
+    assert place.pose_parent_camera.distance(BOARD.compose(SEEN.inverse()))[0] < 1e-3
+    assert MarkerBoard(grid_body(1, 1, 0.05, 0.01, 40).markers).see(frame, STANDARD_CAMERA) is None
+
+
+@pytest.mark.parametrize("text", ["charuco:7x5:30:22", "chessboard:7x5:30"])
+def test_patterns_are_seen_with_their_frame_in_the_corner(text: str) -> None:
+    board = parse_board(text)
+    assert isinstance(board, PatternBoard)
+    # The whole of it in view: x right, y down, z away from the camera.
+    turn = Pose(wxyz=rotation_exp([0.4, -0.3, 0.1]))
+    pose = Pose((-0.1, -0.06, 0.5), turn.wxyz)
+    frame = pattern_frame(board, pose)
+    view = board.see(frame, STANDARD_CAMERA)
+    assert view is not None
+    position, angle = view.pose_camera_board.distance(pose)
+    assert position < 2e-3 and angle < np.deg2rad(0.5)
+    (side, square), *_ = board.layout.values()
+    assert square.rotation[2, 2] == pytest.approx(-1.0) and side > 0.1
+    assert board.see(Frame(np.zeros((480, 640, 3), np.uint8), 0.0, 0), STANDARD_CAMERA) is None
+
+
+def pattern_frame(board: PatternBoard, pose: Pose) -> Frame:
+    """A picture of the pattern at ``pose_camera_board``."""
+    from robot_ik.camera.synthetic.datasets import render_pattern
+
+    image = render_pattern(board.pattern, STANDARD_CAMERA, pose, np.random.default_rng(0))
+    return Frame(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)
+
+
+@pytest.mark.parametrize("text", ["", "marker:7", "grid:3x:50:12", "marker:x:50", "grid:3x2:-50:12", "cube"])
+def test_a_board_that_means_nothing_is_refused(text: str) -> None:
+    with pytest.raises(CameraError, match="is no board") as refused:
+        parse_board(text)
+    assert "charuco:COLUMNSxROWS" in refused.value.hint
+
+
+def test_metres_in_the_words_of_a_board_are_reported() -> None:
+    with pytest.raises(CameraError, match=r"0\.05 mm cannot be right") as refused:
+        parse_board("grid:2x2:0.05:0.0125")
+    assert "0.05 m are 50" in refused.value.hint
+
+
+def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "bodies.toml"
+    one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
+    path.write_text(one.format(name="hand", id=3))
+    board = parse_board(str(path), "DICT_4X4_50")
+    assert isinstance(board, MarkerBoard) and set(board.layout) == {3} and board.dictionary == "DICT_4X4_50"
+    path.write_text(one.format(name="hand", id=3) + one.format(name="table", id=4))
+    assert set(parse_board(f"{path}:table").layout) == {4}
+    with pytest.raises(CameraError, match="several bodies") as refused:
+        parse_board(str(path))
+    assert f"{path}:table" in refused.value.hint
+
+
+def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
+    """It gave one, 3 µm well known, beside residuals of 58 px."""
+    rng, moving = np.random.default_rng(8), []
+    for k in range(6):
+        there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
+        pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
+        moving.append(BoardView(POINTS, pixels, there, 0.1))
+    with pytest.raises(CalibrationError, match=r"move by .* px between the pictures") as refused:
+        locate_camera(moving, BOARD, STANDARD_CAMERA)
+    assert "handeye" in str(refused.value.hint)
+
+
+def test_a_board_of_other_sizes_gives_no_place() -> None:
+    """Gaps twice as wide as the layout says: no pose meets the corners."""
+    printed = grid_body(3, 2, 0.05, 0.03).markers
+    points = np.concatenate([pose.apply(marker_points(side)) for side, pose in printed.values()])
+    view = BoardView(POINTS, STANDARD_CAMERA.project(SEEN.apply(points)), SEEN, 0.1)
+    with pytest.raises(CalibrationError, match="px off"):
+        locate_camera([view], BOARD, STANDARD_CAMERA)

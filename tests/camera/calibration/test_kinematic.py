@@ -1,0 +1,206 @@
+"""Joint zero offsets from pictures of a carried board: exact corners, noise, what cannot be told, errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.handeye import moved
+from robot_ik.camera.calibration.kinematic import ArmView, KnownPose, fit_zero_offsets, measure_errors
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.errors import CalibrationError, UnknownJointError
+from robot_ik.geometry import Pose
+from robot_ik.robot import Robot, load_robot
+
+Array = NDArray[np.float64]
+
+FRAME = "flange"
+CAMERA = Pose((0.75, -0.5, 0.45), (0.50099, -0.74367, -0.36714, 0.24733))
+BOARD = Pose((0.01, -0.02, 0.05), (0.9, 0.2, -0.3, 0.1))
+# Corners that are seen from everywhere.
+POINTS = 0.03 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+EXACT = 1e-6, 1e-6
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("tabletop_puma")
+
+
+def views_of(
+    robot: Robot, offsets: Array, count: int, seed: int, *, pixel: float = 0.0, joint: float = 0.0
+) -> list[ArmView]:
+    """What camera and servos say; ``offsets`` (nv,) rad, ``pixel`` px and ``joint`` rad of noise."""
+    rng, views = np.random.default_rng(seed), []
+    while len(views) < count:
+        q = robot.clip(robot.home + rng.uniform(0.1, 0.6) * (robot.sample(rng) - robot.home))
+        seen = CAMERA.inverse().compose(robot.forward(q + offsets, FRAME)).compose(BOARD)
+        pixels = STANDARD_CAMERA.project(seen.apply(POINTS)) + rng.normal(0, 1, (8, 2)) * pixel
+        if seen.position[2] > 0.2 and (np.abs(pixels - 300) < 400).all():
+            view = BoardView(POINTS, pixels, seen, max(pixel, 0.01))
+            views.append(ArmView(q + rng.normal(0, 1, robot.nv) * joint, view))
+    return views
+
+
+def fit(views: list[ArmView], robot: Robot, **changes: Any) -> Any:
+    known = {"camera": KnownPose.within(CAMERA, *EXACT), "board": KnownPose.within(BOARD, *EXACT)}
+    return fit_zero_offsets(views, robot, FRAME, STANDARD_CAMERA, **(known | changes))
+
+
+@settings(max_examples=4)
+@given(degrees=st.lists(st.floats(-3, 3), min_size=6, max_size=6), seed=st.integers(0, 99))
+def test_exact_corners_give_exact_offsets(robot: Robot, degrees: list[float], seed: int) -> None:
+    offsets = np.deg2rad(degrees)
+    found = fit(views_of(robot, offsets, 8, seed), robot)
+    assert found.unobservable == () and found.found == robot.joints and found.outliers == ()
+    np.testing.assert_allclose(found.offsets, offsets, atol=2e-6)
+    assert found.residual_px < 1e-2
+    assert max(one.distance for one in found.errors) < 2e-5
+
+
+def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
+    """The same pictures: whether world or hand is called the parent is a matter of names."""
+    rng, views = np.random.default_rng(5), []
+    offsets = np.deg2rad([1.0, -2.0, 1.5, 2.0, -1.0, 2.5])
+    camera, board = Pose((0.02, 0.0, -0.05)), Pose((0.3, 0.0, -0.3), (0.0, 1.0, 0.0, 0.0))
+    while len(views) < 10:
+        q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
+        seen = robot.forward(q + offsets, FRAME).compose(camera).inverse().compose(board)
+        if seen.position[2] > 0.1 and (np.abs(seen.position[:2]) < seen.position[2]).all():
+            pixels = STANDARD_CAMERA.project(seen.apply(POINTS))
+            views.append(ArmView(q, BoardView(POINTS, pixels, seen, 0.01)))
+    known = {"camera": KnownPose.within(camera, *EXACT), "board": KnownPose.within(board, *EXACT)}
+    found = fit(views, robot, mounting="eye_in_hand", **known)
+    np.testing.assert_allclose(found.offsets, offsets, atol=1e-5)
+    assert max(one.distance for one in found.errors) < 2e-5
+
+
+def test_stated_uncertainty_is_that_of_the_errors(robot: Robot) -> None:
+    """Over seeds, everything that is said to be uncertain drawn anew: pixels, joints, camera and board."""
+    camera, board = KnownPose.within(CAMERA, 5e-4, 5e-4), KnownPose.within(BOARD, 2e-4, 1e-3)
+    off, stated, noise = [], [], []
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        offsets = np.deg2rad(rng.uniform(-3, 3, 6))
+        views = views_of(robot, offsets, 12, seed, pixel=0.2, joint=5e-4)
+        said = [
+            KnownPose(moved(one.pose, rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance)
+            for one in (camera, board)
+        ]
+        found = fit(views, robot, camera=said[0], board=said[1])
+        assert found.found == robot.joints
+        off.append(found.offsets - offsets)
+        stated.append(found.sigma)
+        noise.append(found.joint_noise)
+    each = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
+    assert ((each > 0.4) & (each < 2.0)).all(), each
+    whole = float(np.sqrt(np.mean(np.square(np.array(off) / np.array(stated)))))
+    assert 0.5 < whole < 2.0
+    assert 2e-4 < np.median(noise) < 1e-3
+
+
+def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
+    offsets = np.deg2rad([2.0, -1.5, 1.0, -2.0, 2.5, -3.0])
+    views = views_of(robot, offsets, 12, 3)
+    loose = {"camera": KnownPose.within(CAMERA, 0.1, 0.2), "board": KnownPose.within(BOARD, 0.1, 0.2)}
+    found = fit(views, robot, **loose)
+    assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
+    assert found.found == ("joint2", "joint3", "joint4", "joint5")
+    words = {one.joint: one.words for one in found.unobservable}
+    assert "the offset of joint1 and the turn of the camera about z of the world" in words["joint1"]
+    assert "the offset of joint6 and the turn of the board about" in words["joint6"]
+    np.testing.assert_allclose(found.offsets[1:5], offsets[1:5], atol=np.deg2rad(0.02))
+    assert found.offsets[0] == found.offsets[5] == found.sigma[0] == found.sigma[5] == 0.0
+    # camera and board took the turns instead: the pictures are explained all the same
+    assert found.residual_px < 0.05
+    # the same pictures tell all six where camera and board are known
+    assert fit(views, robot).unobservable == ()
+    # one known place decides one of the two
+    (left,) = fit(views, robot, camera=KnownPose.within(CAMERA, *EXACT), board=loose["board"]).unobservable
+    assert left.joint == "joint6" and np.degrees(left.sigma) > 1.0
+
+
+def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
+    def seen_from_link5(one: ArmView) -> ArmView:
+        seen = CAMERA.inverse().compose(robot.forward(one.q, "link5")).compose(BOARD)
+        return ArmView(one.q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.01))
+
+    views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
+    known = KnownPose.within(CAMERA, *EXACT), KnownPose.within(BOARD, *EXACT)
+    found = fit_zero_offsets(views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1])
+    (one,) = found.unobservable
+    assert one.joint == "joint6" and one.words == "the offset of joint6 does not show in these views"
+    assert np.isinf(one.sigma)
+    held = fit_zero_offsets(
+        views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1], hold=["joint6", "joint2"]
+    )
+    assert held.unobservable == () and held.offsets[1] == held.sigma[1] == 0.0
+
+
+def test_a_pose_that_contradicts_the_others_is_named_and_not_believed(robot: Robot) -> None:
+    offsets = np.deg2rad([1.0, 2.0, -1.0, 2.0, -2.0, 1.0])
+    views = views_of(robot, offsets, 12, 4, pixel=0.1, joint=2e-4)
+    wrong = views[7].q + np.deg2rad([0, 0, 4.0, 0, 0, 0])
+    views[7] = ArmView(wrong, views[7].view)
+    found = fit(views, robot)
+    assert found.outliers == (7,)
+    np.testing.assert_allclose(found.offsets, offsets, atol=np.deg2rad(0.1))
+
+
+def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: Robot) -> None:
+    offsets = np.deg2rad([0.0, 2.0, 0.0, 0.0, 1.0, 0.0])
+    views = views_of(robot, offsets, 5, 2)
+    known = KnownPose.within(CAMERA, 1e-3, 1e-6), KnownPose.within(BOARD, 1e-6, 1e-6)
+    errors = measure_errors(views, robot, FRAME, STANDARD_CAMERA, camera=known[0], board=known[1])
+    for one, view in zip(errors, views, strict=True):
+        said, really = (robot.forward(q, FRAME).compose(BOARD) for q in (view.q, view.q + offsets))
+        np.testing.assert_allclose(one.vector, really.position - said.position, atol=1e-9)
+        np.testing.assert_allclose(one.place, said.position, atol=1e-12)
+        assert one.angle == pytest.approx(really.distance(said)[1], abs=1e-7)
+        # the camera's millimetre moves all that it sees, in three axes; the corners add little
+        assert 1.7e-3 < one.sigma < 1.9e-3
+    # a camera turned by a little moves what it sees by as much as it is far
+    turned = KnownPose.within(CAMERA, 1e-6, 1e-3), known[1]
+    errors = measure_errors(views, robot, FRAME, STANDARD_CAMERA, camera=turned[0], board=turned[1])
+    for one, view in zip(errors, views, strict=True):
+        far = float(np.linalg.norm(view.view.pose_camera_board.position))
+        assert one.sigma == pytest.approx(np.sqrt(2.0) * 1e-3 * far, rel=0.03)
+
+
+def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
+    offsets = np.deg2rad([1.0, 2.0, -1.0, 2.0, -2.0, 1.0])
+    views = views_of(robot, offsets, 12, 6, pixel=0.2, joint=1e-3)
+    camera, board = KnownPose.within(CAMERA, 1e-3, 1e-3), KnownPose.within(BOARD, 1e-3, 1e-3)
+    whole = fit(views, robot, camera=camera, board=board)
+    apart = []
+    for k in (0, 3, 6, 9):
+        view = views[k]
+        others = fit([*views[:k], *views[k + 1 :]], robot, camera=camera, board=board)
+        (one,) = measure_errors(
+            [ArmView(view.q + others.offsets, view.view)], robot, FRAME, STANDARD_CAMERA,
+            camera=KnownPose.within(others.pose_parent_camera, *EXACT),
+            board=KnownPose.within(others.pose_other_board, *EXACT),
+        )  # fmt: skip
+        apart.append((np.linalg.norm(one.vector - whole.errors[k].vector), one.distance))
+    miss, size = np.sqrt(np.mean(np.square(apart), axis=0))
+    assert miss < 0.2 * size
+
+
+def test_what_cannot_be_is_reported(robot: Robot) -> None:
+    views = views_of(robot, np.zeros(6), 4, 0)
+    with pytest.raises(CalibrationError, match="3 views are too few"):
+        fit(views[:3], robot)
+    with pytest.raises(CalibrationError, match="unknown mounting 'aside'"):
+        fit(views, robot, mounting="aside")
+    with pytest.raises(UnknownJointError, match="joint7"):
+        fit(views, robot, hold=["joint7"])
+    with pytest.raises(CalibrationError, match="positive definite"):
+        KnownPose(CAMERA, np.zeros((6, 6)))
+    with pytest.raises(CalibrationError, match="hinges and slides"):
+        fit(views, load_robot("humanoid"))

@@ -1,0 +1,207 @@
+"""Goals in time: prediction, weights, wild poses, and a marker that stays lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.camera.marker_goals import LEAST_WEIGHT, MarkerGoalSource, WhenLost, goal_weight
+from robot_ik.camera.motion_filter import OneEuro, moved
+from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.errors import CameraError, MarkerNotFoundError
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
+
+FACING = np.array([0.0, 1.0, 0.0, 0.0])
+CAMERA_IN_WORLD = Pose((0.3, 0.1, 0.6), FACING)
+HOVER = Pose((0.0, 0.0, 0.12), FACING)
+SPEED = 0.3
+BLANK = np.zeros((480, 640, 3), np.uint8)
+
+
+class ListSource(ClosingSource):
+    """Frames from a list."""
+
+    live = True
+
+    def __init__(self, frames: list[Frame]) -> None:
+        self._frames = iter(frames)
+
+    def read(self) -> Frame:
+        return next(self._frames)
+
+
+def marker_at(x: float, y: float, z: float) -> Pose:
+    return Pose((x, y, z), quat_multiply(FACING, rotation_exp([np.deg2rad(35), 0, 0])))
+
+
+@dataclass
+class Told:
+    """A tracker that is given what it sees, frame by frame: a marker at 0.4 m that goes sideways."""
+
+    poses: list[Pose | None]
+    sigma: tuple[float, float] = (2e-4, 2e-3)
+
+    def _covariance(self) -> np.ndarray:
+        return np.diag(np.repeat(np.square(self.sigma), 3))
+
+    def observe(self, picture: Frame) -> list[MarkerObservation]:
+        pose = self.poses[picture.sequence]
+        corners = np.zeros((4, 2))
+        if pose is None:
+            return []
+        return [MarkerObservation(7, corners, pose, None, 0.1, 0.0, self._covariance(), 0.1, True)]
+
+    def observe_body(self, picture: Frame, _: object) -> BodyObservation | None:
+        pose = self.poses[picture.sequence]
+        return None if pose is None else BodyObservation(pose, self._covariance(), 0.1, (1, 2))
+
+
+def reported(poses: list[Pose | None], marker: object = 7, **options: object) -> MarkerGoalSource:
+    sigma = options.pop("sigma", (2e-4, 2e-3))
+    frames = [Frame(BLANK, k / 30, k) for k in range(len(poses))]
+    tracker = Told(poses, sigma)  # type: ignore[arg-type]
+    return MarkerGoalSource(ListSource(frames), tracker, CAMERA_IN_WORLD, marker, HOVER, **options)  # type: ignore[arg-type]
+
+
+def sideways(count: int, speed: float = SPEED) -> list[Pose | None]:
+    return [marker_at(speed * k / 30, 0.0, 0.4) for k in range(count)]
+
+
+def wanted_x(time: float) -> float:
+    return float(CAMERA_IN_WORLD.compose(marker_at(SPEED * time, 0.0, 0.4)).compose(HOVER).position[0])
+
+
+@pytest.mark.parametrize("marker", [7, {1: (0.05, Pose()), 2: (0.05, Pose((0.1, 0, 0)))}])
+def test_a_goal_is_for_the_time_it_is_asked_for(marker: object) -> None:
+    """Pictures are 60 ms old when they are looked at; the goal is where the marker is by then."""
+    goals = reported(sideways(30), marker)
+    for k in range(30):
+        goal = goals.poll(k / 30 + 0.06)
+    assert isinstance(goal, PoseGoal)
+    assert goal.target.position[0] == pytest.approx(wanted_x(29 / 30 + 0.06), abs=1e-4)
+    later = goals.goal_at(29 / 30 + 0.10)  # no new picture: it goes on
+    assert later is not None and later.target.position[0] == pytest.approx(wanted_x(29 / 30 + 0.10), abs=1e-4)
+    measured = goals.measured
+    assert measured is not None
+    assert measured.target.position[0] == pytest.approx(wanted_x(29 / 30), abs=1e-4)
+    ages = goals.used.figures()
+    assert ages.count == 31 and ages.p50 == pytest.approx(0.06) and ages.longest == pytest.approx(0.10)
+
+
+def test_lead_predicts_further_and_what_is_recorded_is_not_predicted() -> None:
+    ahead, recorded = reported(sideways(20), lead=0.05), reported(sideways(20), predict=False)
+    for k in range(20):
+        one, other = ahead.poll(k / 30), recorded.poll(k / 30 + 0.1)
+    assert one is not None and other is not None
+    assert one.target.position[0] == pytest.approx(wanted_x(19 / 30 + 0.05), abs=1e-4)
+    assert other.target.position[0] == pytest.approx(wanted_x(19 / 30), abs=1e-4)
+
+
+def test_stamps_of_another_clock_are_not_compared_with_now() -> None:
+    goals = reported(sideways(20))
+    for k in range(20):
+        goal = goals.poll(5000.0 + k / 30)
+    assert goal is not None and goal.target.position[0] == pytest.approx(wanted_x(19 / 30), abs=1e-4)
+    assert goals.used.figures().count == 0
+
+
+def test_a_resting_marker_gives_one_goal_that_may_be_calmed() -> None:
+    rng = np.random.default_rng(5)
+    shaken = [moved(marker_at(0.0, 0.0, 0.4), rng.normal(0, [3e-4] * 3 + [2e-3] * 3)) for _ in range(60)]
+    noise = {}
+    for name, calm in (("as seen", None), ("calmed", OneEuro())):
+        goals, places = reported(list(shaken), sigma=(3e-4, 2e-3), calm=calm), []
+        for k in range(60):
+            goal = goals.poll(k / 30 + 0.03)
+            assert goal is goals.goal_at(k / 30 + 0.06)  # at rest nothing is predicted
+            assert goal is not None
+            places.append(goal.target.position)
+        noise[name] = np.std(places[20:], axis=0).max()
+    assert noise["calmed"] < 0.6 * noise["as seen"]
+
+
+@settings(max_examples=30)
+@given(st.floats(1e-6, 1.0), st.floats(1e-6, 1.0))
+def test_the_weight_of_a_goal_falls_with_its_uncertainty(sigma: float, trusted: float) -> None:
+    weight = goal_weight(sigma, trusted)
+    assert LEAST_WEIGHT <= weight <= 1.0
+    assert weight <= goal_weight(0.5 * sigma, trusted)
+    if LEAST_WEIGHT < weight < 1.0:
+        assert weight == pytest.approx(trusted / sigma)
+    assert goal_weight(0.0, trusted) == 1.0
+
+
+def test_goals_carry_the_weights_of_their_covariance_at_the_tool() -> None:
+    # 0.05 rad at the tool, 0.12 m away, are 6 mm, and 1 mm is trusted.
+    cases = (((1e-4, 1e-3), 1.0, 1.0), ((1e-6, 0.05), 1 / 6, 0.1745), ((0.5, 1e-4), 0.05, 1.0))
+    for sigma, metres, radians in cases:
+        goals = reported(sideways(1), sigma=sigma)
+        goal = goals.poll(0.0)
+        assert isinstance(goal, PoseGoal)
+        assert goal.angle_weight == pytest.approx(radians, abs=1e-3)
+        assert goal.position_weight == pytest.approx(metres, abs=1e-3)
+
+
+def test_a_single_wild_pose_is_no_goal() -> None:
+    poses = sideways(20, speed=0.0)
+    poses[12] = moved(marker_at(0.0, 0.0, 0.4), np.array([0.0, 0.0, 0.1, 0.0, 1.5, 0.0]))
+    goals = reported(poses)
+    seen = [goals.poll(k / 30) for k in range(20)]
+    places = np.array([goal.target.position for goal in seen if goal is not None])
+    assert len(places) == 20 and np.ptp(places, axis=0).max() < 1e-6
+
+
+def test_what_is_done_when_the_marker_stays_lost() -> None:
+    park = PostureGoal(q=np.zeros(6))
+    poses = [*sideways(5), *[None] * 100]
+    for policy in (WhenLost(), WhenLost("park", 1.0, park), WhenLost("stop", 1.0)):
+        goals = reported(list(poses), when_lost=policy)
+        for k in range(5):
+            assert isinstance(goals.poll(k / 30), PoseGoal)
+        for k in range(5, 34):
+            assert goals.poll(k / 30) is None  # first of all: hold
+        if policy.then == "stop":
+            with pytest.raises(MarkerNotFoundError, match="marker 7 has given no goal for 1 s"):
+                goals.poll(35 / 30)
+        else:
+            assert goals.poll(35 / 30) is (park if policy.then == "park" else None)
+    # It comes back: it is followed again.
+    goals = reported([None] * 40 + sideways(1), when_lost=WhenLost("park", 0.5, park))
+    assert [goals.poll(k / 30) for k in range(41)][20:40] == [park] * 20
+    assert isinstance(goals.measured, PoseGoal)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("run",), "'run'"),
+        (("stop", -1.0), "-1.0 s"),
+        (("park",), "parking"),
+        (("hold", 1.0, PositionGoal(position=(0, 0, 0))), "parking"),
+    ],
+)
+def test_a_policy_that_cannot_be_is_refused(arguments: tuple, said: str) -> None:
+    with pytest.raises(CameraError, match=said):
+        WhenLost(*arguments)
+
+
+def test_a_camera_on_the_arm_is_asked_where_it_was_when_the_picture_was_taken() -> None:
+    asked = []
+
+    def camera(time: float) -> Pose:
+        asked.append(time)
+        return Pose((0.3 + time, 0.1, 0.6), FACING)
+
+    goals = reported(sideways(3, speed=-1.0))
+    goals.pose_world_camera = camera
+    places = [goals.poll(k / 30) for k in range(3)]
+    assert asked == [0.0, 1 / 30, 2 / 30]
+    # The camera goes one way, the marker in its picture the other: it lies still.
+    assert all(goal is not None for goal in places)
+    np.testing.assert_allclose(places[2].target.position, places[0].target.position, atol=1e-5)  # type: ignore[union-attr]

@@ -1,0 +1,237 @@
+"""The camera's side: truth stays outside, recordings end, and looking never holds up the loop."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from robot_ik.camera.marker_goals import LatestGoals
+from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.errors import (
+    CalibrationError,
+    CameraError,
+    ConfigError,
+    FrameTimeoutError,
+    MarkerNotFoundError,
+)
+from robot_ik.geometry import Pose
+from robot_ik.jobs.reach import ReachReport
+from robot_ik.jobs.scene import scene_for
+from robot_ik.jobs.vision import Wandering
+from robot_ik.ports import RealClock, VirtualClock
+from robot_ik.robot import load_robot
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """photo.png, blank.png, film.avi (the marker moves 2 mm a picture), pictures/ and the calibration."""
+    folder = tmp_path_factory.mktemp("photos")
+    robot = load_robot("puma560")
+    scene = scene_for(robot)
+    synthetic = scene.synthetic(robot)
+    source = SyntheticSource(synthetic, lambda: robot.home, quality="fast")
+    scene.intrinsics.save(folder / "camera.yaml")
+    cv2.imwrite(str(folder / "photo.png"), source.read().image)
+    source.scene = synthetic.blank(scene.marker_id)
+    cv2.imwrite(str(folder / "blank.png"), source.read().image)
+    (folder / "pictures").mkdir()
+    cv2.imwrite(str(folder / "pictures" / "a1.png"), cv2.imread(str(folder / "blank.png")))
+    cv2.imwrite(str(folder / "pictures" / "a2.png"), cv2.imread(str(folder / "photo.png")))
+    film = cv2.VideoWriter(
+        str(folder / "film.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 15, scene.intrinsics.size
+    )
+    home = scene.pose_world_marker
+    for k in range(12):
+        moved = Pose(np.add(home.position, [0.002 * k, 0.0, 0.0]), home.wxyz)
+        source.scene = synthetic.with_marker(scene.marker_id, pose=moved)
+        film.write(source.read().image)
+    film.release()
+    return folder
+
+
+@pytest.fixture
+def look(reach: Any, photos: Path) -> Any:
+    """A run that looks at a file of ``photos``, with its calibration."""
+
+    def run(name: str, **request: Any) -> ReachReport:
+        settings = {"intrinsics": photos / "camera.yaml", "marker_size": 0.1, "bus": "none", **request}
+        report: ReachReport = reach(camera=str(photos / name), **settings)
+        return report
+
+    return run
+
+
+def test_no_picture_with_truth_ever_reaches_a_tracker(monkeypatch: pytest.MonkeyPatch, reach: Any) -> None:
+    seen = []
+    for name in ("observe", "observe_body"):
+        real = getattr(MarkerTracker, name)
+
+        def spy(self: Any, frame: Any, *rest: Any, real: Any = real) -> Any:
+            seen.append(frame.truth)
+            return real(self, frame, *rest)
+
+        monkeypatch.setattr(MarkerTracker, name, spy)
+    assert reach(follow=1.0).reached
+    assert len(seen) > 5 and all(truth is None for truth in seen)
+
+
+def test_a_lying_truth_changes_nothing_but_the_remark(
+    monkeypatch: pytest.MonkeyPatch, reach: Any, healthy: ReachReport
+) -> None:
+    lie = Pose((9.0, 9.0, 9.0))
+    lies = {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
+    monkeypatch.setattr(SyntheticSource, "_truth", lambda self, *rest: lies)
+    report = reach()
+    assert report.reached and report.seen.true_pose is lie
+    np.testing.assert_array_equal(report.target.position, healthy.target.position)  # type: ignore[union-attr]
+    assert report.by_camera.position == healthy.by_camera.position  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", ["photo.png", "pictures", "film.avi"])
+def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachReport) -> None:
+    report = look(name)
+    assert report.reached and report.by_camera is None and "recorded" in report.verdict
+    assert report.seen.true_pose is None
+    scene = report.vision.scene
+    assert report.seen.pose_world_marker.distance(scene.pose_world_marker)[0] < 1.5e-3
+    camera = scene.pose_world_camera.inverse().compose(scene.pose_world_marker)
+    assert report.seen.observation.pose.distance(camera)[0] < 1.5e-3
+
+
+def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None:
+    scene = healthy.vision.scene  # type: ignore[union-attr]
+    moved = Pose(np.add(scene.pose_world_camera.position, [0.02, 0.0, 0.0]), scene.pose_world_camera.wxyz)
+    report = look("photo.png", pose_world_camera=moved)
+    shift = report.target.position - healthy.target.position  # type: ignore[union-attr]
+    np.testing.assert_allclose(shift, [0.02, 0, 0], atol=1e-3)
+
+
+def test_a_photograph_without_the_marker_ends(look: Any) -> None:
+    report = look("blank.png")
+    assert isinstance(report.problem, MarkerNotFoundError) and not report.reached
+    assert "in view: 20, 23" in str(report.problem)  # the gripper's
+    report = look("photo.png", marker_id=3)
+    assert isinstance(report.problem, MarkerNotFoundError) and "marker 3" in str(report.problem)
+
+
+def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
+    report = look("film.avi", follow=1.5, bus="sim")
+    assert report.reached
+    home = report.vision.scene.pose_world_marker.position
+    np.testing.assert_allclose(report.seen.pose_world_marker.position - home, [0.022, 0, 0], atol=2e-3)
+    tool = report.robot.forward(report.setup.true_q(), "gripper").position
+    assert np.linalg.norm(tool - report.target.position) < 3e-3
+    assert report.following.held > 20  # the film is shorter
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"intrinsics": None}, CalibrationError, "--intrinsics"),
+        ({"marker_size": None}, CameraError, "--marker-size"),
+        ({"marker_size": -0.1}, CameraError, "size"),
+        ({"dictionary": "DICT_5X5_5"}, CameraError, "DICT_5X5_50"),
+        ({"marker_id": 99}, CameraError, "99"),
+        ({"follow": 1.0}, ConfigError, "photograph"),
+        ({"rehearse": {"cover_gripper": True}}, ConfigError, "synthetic"),
+    ],
+)
+def test_wrong_input(change: dict[str, Any], error: type[Exception], said: str, look: Any) -> None:
+    with pytest.raises(error) as caught:
+        look("photo.png", **change)
+    assert said in f"{caught.value} {getattr(caught.value, 'hint', '')}"
+
+
+def test_a_calibration_for_another_size(look: Any, photos: Path) -> None:
+    picture = cv2.imread(str(photos / "photo.png"))
+    cv2.imwrite(str(photos / "small.png"), cv2.resize(picture, (640, 360)))
+    with pytest.raises(CalibrationError, match="1280x720"):
+        look("small.png")
+
+
+def test_the_pushed_marker_rests_wanders_and_rests() -> None:
+    path = Wandering(Pose((0.1, 0.2, 0.3)), 10.0, 6.0, 0.05)
+    early, late = path(9.0).position, path(30.0).position
+    np.testing.assert_array_equal(path(10.0).position, early)
+    np.testing.assert_array_equal(path(14.5).position, late)  # still for the last second and a half
+    assert np.linalg.norm(late - early) > 0.03
+    places = np.array([path(t).position for t in np.linspace(9, 17, 801)])
+    assert np.abs(np.diff(places, axis=0)).max() < 0.003 and np.ptp(places[:, 2]) == 0.0
+
+
+class Counting:
+    """A goal source that counts; raises what it is asked to."""
+
+    def __init__(self, delay: float = 0.0) -> None:
+        self.count, self.delay, self.error = 0, delay, None
+
+    def poll(self, now: float) -> int:
+        time.sleep(self.delay)
+        if self.error is not None:
+            raise self.error
+        self.count += 1
+        return self.count
+
+
+def test_on_virtual_time_pictures_come_at_their_rate() -> None:
+    goals, clock = Counting(), VirtualClock()
+    with LatestGoals(goals, clock, 10.0) as latest:
+        for k in range(100):
+            clock.sleep_until(0.01 * k)
+            assert latest.poll(clock.now()) == goals.count
+    assert goals.count == 10
+    goals.error = FrameTimeoutError("over")
+    with LatestGoals(goals, clock, 10.0) as latest:
+        assert latest.poll(clock.now()) is None and latest.ended
+
+
+class Predicting(Counting):
+    """Looks, and tells the goal at any time."""
+
+    def look(self, now: float, *, wait: bool = False) -> None:
+        self.poll(now)
+
+    def goal_at(self, now: float) -> tuple[int, float]:
+        return self.count, now
+
+
+def test_a_source_that_predicts_is_asked_at_each_ticks_own_time() -> None:
+    goals, clock = Predicting(), VirtualClock()
+    with LatestGoals(goals, clock, 10.0) as latest:
+        for k in range(30):
+            clock.sleep_until(0.01 * k)
+            assert latest.poll(clock.now()) == (1 + k // 10, clock.now())
+    with LatestGoals(Predicting(delay=0.1), RealClock(), None) as latest:
+        assert latest.poll(7.0)[1] == 7.0  # nobody waits for the first picture
+
+
+def test_looking_never_holds_up_the_loop() -> None:
+    goals, clock, before = Counting(delay=0.2), RealClock(), sys.getswitchinterval()
+    with LatestGoals(goals, clock, None) as latest:
+        begin = time.monotonic()
+        while latest.poll(clock.now()) is None:
+            assert time.monotonic() - begin < 30.0
+        slowest = 0.0
+        for _ in range(200):
+            begin = time.monotonic()
+            latest.poll(clock.now())
+            slowest = max(slowest, time.monotonic() - begin)
+        assert slowest < 0.2
+        assert latest.poll(clock.now() + 1.0) is None  # history
+    assert sys.getswitchinterval() == before
+
+
+def test_what_looking_raises_comes_out_in_the_loop() -> None:
+    goals = Counting()
+    goals.error = CameraError("lens cap")
+    with LatestGoals(goals, RealClock(), None) as latest, pytest.raises(CameraError, match="lens cap"):
+        for _ in range(3000):
+            latest.poll(time.monotonic())
+            time.sleep(0.01)

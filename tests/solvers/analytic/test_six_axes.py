@@ -1,0 +1,246 @@
+"""Closed forms: random arms of lines in space, so that nothing but the geometry can be recognised."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_ik.errors import UnsupportedGoalError
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.inverse_kinematics import solve, solve_all
+from robot_ik.problem import Problem
+from robot_ik.robot import load_robot
+from robot_ik.solution import Status
+from robot_ik.solvers import make_solver
+
+TIGHT = Tolerance(position=1e-6, angle=1e-6)
+ARMS = ("spherical", "parallel", "shoulder")
+
+
+def unit(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def across(rng, axis):
+    v = np.cross(axis, unit(rng))
+    return v / np.linalg.norm(v)
+
+
+def spherical_axes(rng):
+    """Six lines: 2 and 3 parallel (3 perhaps the other way round), the last three through one point."""
+    u = unit(rng)
+    wrist = rng.normal(size=3)
+    h = [unit(rng), u, u * rng.choice([-1, 1]), unit(rng), unit(rng), unit(rng)]
+    p = [rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.5]
+    return h, [*p, *(wrist + axis * rng.normal() for axis in h[3:])]
+
+
+def parallel_axes(rng):
+    """Six lines: 2, 3 and 4 parallel, the last two meet."""
+    u = unit(rng)
+    h = [unit(rng), u, u * rng.choice([-1, 1]), u * rng.choice([-1, 1]), across(rng, u), unit(rng)]
+    meet = rng.normal(size=3) * 0.4
+    p = [rng.normal(size=3) * 0.4 for _ in range(4)]
+    return h, [*p, meet + h[4] * rng.normal(), meet + h[5] * rng.normal()]
+
+
+def axes_of(rng, family):
+    """Directions and points of six axes; a spherical shoulder is a spherical wrist from behind."""
+    h, p = parallel_axes(rng) if family == "parallel" else spherical_axes(rng)
+    return (h[::-1], p[::-1]) if family == "shoulder" else (h, p)
+
+
+def arm_from_axes(rng, path, h, p, limit=None):
+    """Writes an MJCF whose bodies have arbitrary names and frames but whose joint axes are these lines."""
+    base = Pose(rng.normal(size=3), rng.normal(size=4))
+    limits = "" if limit is None else f' limited="true" range="{-limit} {limit}"'
+    text, world = "", Pose()
+    for axis, point in zip(h, p, strict=True):
+        body = Pose(rng.normal(size=3) * 0.2, rng.normal(size=4))
+        local = world.inverse().compose(body)
+        a, x = body.inverse().rotation @ axis, body.inverse().apply(point)
+        name = "".join(rng.choice(list("abcdefgh"), 12))
+        text += (
+            f'<body name="b_{name}" pos="{row(local.position)}" quat="{row(local.wxyz)}">'
+            f'<joint name="j_{name}" axis="{row(a)}" pos="{row(x)}"{limits}/><geom size="0.01"/>'
+        )
+        world = body
+    tool = Pose(rng.normal(size=3) * 0.2, rng.normal(size=4))
+    text += f'<site name="tool" pos="{row(tool.position)}" quat="{row(tool.wxyz)}"/>' + "</body>" * len(h)
+    path.write_text(
+        f'<mujoco><compiler angle="radian"/><worldbody><body pos="{row(base.position)}" '
+        f'quat="{row(base.wxyz)}"><geom size="0.01"/>{text}</body></worldbody></mujoco>'
+    )
+    return load_robot(path)
+
+
+def row(values):
+    return " ".join(repr(float(v)) for v in values)
+
+
+def random_arm(rng, tmp_path, family, **options):
+    return arm_from_axes(rng, tmp_path / "arm.xml", *axes_of(rng, family), **options)
+
+
+@pytest.mark.parametrize("family", ARMS)
+@pytest.mark.parametrize("seed", range(8))
+def test_every_branch_meets_the_goal_and_the_sampled_one_is_among_them(family, seed, tmp_path):
+    rng = np.random.default_rng([seed, ARMS.index(family)])
+    robot = random_arm(rng, tmp_path, family)
+    for _ in range(6):
+        q = rng.uniform(-np.pi, np.pi, 6)
+        goal = PoseGoal.at("tool", robot.forward(q))
+        found = solve_all(robot, goal, start=q)
+        assert 1 <= len(found) <= 8
+        for branch in found:
+            assert max(robot.measure(branch.q, "tool").distance(goal.target)) < 1e-7
+        assert np.abs(found[0].q - q).max() < 1e-6  # nearest to the start, and the start is one of them
+        distances = [np.sum((b.q - q) ** 2) for b in found]
+        assert distances == sorted(distances)
+        assert len({b.name for b in found}) == len(found)
+
+
+@pytest.mark.parametrize("family", ARMS)
+def test_a_millimetre_off_the_geometry_is_not_recognised(family, tmp_path):
+    rng = np.random.default_rng(5)
+    h, p = axes_of(rng, family)
+    moved = 0 if family == "shoulder" else 5
+    p[moved] = p[moved] + 1e-3 * across(rng, h[moved])
+    robot = arm_from_axes(rng, tmp_path / "arm.xml", h, p)
+    goal = PoseGoal.at("tool", robot.forward(rng.uniform(-2, 2, 6)))
+    with pytest.raises(UnsupportedGoalError, match="no closed form"):
+        solve(robot, goal, solver="analytic")
+    assert solve(robot, goal).solver == "lm"  # and auto does not need it
+
+
+def test_goals_without_a_closed_form_are_refused_by_name():
+    robot = load_robot("puma560")
+    for goal in (OrientationGoal("gripper", (1, 0, 0, 0)), PositionGoal("gripper", (-0.4, 0, 0.8))):
+        with pytest.raises(UnsupportedGoalError, match="lm"):
+            solve(robot, goal, solver="analytic")
+        assert solve(robot, goal).converged
+
+
+@pytest.mark.parametrize("robot_name", ["puma560", "ur5e"])
+def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_name):
+    robot = load_robot(robot_name)
+    rng = np.random.default_rng(3)
+    solver = make_solver("analytic")
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=TIGHT)
+    for _ in range(60):
+        q = robot.sample(rng)
+        q[4] = 0.0  # axes 4 and 6 in line (PUMA), axis 6 parallel to 2, 3 and 4 (UR)
+        problem.retarget(robot.forward(q))
+        assert solver.solve(problem).converged
+        near = solver.solve(problem, q + 1e-3 * rng.normal(size=6))
+        assert near.converged and np.abs(near.q - q).max() < 0.02
+
+
+def test_a_stretched_elbow_is_solved():
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(4)
+    stretched = np.arctan2(-0.0203, 0.4318) - np.pi / 2
+    for _ in range(40):
+        q = robot.sample(rng)
+        q[2] = stretched
+        solution = solve(robot, PoseGoal.at("gripper", robot.forward(q)), solver="analytic", tolerance=TIGHT)
+        assert solution.converged, (q, solution)
+
+
+def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
+    rng = np.random.default_rng(6)
+    robot = random_arm(rng, tmp_path, "spherical", limit=0.4)
+    beyond = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 0.0])
+    free = random_arm(np.random.default_rng(6), tmp_path, "spherical")
+    goal = PoseGoal.at("tool", free.forward(beyond))
+    assert solve_all(robot, goal) == ()
+    assert len(solve_all(robot, goal, limits=False)) >= 1
+    alone = solve(robot, goal, solver="analytic")
+    assert alone.status is Status.UNREACHABLE and np.array_equal(alone.q, robot.home)
+    nearest = solve(robot, goal)
+    assert nearest.status is Status.UNREACHABLE
+    assert nearest.misses[0].position < alone.misses[0].position and not robot.outside(nearest.q)
+
+
+# lm, which auto asks first near the goal, ends inside the tolerance; the closed form ends at its middle.
+@pytest.mark.parametrize(("name", "off"), [("auto", 1e-4), ("analytic", 1e-6)])
+def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
+    rng = np.random.default_rng(8)
+    robot = random_arm(rng, tmp_path, "spherical", limit=6.2)
+    q0 = rng.uniform(-0.5, 0.5, 6)
+    problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT)
+    solver, q = make_solver(name), q0
+    for t in np.linspace(0.0, 1.0, 400):
+        wanted = q0 + t * np.array([5.0, 0.3, -0.3, 0.2, 0.2, 5.0])
+        problem.retarget(robot.forward(wanted))
+        solution = solver.solve(problem, q)
+        assert solution.converged and np.abs(solution.q - wanted).max() < off
+        q = solution.q
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    u = unit(rng)
+    robot = arm_from_axes(
+        rng,
+        tmp_path / "arm.xml",
+        [u, u * (-1) ** seed],
+        [rng.normal(size=3) * 0.3] * 1 + [rng.normal(size=3)],
+    )
+    q = rng.uniform(-2, 2, 2)
+    place = robot.forward(q, "tool").position
+    found = solve_all(robot, PositionGoal("tool", place), start=q)
+    assert len(found) == 2 and np.abs(found[0].q - q).max() < 1e-6
+    for branch in found:
+        assert np.linalg.norm(robot.measure(branch.q, "tool").position - place) < 1e-9
+    normal = robot.forward(q, "tool")  # any motion of the joints keeps the height over the plane
+    axis = np.cross(*(robot.jacobian(a, "tool")[:3, 0] for a in ((0.0, 0.0), (1.0, 0.7))))
+    axis /= np.linalg.norm(axis)
+    for height, status in (
+        (0.05, Status.UNREACHABLE),
+        (1.1e-4, Status.UNREACHABLE),
+        (0.9e-4, Status.CONVERGED),
+    ):
+        off = PositionGoal("tool", normal.position + height * axis)
+        assert solve(robot, off, solver="analytic", tolerance=Tolerance(position=1e-4)).status is status
+
+
+def test_a_goal_a_little_beyond_a_limit_is_reached_within_its_tolerance():
+    # The exact target has no branch inside the limits, but one within tolerance of it has.
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(0)
+    for i in range(90):
+        q = robot.sample(rng)
+        q[i % 6] = robot.upper[i % 6] + 2e-5
+        goal = PoseGoal.at("gripper", robot.forward(q))
+        near = robot.forward(robot.clip(q)).distance(goal.target)
+        assert near[0] < 1e-4 and near[1] < 1e-3
+        solution = solve(robot, goal)
+        assert solution.converged and not robot.outside(solution.q)
+
+
+def test_far_beyond_every_link_is_proven(tmp_path):
+    robot = load_robot("puma560")
+    far = solve(robot, PoseGoal("gripper", (3.0, 0.0, 1.0)), solver="analytic")
+    assert far.status is Status.UNREACHABLE and np.array_equal(far.q, robot.home)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32), family=st.sampled_from(ARMS))
+def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(
+    seed, family, tmp_path_factory
+):
+    rng = np.random.default_rng(seed)
+    robot = random_arm(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
+    solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
+    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance)
+    for _ in range(40):
+        luck = rng.random(6)
+        q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))
+        pose = robot.forward(q)
+        turned = quat_multiply(rotation_exp(0.9999 * tolerance.angle * unit(rng)), pose.wxyz)
+        problem.retarget(Pose(pose.position + 0.9999 * tolerance.position * unit(rng), turned))
+        assert solver.solve(problem).status is not Status.UNREACHABLE

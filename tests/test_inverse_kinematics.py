@@ -1,0 +1,265 @@
+"""The front door: names, options, defaults, and what is refused."""
+
+import dataclasses
+import gc
+import sys
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import robot_ik as rik
+from robot_ik.errors import (
+    ConfigError,
+    InvalidGoalError,
+    ModelError,
+    RobotIkError,
+    UnknownSolverError,
+    UnsupportedGoalError,
+)
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.problem import Budget, Problem
+from robot_ik.solvers import SOLVERS, able_solvers, make_solver
+from robot_ik.solvers.base import IterativeSolver, Solver
+
+ITERATIVE = [name for name, kind in SOLVERS.items() if issubclass(kind, IterativeSolver)]
+
+
+@pytest.fixture(scope="module")
+def puma():
+    return rik.load_robot("puma560")
+
+
+@pytest.fixture(scope="module")
+def goal(puma):
+    return PoseGoal.at(None, puma.forward(puma.home + 0.3))
+
+
+def test_the_table_of_solvers_is_a_mapping_that_also_knows_auto():
+    assert {"auto", "lm", "dls", "ccd"} <= set(SOLVERS) and len(SOLVERS) == len(list(SOLVERS))
+    assert "none" not in SOLVERS
+    for name, kind in SOLVERS.items():
+        assert issubclass(kind, Solver) and kind.name == name and kind.title and kind.source
+    with pytest.raises(UnknownSolverError, match="did you mean 'dls'") as caught:
+        SOLVERS["dlss"]
+    assert "auto" in caught.value.known
+
+
+@pytest.mark.parametrize("name", ITERATIVE)
+def test_every_option_says_what_it_is_and_keeps_its_range(name):
+    kind = SOLVERS[name]
+    for field in dataclasses.fields(kind):
+        meta = field.metadata
+        assert meta["help"]
+        if meta["choices"]:
+            assert field.default in meta["choices"]
+            with pytest.raises(ConfigError, match=rf"solver {name}: {field.name}: .* no choice"):
+                kind(**{field.name: "none of them"})
+            continue
+        if isinstance(field.default, bool):
+            continue
+        assert meta["low"] <= field.default <= meta["high"]
+        with pytest.raises(ConfigError, match=rf"solver {name}: {field.name}: .* out of range"):
+            kind(**{field.name: type(field.default)(meta["high"] * 2 + 1)})
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        kind().restarts = 3
+    assert kind(restarts=7) == kind(restarts=7) != kind(restarts=8)
+
+
+def test_options_go_through_by_name(puma, goal):
+    assert make_solver("lm", restarts=5).restarts == 5
+    ready = make_solver("dls", damping=0.1)
+    assert make_solver(ready) is ready
+    with pytest.raises(ConfigError, match=r"unknown option \(did you mean 'damping'\?\)(.|\n)*patience"):
+        rik.solve(puma, goal, solver="lm", dampin=0.1)
+    with pytest.raises(ConfigError, match="out of range"):
+        rik.solve(puma, goal, solver="dls", damping=-1.0)
+
+
+def test_an_instance_takes_no_options(puma, goal):
+    with pytest.raises(ConfigError, match="restarts"):
+        rik.solve(puma, goal, solver=make_solver("dls"), restarts=3)
+
+
+@pytest.mark.parametrize("name", [name for name in ITERATIVE if rik.PoseGoal in SOLVERS[name].goals])
+def test_the_answer_names_the_method_that_found_it(puma, goal, name):
+    solution = rik.solve(puma, goal, solver=name, tolerance=rik.Tolerance(1e-3, 1e-2))
+    assert solution.solver == name and solution.converged and solution.seconds > 0
+
+
+def test_defaults_are_home_a_tenth_of_a_millimetre_and_a_milliradian(puma, goal):
+    solution = rik.solve(puma, goal)
+    assert solution.miss.position <= 1e-4 and solution.miss.angle <= 1e-3
+    again = rik.solve(puma, goal, start=puma.home, tolerance=rik.Tolerance(1e-4, 1e-3), seed=0)
+    assert np.array_equal(solution.q, again.q)
+    other = rik.solve(puma, goal, solver="lm", start=puma.home + 0.25)
+    assert not np.array_equal(rik.solve(puma, goal, solver="lm").q, other.q)
+
+
+def test_wrong_starts_are_refused(puma, goal):
+    with pytest.raises(ModelError, match=r"start must have shape \(6,\)"):
+        rik.solve(puma, goal, start=[0, 0])
+    with pytest.raises(ModelError, match="start must be finite"):
+        rik.solve(puma, goal, start=[np.nan] * 6)
+
+
+def test_a_kind_of_goal_that_a_method_cannot_serve_is_reported_with_those_that_can(puma, monkeypatch):
+    monkeypatch.setattr(SOLVERS["ccd"], "goals", (PositionGoal,))
+    able = able_solvers(rik.Problem(puma, OrientationGoal(None, (1, 0, 0, 0))))
+    assert "lm" in able and "ccd" not in able
+    with pytest.raises(UnsupportedGoalError, match=r"'ccd' cannot serve a pose goal(.|\n)*lm, dls"):
+        rik.solve(puma, PoseGoal(None, (0, 0, 1)), solver="ccd")
+
+
+def test_a_goal_of_no_kind_is_refused(puma):
+    with pytest.raises(InvalidGoalError, match="says nothing"):
+        rik.solve(puma, Goal("gripper"))
+
+
+def test_a_new_method_needs_no_other_change():
+    """A kernel of its own and a name: all that a subclass must give."""
+    assert IterativeSolver.__abstractmethods__ == {"kernel"}
+
+
+def test_every_lazy_name_of_the_package_is_there():
+    assert set(rik.__all__) == {*rik._MODULE_OF, "__version__"} == set(dir(rik))
+    for name in rik.__all__:
+        assert getattr(rik, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = rik.nothing
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """How many problems the front door compiles."""
+    made = []
+
+    class Counted(Problem):
+        def __init__(self, *args, **options):
+            made.append(args)
+            super().__init__(*args, **options)
+
+    monkeypatch.setattr(sys.modules["robot_ik.inverse_kinematics"], "Problem", Counted)
+    return made
+
+
+def fresh_answer(robot, goal, name, start, budget, seed):
+    problem = Problem(robot, goal, budget=budget, seed=seed)
+    return make_solver(name).solve(problem, start)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_loop_of_calls_compiles_once_and_remembers_no_answer(name, compiled):
+    robot = rik.load_robot("puma560")
+    rng = np.random.default_rng(3)
+    kind = PoseGoal if PoseGoal in SOLVERS[name].goals else PositionGoal
+    weight = "position_weight" if kind is PoseGoal else "weight"
+    cases = []
+    for _ in range(12):
+        position = robot.forward(robot.sample(rng)).position
+        goal = kind(None, position * rng.choice([1.0, 4.0]), **{weight: rng.uniform(0.5, 2.0)})
+        budget = Budget(int(rng.integers(5, 300)), restarts=int(rng.integers(3)))
+        cases.append((goal, robot.sample(rng), budget, int(rng.integers(9))))
+    for k in [*range(12), *rng.permutation(12)]:
+        goal, start, budget, seed = cases[k]
+        found = rik.solve(robot, goal, solver=name, start=start, budget=budget, seed=seed)
+        wanted = fresh_answer(robot, goal, name, start, budget, seed)
+        assert np.array_equal(found.q, wanted.q) and found.status is wanted.status
+        assert (found.iterations, found.restarts) == (wanted.iterations, wanted.restarts)
+        assert found.goals == (goal,) and found.miss == wanted.miss
+    assert len(compiled) == 1
+
+
+def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_their_own(compiled):
+    robot = rik.load_robot("puma560")
+    pose = robot.forward(robot.home + 0.1)
+    calls = [
+        lambda: rik.solve(robot, PoseGoal.at(None, pose)),
+        lambda: rik.solve(robot, PoseGoal.at("flange", pose)),
+        lambda: rik.solve(robot, PositionGoal(None, pose.position)),
+        lambda: rik.solve(robot, PositionGoal(None, pose.position, axes="xy")),
+        lambda: rik.solve(robot, [PoseGoal.at(None, pose), PositionGoal("flange", pose.position)]),
+        lambda: rik.solve(robot, PoseGoal.at(None, pose), solver="lm"),
+        lambda: rik.solve(robot, PoseGoal.at(None, pose), solver="lm", restarts=7),
+        lambda: rik.solve(robot, PoseGoal.at(None, pose), tolerance=rik.Tolerance(1e-6, 1e-6)),
+        lambda: rik.solve(robot, PoseGoal.at(None, pose, ), solver=make_solver("dls", damping=0.3)),
+        lambda: rik.solve_all(robot, PoseGoal.at(None, pose)),
+        lambda: rik.solve_batch(robot, [pose], solver="dls"),
+    ]  # fmt: skip
+    answers = [call() for call in calls]
+    assert len(compiled) == len(calls)
+    for call, before in zip(calls, answers, strict=True):
+        again = call()
+        if isinstance(before, tuple):
+            assert [b.name for b in again] == [b.name for b in before]
+        else:
+            assert np.array_equal(again.q, before.q)
+    assert len(compiled) == len(calls)
+
+
+def test_what_is_kept_is_bounded_and_goes_with_its_robot(compiled):
+    robot = rik.load_robot("puma560")
+    pose = robot.forward(robot.home + 0.1)
+    for k in range(60):
+        rik.solve(robot, PositionGoal(None, pose.position, length=0.1 + 0.01 * k), solver="lm")
+    problems = [one for one in gc.get_objects() if isinstance(one, Problem)]
+    found = [one for one in problems if one.robot is robot]
+    assert 1 <= len(found) <= 20
+    gone = weakref.ref(robot)
+    compiled.clear()
+    del robot, found, problems
+    gc.collect()
+    assert gone() is None
+
+
+def test_calls_in_several_threads_never_meet(puma):
+    rng = np.random.default_rng(5)
+    goals = [PoseGoal.at(None, puma.forward(puma.sample(rng))) for _ in range(12)]
+    alone = [rik.solve(puma, goal, solver="lm").q for goal in goals]
+
+    def many(_):
+        return all(
+            np.array_equal(rik.solve(puma, goal, solver="lm").q, q)
+            for _ in range(10)
+            for goal, q in zip(goals, alone, strict=True)
+        )
+
+    with ThreadPoolExecutor(8) as pool:
+        assert all(pool.map(many, range(8)))
+
+
+def test_an_error_leaves_the_next_call_alone(puma, goal):
+    wanted = rik.solve(puma, goal).q
+    for wrong in ({"start": [0, 0]}, {"start": [np.nan] * 6}, {"seed": 0.5}, {"budget": 3}, {"tolerance": 1}):
+        with pytest.raises(RobotIkError):
+            rik.solve(puma, goal, **wrong)
+    with pytest.raises(UnsupportedGoalError):
+        rik.solve(puma, goal, solver="recursive")
+    assert np.array_equal(rik.solve(puma, goal).q, wanted)
+    with pytest.raises(ModelError, match="needs a robot"):
+        rik.solve("puma560", goal)
+
+
+def test_all_branches_of_a_pose_of_an_array_and_of_a_list(puma, goal):
+    wanted = rik.solve_all(puma, goal)
+    pose = goal.target
+    for given in (pose, pose.matrix):
+        found = rik.solve_all(puma, given)
+        assert [b.name for b in found] == [b.name for b in wanted]
+        assert np.allclose([b.q for b in found], [b.q for b in wanted])
+    several = rik.solve_all(puma, [goal, pose, PoseGoal.at(None, puma.forward(puma.home))])
+    assert [b.name for b in several[0]] == [b.name for b in several[1]] == [b.name for b in wanted]
+    assert len(several) == 3 and all(len(branches) for branches in several)
+    assert len(rik.solve_all(puma, np.array([pose.matrix] * 2))) == 2
+
+
+def test_warming_up_serves_every_method_and_refuses_what_a_solve_would(puma, goal):
+    for name in SOLVERS:
+        kind = goal if PoseGoal in SOLVERS[name].goals else PositionGoal(None, (0.1, 0.2, 0.3))
+        rik.warm_up(puma, kind, solver=name)
+    rik.warm_up(puma, [goal, PositionGoal("flange", (0, 0, 1))], solver="lm", restarts=3)
+    with pytest.raises(UnsupportedGoalError):
+        rik.warm_up(puma, goal, solver="recursive")
+    with pytest.raises(UnknownSolverError):
+        rik.warm_up(puma, solver="none")
