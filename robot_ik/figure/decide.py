@@ -239,27 +239,25 @@ class Decider:
 
     def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
-        stands, balls, names = [], [], []
-        for arm in self.figure.hands:
+        stands, balls, sides, arms = [], [], [], list(self.figure.hands)
+        headings = _HEADINGS + stance[2]
+        turns = rotation("z", headings)[:, :2, :2]
+        for side, arm in enumerate(arms):
             if kind == "jump":
                 cells = self.abilities.under(arm)[None]
             else:
                 cells = self.abilities.maps[kind, arm].comfortable(float(ball[2]))
-            if not len(cells):
-                continue
-            for heading in _HEADINGS + stance[2]:
-                at = ball[:2] - cells @ rotation("z", heading)[:2, :2].T
-                stands.append(np.column_stack([at, np.full(len(at), heading)]))
-                balls.append(np.column_stack([cells, np.full(len(cells), ball[2])]))
-                names += [arm] * len(cells)
-        if not stands:
-            return []
-        points, locals_ = np.concatenate(stands), np.concatenate(balls)
+            at = ball[:2] - np.einsum("hij,cj->hci", turns, cells)
+            stands.append(np.column_stack([at.reshape(-1, 2), np.repeat(headings, len(cells))]))
+            seen = np.column_stack([cells, np.full(len(cells), ball[2])])
+            balls.append(np.tile(seen, (len(headings), 1)))
+            sides.append(np.full(len(headings) * len(cells), side))
+        points, locals_, which = np.concatenate(stands), np.concatenate(balls), np.concatenate(sides)
         way = points[:, :2] - stance[:2]
         turn = np.abs((points[:, 2] - stance[2] + np.pi) % (2 * np.pi) - np.pi)
         far = np.linalg.norm(way, axis=1)
         # Comfortable: the ball before the chest on the side of the arm, half an arm away.
-        aside = np.array([0.2 if name == "left" else -0.2 for name in names])
+        aside = np.array([0.2 if arm == "left" else -0.2 for arm in arms])[which]
         comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - aside)
         cost = far + _PER_RADIAN * turn + 0.8 * comfort
         cost[~self.free(points[:, :2])] = np.inf
@@ -267,7 +265,7 @@ class Decider:
         picks = [i for i in order if np.isfinite(cost[i])]
         # Alternatives that differ: the best, then those some way from it.
         spread = [i for n, i in enumerate(picks) if n < 2 or n % 4 == 0]
-        return [(points[i], names[i], locals_[i]) for i in spread]
+        return [(points[i], arms[which[i]], locals_[i]) for i in spread]
 
     def free(self, xy: Array) -> NDArray[np.bool_]:
         """(n,) whether the body, a disc, may stand there."""
