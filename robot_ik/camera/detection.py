@@ -43,11 +43,11 @@ _LEAST_CELL = 1.2
 # A thorough search: thresholds look at so many pixels around, and an outline may leave its polygon by so much
 # of its length.  A wide view in a bent lens is less square than OpenCV's 3 % allows; of a strongly tilted
 # marker 5 % is more than its short side.  Wider windows find no more, and take twice the time.  The second
-# search is of a picture without its finest grain: most outlines are noise, and cost two thirds of the time.
-# The first one is for cells as small as that grain.
+# search is of a picture smoothed a little: most outlines are noise, and cost two thirds of the time.
+# The first one is for cells as small as what that takes away.
 _SEARCHES = ((5, 0.05), (13, 0.02))
-# Grain that is smoothed away, px: a kernel of (1, 2, 1) / 4 each way.
-_GRAIN = (3, 3)
+# What is smoothed away, px: a kernel of (1, 2, 1) / 4 each way.
+_SMOOTHED = (3, 3)
 # Where a marker is expected it is looked for down to this part of its size.
 _SHRINK = 0.6
 # Thresholds of the quick search look at so many pixels around, px: fine enough for a cell of 2 px.
@@ -162,7 +162,7 @@ class MarkerDetector:
             found = self._search(gray)
         else:
             self._expect(4.0 * zoom * side, gray.shape, reduced=zoom < 1.0)
-            # Grain is gone from what is reduced, and small cells want all there is.
+            # Noise is gone from what is reduced, and small cells want all there is.
             found = detect_markers(self._quick, _smooth(gray) if zoom == 1.0 else gray)
         shift = np.array(origin, dtype=float)
         return self._wanted([(i, (corners + 0.5) / zoom - 0.5 + shift) for i, corners in found])
@@ -215,7 +215,7 @@ class MarkerDetector:
 
 
 def _smooth(gray: Image) -> Image:
-    return np.asarray(cv2.GaussianBlur(gray, _GRAIN, 0.0), dtype=np.uint8)
+    return np.asarray(cv2.GaussianBlur(gray, _SMOOTHED, 0.0), dtype=np.uint8)
 
 
 def _sorted(found: list[Detection]) -> list[Detection]:

@@ -12,7 +12,6 @@ FORMER = {
     "arm_zeros": "kinematic calibration",
     "Blindfold": "WithoutTruth",
     "CameraPlace": "CameraExtrinsics",
-    "fit_print": "photometric corners",
     "grain": "sensor noise",
     "heed": "joint_weights",
     "honours": "capabilities",
