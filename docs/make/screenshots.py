@@ -6,7 +6,6 @@ GPU, after the session has run for some seconds; the colours are reduced to keep
 
 from __future__ import annotations
 
-import shutil
 import sys
 import threading
 import time
@@ -20,20 +19,13 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
+from robot_ik.bench.page import CHROMIUM, DRAWN, find_chromium
 from robot_ik.jobs.testbed import CameraTab, arm_link
 from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page
-from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.session import Session, View, run
 
 IMAGES = Path(__file__).resolve().parents[1] / "images" / "testbed"
-ARGUMENTS = [
-    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--no-first-run",
-]  # fmt: skip
-READY = """() => {
-    const seen = window.__viserMutable, points = window.__viserTestpoints;
-    return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 3000;
-}"""
 NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering
 PATIENCE = 180_000  # ms: a browser without a GPU on a busy machine
 COLOURS = 256
@@ -49,6 +41,8 @@ class Shot:
     dark: bool = False
     tab: str = ""
     commands: tuple[Command, ...] = ()
+    until: Callable[[View], object] = lambda view: view.instances[0].statistics.count > 120
+    text: str = ""
     bus: str = ""
     camera: bool = False
 
@@ -61,14 +55,23 @@ SHOTS = (
     Shot(
         "figure", Start("humanoid"), tab="Figure",
         commands=(SetFigure("active"), MoveGoal((0.5, -0.2, 1.3))),
+        until=lambda view: view.figure and view.figure.decision == "reach" and view.instances[0].miss < 0.1,
     ),
-    Shot("camera", Start("tabletop_puma"), tab="Camera", camera=True),
+    Shot(
+        "camera", Start("tabletop_puma"), tab="Camera", camera=True, text="marker seen",
+    ),
     Shot(
         "arm", Start("tabletop_puma"), tab="Arm", bus="sim",
         commands=(MoveGoal((0.2, 0.05, 0.1)), SetArm("follow")),
+        until=lambda view: view.arm and view.arm.servos and view.arm.wish == "follow" and view.arm.apart < 0.1
     ),
+    Shot("record_dark", Start("panda"), tab="Record", dark=True),
     Shot("phone", Start(), size=(390, 844)),
-    Shot("phone_dark", Start("srs_arm"), size=(390, 844), dark=True),
+    Shot("phone_dark", Start("srs_arm"), size=(390, 844), dark=True, tab="Goals"),
+    Shot(
+        "phone_arm", Start("tabletop_puma"), size=(390, 844), tab="Arm", bus="sim",
+        until=lambda view: view.arm and view.arm.servos,
+    ),
 )  # fmt: skip
 
 
@@ -103,16 +106,20 @@ def take(browser: Any, shot: Shot) -> None:
         window = browser.new_page(viewport={"width": width, "height": height})
         window.set_default_timeout(PATIENCE)
         window.goto(page.url)
-        window.wait_for_function(READY, timeout=PATIENCE)
+        window.wait_for_function(DRAWN, timeout=PATIENCE)
         window.locator(NOTICE).first.wait_for(timeout=PATIENCE)
         window.evaluate("found => document.querySelectorAll(found).forEach(one => one.click())", NOTICE)
+        window.locator(NOTICE).first.wait_for(state="detached", timeout=PATIENCE)
         if page._camera is not None:
             page._camera.switch(True)
         for command in shot.commands:
             session.send(command)
         if shot.tab:
             window.get_by_role("tab", name=shot.tab, exact=True).click(force=True)
-        window.wait_for_timeout(7000)
+        wait(lambda: not session.busy and shot.until(page._view))
+        if shot.text:
+            window.get_by_text(shot.text).first.wait_for()
+        window.wait_for_timeout(2500)  # tables are renewed once a second
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture: Image.Image = Image.open(BytesIO(raw)).convert("RGB")
@@ -124,12 +131,12 @@ def take(browser: Any, shot: Shot) -> None:
 
 def main() -> None:
     """All of them, or those that are named."""
-    path = shutil.which("chromium") or shutil.which("google-chrome")
+    path = find_chromium()
     if path is None:
         sys.exit("Chromium is needed: apt-get install chromium")
     IMAGES.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=path, args=list(CHROMIUM))
         for shot in SHOTS:
             if len(sys.argv) == 1 or shot.name in sys.argv[1:]:
                 take(browser, shot)

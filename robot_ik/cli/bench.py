@@ -45,7 +45,7 @@ class BenchOptions:
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
     Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera --help,
-    robot-ik bench figure --help
+    robot-ik bench figure --help, robot-ik bench page --help
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """

@@ -141,6 +141,11 @@ COMMANDS: dict[str, Command] = {
                 "BenchFigureOptions",
                 "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo",
             ),
+            "page": Command(
+                "robot_ik.cli.bench_page",
+                "BenchPageOptions",
+                "the testbed's page instead of the methods: its loop, its drawing, its start",
+            ),
         },
     ),
     "run": Command(

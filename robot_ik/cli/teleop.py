@@ -1,4 +1,4 @@
-"""``robot-ik teleop``: an arm, or the keys of the terminal, lead another arm."""
+"""``robot-ik teleop``: an arm, a gamepad, or the keys of the terminal, lead another arm."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from robot_ik.robot_file import SERVO_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
-    from robot_ik.jobs.teleop import Keys, Operator
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.jobs.teleop import Jog, Operator
 
-KEYS = "keys"
-"""As ``--leader``: the keys of the terminal."""
+KEYS, GAMEPAD = "keys", "gamepad"
+"""As ``--leader``: no arm, but the keys of the terminal, or the first gamepad."""
 
 
 @dataclass(frozen=True)
 class TeleopOptions:
-    """Leads an arm by another one that a person guides, or by the keys of this terminal.
+    """Leads an arm by another one that a person guides, by a gamepad, or by the keys of this terminal.
 
         robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
         robot-ik teleop --follower tabletop_puma --follower-bus pty
@@ -40,8 +41,8 @@ class TeleopOptions:
     Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or environment.
     """
 
-    leader: Annotated[str, arg(metavar="FILE|NAME|keys")] = KEYS
-    """Arm file of what leads, or `keys`: Tab changes between joints and hand."""
+    leader: Annotated[str, arg(metavar="FILE|NAME|keys|gamepad")] = KEYS
+    """Arm file of what leads, `keys`, or `gamepad` (extra `gamepad`)."""
     follower: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file of what follows, or a robot of the catalogue that has one."""
     leader_bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
@@ -64,11 +65,11 @@ def run(options: TeleopOptions) -> int:
     """Leads; 1 where an arm failed."""
     import_mujoco()
     _check(options)
-    from robot_ik.jobs.teleop import Keys, LeaderArm, open_pair
+    from robot_ik.jobs.teleop import LeaderArm, open_pair
 
     follower_file = load_arm(options.follower)
     require_model(follower_file)
-    leader_file = None if options.leader == KEYS else load_arm(options.leader)
+    leader_file = None if options.leader in (KEYS, GAMEPAD) else load_arm(options.leader)
     leader, follower = open_pair(
         leader_file,
         follower_file,
@@ -78,11 +79,8 @@ def run(options: TeleopOptions) -> int:
     )
     with contextlib.ExitStack() as stack:
         if leader is None:
-            typed = stack.enter_context(_typed())
-            keys = Keys(follower_file, typed, stop=follower.request_stop, hand=options.by == "hand")
-            _explain(keys, follower)
-            stack.enter_context(_left_and_said(follower))
-            return _lead(keys, follower, options, lambda: keys.over)
+            lead = _led_by_keys if options.leader == KEYS else _led_by_gamepad
+            return lead(stack, follower, follower_file, options)
         stack.enter_context(leader)
         operator = LeaderArm(leader, follower_file, options.by, options.scale, options.force_feedback)
         stack.enter_context(driving(follower))
@@ -97,7 +95,7 @@ def _check(options: TeleopOptions) -> None:
     if options.seconds is not None and not 0.0 < options.seconds <= 86400.0:
         raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 86400")
     shared = options.leader_bus == options.follower_bus not in ("", "sim", "pty")
-    if shared and options.leader != KEYS:
+    if shared and options.leader not in (KEYS, GAMEPAD):
         raise wrong("--leader-bus", f"{options.leader_bus} is the follower's, too", "two ports")
 
 
@@ -126,21 +124,54 @@ def _left_and_said(arm: Arm) -> Iterator[None]:
         console.say(left(arm), "dim")
 
 
-def _explain(keys: Keys, follower: Arm) -> None:
-    from robot_ik.jobs.teleop import JOINT_KEYS
+def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
+    from robot_ik.jobs.teleop import JOINT_KEYS, Keys
 
-    names = follower.config.whole.names
-    pairs = ", ".join(f"{pair[0]}/{pair[1]} {name}" for name, pair in zip(names, JOINT_KEYS, strict=False))
-    console.say(f"joints: {pairs}", "dim")
+    typed = stack.enter_context(_typed(endless=options.seconds is not None))
+    keys = Keys(file, typed, stop=follower.request_stop, hand=options.by == "hand")
+    pairs = zip(keys.jog.joints, JOINT_KEYS, strict=False)
+    console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
-    console.say(
-        f"Tab: {'joints' if keys.hand else 'hand'}; - finer, + coarser; space: stop and hold; Esc ends", "dim"
+    console.say(f"Tab: {_other(keys.jog)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
+    stack.enter_context(_left_and_said(follower))
+    return _lead(keys, follower, options, lambda: keys.over)
+
+
+def _led_by_gamepad(
+    stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions
+) -> int:
+    from robot_ik.jobs.gamepad import Gamepad, PadDevice
+
+    device = stack.enter_context(PadDevice())
+    pad = Gamepad(
+        file, device.read, recover=device.recover, stop=follower.request_stop, hand=options.by == "hand"
     )
+    console.say(f"{device.name}: left stick x, y; triggers z; right stick and shoulders turn", "dim")
+    console.say(
+        f"in joints the same six move one each; up and down: the gripper; Y: {_other(pad.jog)}; "
+        "B: stop and hold; Start ends",
+        "dim",
+    )
+    stack.enter_context(driving(follower))
+    return _lead(pad, follower, options, lambda: pad.over)
+
+
+def _other(jog: Jog) -> str:
+    """What the change of mode leads to."""
+    return "joints" if jog.hand else "hand"
 
 
 @contextlib.contextmanager
-def _typed() -> Iterator[Callable[[], str]]:
-    """Gives what was typed since it was last asked; at no terminal, what comes on standard input."""
+def _typed(endless: bool) -> Iterator[Callable[[], str]]:
+    """Gives what was typed since it was last asked; at no terminal, what comes on standard input.
+
+    Args:
+        endless: Go on where the input has ended; else its end is that of the command: no key can end it.
+    """
+    from robot_ik.jobs.teleop import QUIT
+
+    if sys.stdin is None:
+        raise wrong("--leader keys", "standard input is closed", "a terminal, or a pipe that keys come from")
     file = sys.stdin.fileno()
     with contextlib.ExitStack() as stack:
         if sys.stdin.isatty():
@@ -152,7 +183,13 @@ def _typed() -> Iterator[Callable[[], str]]:
 
         def read() -> str:
             text = b""
-            while select.select([file], [], [], 0.0)[0] and (more := os.read(file, 64)):
+            while select.select([file], [], [], 0.0)[0]:
+                try:
+                    more = os.read(file, 64)
+                except OSError:  # the terminal has hung up
+                    more = b""
+                if not more:
+                    return text.decode(errors="ignore") + ("" if endless else QUIT)
                 text += more
             return text.decode(errors="ignore")
 

@@ -87,6 +87,8 @@ def run(options: ViewOptions) -> int:
         return _replay(options.replay)
     if options.count not in _COUNTS:
         raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
+    if not 0.0 <= options.seconds <= 1e6:
+        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 1e6; left out: until Ctrl-C")
     viewer = choose_viewer(options.viewer)
     with claimed(options.log, overwrite=True):
         return _view(options, viewer)

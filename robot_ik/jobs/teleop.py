@@ -35,6 +35,7 @@ LOST = 0.2
 """s without a good sample of the leader after which it counts as lost; a wire loses a packet now and then."""
 _BUDGET = Budget(iterations=30, restarts=0)
 _WHOLE = 6  # joints that can carry any pose of a hand
+_MET = 1e-3, 1e-2  # m and rad: so near a step of the hand has come where it should
 
 Angles = Mapping[str, float]
 
@@ -138,10 +139,17 @@ class Hand:
         self._q = self._robot.clip(self._q)
         self.pose = self._robot.forward(self._q)
 
-    def go(self, pose: Pose) -> dict[str, float]:
-        """Joint -> rad that bring the hand there, or as near as it comes."""
+    def go(self, pose: Pose, *, exactly: bool = False) -> dict[str, float]:
+        """Joint -> rad that bring the hand there, or as near as it comes.
+
+        Args:
+            pose: Where to.
+            exactly: There, or not at all: steps that add up must neither drift, nor turn the hand at the end
+                of its reach.
+        """
+        whole = self._robot.nv >= _WHOLE
         goals: list[Goal] = [PoseGoal.at(None, pose)]
-        if self._robot.nv < _WHOLE:  # it cannot carry every pose: the place is needed, the turn is wanted
+        if not whole:  # it cannot carry every pose: the place is needed, the turn is wanted
             goals = [PositionGoal(None, pose.position), OrientationGoal(None, pose.wxyz, soft=True)]
         if self._problem is None:
             self._problem = Problem(self._robot, goals, budget=_BUDGET)
@@ -149,8 +157,12 @@ class Hand:
             self._problem.exchange(goals)
         found = self._solver.solve(self._problem, self._q).q
         if np.isfinite(found).all():
-            self._q = found
-        self.pose = self._robot.forward(self._q)
+            there = self._robot.forward(found)
+            away, turned = there.distance(pose)
+            met = away < _MET[0] and (turned < _MET[1] or not whole)
+            if met or not exactly:
+                self._q = found
+                self.pose = Pose(pose.position, pose.wxyz if whole else there.wxyz) if exactly else there
         return dict(zip(self.names, self._q[self._order].tolist(), strict=True))
 
 
@@ -255,6 +267,50 @@ _STEP, _TURN = 0.01, np.radians(3.0)  # m or rad (joints and turns) of one key p
 _FINEST, _COARSEST = 0.1, 4.0
 
 
+class Jog:
+    """Joints, or the hand in the axes of the world, moved step by step; never beyond a joint's limits.
+
+    Args:
+        config: Of the follower.
+        hand: Whether steps move the hand to begin with; else joints.
+
+    Attributes:
+        hand: Whether steps move the hand; else joints.
+        angles: Joint -> rad (m of a slide) that is commanded.
+        joints: The follower's, grippers last.
+    """
+
+    def __init__(self, config: ArmConfig, hand: bool) -> None:
+        self._hand = Hand(config, load_robot(config.robot))
+        self.joints = config.whole.joints
+        self.angles: dict[str, float] = {}
+        self.hand = hand
+
+    def engage(self, follower: Angles) -> None:
+        """Goes on from where the follower is."""
+        self.angles = {joint.name: follower[joint.name] for joint in self.joints}
+        self._hand.engage(self.angles)
+
+    def change(self) -> None:
+        """The hand instead of joints, or joints instead of the hand."""
+        self.hand = not self.hand
+        self._hand.engage(self.angles)
+
+    def move_joint(self, number: int, step: float) -> None:
+        """One joint by ``step``, rad or m; does nothing where there is none of that number."""
+        if number < len(self.joints):
+            joint = self.joints[number]
+            low, high = joint.limits
+            self.angles[joint.name] = min(max(self.angles[joint.name] + step, low), high)
+
+    def move_hand(self, along: Array, about: Array) -> None:
+        """The hand ``along`` (3,), metres, and ``about`` (3,), radians, the axes of the world."""
+        turn = Pose.exp(np.concatenate([np.zeros(3), about])).rotation
+        pose = self._hand.pose
+        pose = Pose.from_rotation(turn @ pose.rotation, pose.position + along)
+        self.angles |= self._hand.go(pose, exactly=True)
+
+
 class Keys:
     """The keys of a terminal jog joints, or the hand in the axes of the world.
 
@@ -267,7 +323,7 @@ class Keys:
         hand: Whether keys move the hand to begin with; else joints.
 
     Attributes:
-        hand: Whether keys move the hand; else joints.
+        jog: What they move.
         over: The person wants to end.
     """
 
@@ -279,20 +335,18 @@ class Keys:
         stop: Callable[[], object] = lambda: None,
         hand: bool = False,
     ) -> None:
-        self._config, self._pressed, self._stop = config.whole, pressed, stop
-        self._hand = Hand(config, load_robot(config.robot))
-        self._angles: dict[str, float] = {}
+        self._pressed, self._stop = pressed, stop
+        self.jog = Jog(config, hand)
         self._size = 1.0
-        self.hand, self.over = hand, False
+        self.over = False
 
     def engage(self, follower: Angles) -> None:
-        self._angles = {name: follower[name] for name in self._config.names}
-        self._hand.engage(self._angles)
+        self.jog.engage(follower)
 
     def command(self, now: float) -> Angles:
         for key in self._pressed():
             self._press(key.lower())
-        return dict(self._angles)
+        return dict(self.jog.angles)
 
     def feel(self, follower: Angles) -> None:
         pass
@@ -306,37 +360,19 @@ class Keys:
         elif key == QUIT:
             self.over = True
         elif key == MODE_KEY:
-            self.hand = not self.hand
-            self._hand.engage(self._angles)
+            self.jog.change()
         elif key in (FINER, COARSER):
             self._size = float(np.clip(self._size * (2.0 if key == COARSER else 0.5), _FINEST, _COARSEST))
-        elif self.hand:
-            self._jog_hand(key)
-        else:
-            self._jog_joint(key)
-
-    def _jog_joint(self, key: str) -> None:
-        for name, pair in zip(self._config.names, JOINT_KEYS, strict=False):
-            if key in pair:
-                joint = self._config.joint(name)
-                step = self._size * (_TURN if joint.unit == "deg" else _STEP)
-                low, high = joint.limits
-                wanted = self._angles[name] + (step if key == pair[0] else -step)
-                self._angles[name] = min(max(wanted, low), high)
-
-    def _jog_hand(self, key: str) -> None:
-        if key not in HAND_KEYS:
-            return
-        axis, sign = HAND_KEYS[key]
-        pose, step = self._hand.pose, np.zeros(3)
-        if axis < 3:
-            step[axis] = sign * self._size * _STEP
-            pose = Pose(pose.position + step, pose.wxyz)
-        else:
-            step[axis - 3] = sign * self._size * _TURN
-            turn = Pose.exp(np.concatenate([np.zeros(3), step]))
-            pose = Pose.from_rotation(turn.rotation @ pose.rotation, pose.position)
-        self._angles |= self._hand.go(pose)
+        elif not self.jog.hand:
+            for number, (joint, pair) in enumerate(zip(self.jog.joints, JOINT_KEYS, strict=False)):
+                if key in pair:
+                    step = self._size * (_TURN if joint.unit == "deg" else _STEP)
+                    self.jog.move_joint(number, step if key == pair[0] else -step)
+        elif key in HAND_KEYS:
+            axis, sign = HAND_KEYS[key]
+            way = np.zeros(6)
+            way[axis] = sign * self._size * (_STEP if axis < 3 else _TURN)
+            self.jog.move_hand(way[:3], way[3:])
 
 
 class Blend:

@@ -13,15 +13,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from robot_ik.errors import ConfigError, close_matches
 from robot_ik.files import parse_json, read_text, shown, write_atomically
-from robot_ik.tables import config_error
+from robot_ik.tables import Wxyz, config_error, keys_of
 
-Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
-Point = tuple[Number, Number, Number]
-Quaternion = tuple[Number, Number, Number, Number]
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Point = Annotated[tuple[Number, Number, Number], Field(strict=False, description="3 numbers within 1e6")]
 Index = Annotated[int, Field(ge=0, le=3)]
 Count = Literal[1, 2, 4]
 Motion = Literal["curve", "random", "hand"]
@@ -42,7 +41,6 @@ class Command:
             it beside the loop and takes it when it is ready.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
     rebuilds: ClassVar[bool] = False
 
     @classmethod
@@ -85,7 +83,7 @@ class SetOption(SetupCommand):
 
     instance: Index
     name: Annotated[str, Field(max_length=100)]
-    value: bool | int | Annotated[float, Field(allow_inf_nan=False)] | Annotated[str, Field(max_length=100)]
+    value: bool | int | float | Annotated[str, Field(max_length=100)]
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,7 @@ class MoveGoal(Command):
     """The ball to a place (metres, world), turned as it was or as said; it then moves by hand."""
 
     position: Point
-    wxyz: Quaternion | None = None
+    wxyz: Wxyz | None = None
 
 
 @dataclass(frozen=True)
@@ -209,7 +207,16 @@ COMMANDS: dict[str, type[Command]] = {
     if kind is not SetupCommand
 }
 """Every command by its name in a log."""
-_CHECKED: dict[str, TypeAdapter[Any]] = {}
+_CHECKED: dict[type[Any], TypeAdapter[Any]] = {}
+
+
+def _checked(made: type[Any], values: Mapping[str, Any], file: Path | str) -> Any:
+    """A dataclass of values whose names and types are checked as those of any file that people write."""
+    checked = _CHECKED.setdefault(made, TypeAdapter(Annotated[Any, keys_of(made)]))
+    try:
+        return checked.validate_python(dict(values))
+    except ValidationError as error:
+        raise config_error(error, file) from None
 
 
 def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
@@ -226,11 +233,7 @@ def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
             f"there is no command {shown(name)}" + (f" (did you mean {close[0]!r}?)" if close else ""),
             file=file, key="command", allowed=", ".join(COMMANDS),
         )  # fmt: skip
-    checked = _CHECKED.setdefault(name, TypeAdapter(COMMANDS[name]))
-    try:
-        command: Command = checked.validate_json(json.dumps(rest), strict=True)
-    except ValidationError as error:
-        raise config_error(error, file) from error
+    command: Command = _checked(COMMANDS[name], rest, file)
     return command
 
 
@@ -257,11 +260,19 @@ class Start:
 
     robot: str = "puma560"
     count: Count = 1
-    methods: tuple[str, ...] = ()
+    methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
     seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1
     rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+def checked_start(start: Start) -> Start:
+    """What a session begins with, checked as the first line of a log is.
+
+    Raises:
+        ConfigError: A value that it does not take.
+    """
+    made: Start = _checked(Start, asdict(start), "start")
+    return made
 
 
 @dataclass(frozen=True)
@@ -318,11 +329,7 @@ class CommandLog:
                 "the first line is not that of a command log",
                 file=file, key="testbed_log", allowed=f"{FORMAT}; logs come from robot-ik view --log FILE",
             )  # fmt: skip
-        try:
-            start: Start = TypeAdapter(Start).validate_json(json.dumps(first), strict=True)
-        except ValidationError as error:
-            raise config_error(error, file) from error
-        return cls._of_rows(start, rows[1:], file)
+        return cls._of_rows(_checked(Start, first, file), rows[1:], file)
 
     @classmethod
     def _of_rows(cls, start: Start, rows: Iterable[tuple[int, Any]], file: Path | str) -> CommandLog:

@@ -28,7 +28,6 @@ from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
-from robot_ik.testbed.acting import ActingFigure, FigureView
 from robot_ik.testbed.commands import (
     Act,
     Command,
@@ -49,8 +48,9 @@ from robot_ik.testbed.commands import (
     SetSpeed,
     Start,
     checked_command,
+    checked_start,
 )
-from robot_ik.testbed.instance import Instance, InstanceView
+from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
 from robot_ik.testbed.setup import (
     ExtraGoal,
     Ready,
@@ -170,13 +170,16 @@ class Session:
         arm: A servo arm that follows the first instance.
 
     Raises:
-        RobotIkError: There is no such robot.
+        RobotIkError: There is no such robot or method, or a value of ``start`` that it does not take.
     """
 
     def __init__(
         self, start: Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
     ) -> None:
-        self.start = Start() if start is None else start
+        self.start = checked_start(Start() if start is None else start)
+        setup = Setup.of(self.start)
+        for choice in setup.choices:
+            choice.solver()
         self._queue: queue.SimpleQueue[Command] = queue.SimpleQueue()
         self._log: list[tuple[int, Command]] = []
         self._period = 1.0 / self.start.rate
@@ -193,9 +196,7 @@ class Session:
         self.robot: Robot
         self.instances: list[Instance]
         self._stand(load_robot(self.name), self.start.count)
-        self._preparer = _Preparer(
-            Setup.of(self.start), self.robot, self._queue.put if beside else self._adopt
-        )
+        self._preparer = _Preparer(setup, self.robot, self._queue.put if beside else self._adopt)
         if beside:
             self._preparer.begin()
         self._preparer.ask(None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -242,3 +244,18 @@ def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -
     words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
     assert main([*words.split(), "--seconds", "1", "--on-exit", "torque_off"]) == 0
     assert "engaged 1 times" in capsys.readouterr().err
+
+
+def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["teleop", "--follower", "tabletop_puma", "--follower-bus", "sim", "--on-exit", "torque_off"]
+    monkeypatch.setattr(sys, "stdin", None)  # as a shell's <&- leaves it
+    assert main(words) == 2
+    assert "standard input is closed" in capsys.readouterr().err
+    with open(os.devnull) as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        assert main(words) == 0
+        assert "it was ended" in capsys.readouterr().err
+        assert main([*words, "--seconds", "0.3"]) == 0
+        assert "the time was over" in capsys.readouterr().err

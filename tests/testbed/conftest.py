@@ -1,13 +1,18 @@
-"""A page in this process, and browsers that look at it."""
+"""A page in this process, browsers that look at it, and a screen for windows: one of each for all tests."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from robot_ik.testbed.commands import Command, Start
@@ -41,12 +46,13 @@ class Bed:
         return sum(isinstance(command, kind) for command in self.sent)
 
 
-def serve(start: Start, **options: Any) -> Iterator[Bed]:
+@pytest.fixture(scope="session")
+def bed() -> Iterator[Bed]:
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
 
     stop = threading.Event()
-    with Session(start) as session:
+    with Session(Start()) as session:
         bed = Bed(session, None)
         real = session.send
 
@@ -55,7 +61,7 @@ def serve(start: Start, **options: Any) -> Iterator[Bed]:
             real(command)
 
         session.send = send  # type: ignore[method-assign]
-        with Page(session, port=8610, shadows=False, **options) as page:
+        with Page(session, port=8610, shadows=False) as page:
             bed.page = page
             loop = threading.Thread(  # drawn at 15 Hz: a browser without a GPU is no quicker
                 target=run, args=(session, page.draw, stop), kwargs={"every": 4}, name="testbed-loop"
@@ -68,6 +74,149 @@ def serve(start: Start, **options: Any) -> Iterator[Bed]:
                 loop.join(PATIENCE)
 
 
-@pytest.fixture(scope="module")
-def bed() -> Iterator[Bed]:
-    yield from serve(Start())
+@pytest.fixture(scope="session")
+def guarded(bed: Bed) -> Iterator[Any]:
+    """Another page of the same session, which asks for its token."""
+    from robot_ik.testbed.frontends.browser import Page
+
+    with Page(bed.session, port=8611, shadows=False, token=True) as page:
+        yield page
+
+
+# ------------------------------------------------------------------------------------ windows
+
+
+@dataclass(frozen=True)
+class Screen:
+    """An X server whose frame buffer is a file."""
+
+    display: str
+    file: Path
+
+    def shot(self) -> Any:
+        """The whole screen, (h, w, 3) uint8; the file is in XWD format, version 7."""
+        raw = self.file.read_bytes()
+        header = np.frombuffer(raw[:100], ">u4")
+        size, width, height, stride, colours = (int(header[k]) for k in (0, 4, 5, 12, 19))
+        pixels = np.frombuffer(raw, np.uint8, stride * height, size + 12 * colours)
+        return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
+
+    def settled(self, differs_from: Any = None) -> Any:
+        """A picture that has stopped changing and is not ``differs_from`` (or not black)."""
+        deadline = time.monotonic() + PATIENCE
+        last = self.shot()
+        while time.monotonic() < deadline:
+            time.sleep(0.4)
+            now = self.shot()
+            fresh = now.max() > 0 if differs_from is None else changed(now, differs_from) > 0
+            if fresh and changed(now, last) == 0:
+                return now
+            last = now
+        pytest.fail("the picture did not change, or never came to rest")
+
+
+def changed(a: Any, b: Any) -> int:
+    """Number of pixels that differ."""
+    return int((a != b).any(axis=-1).sum())
+
+
+@pytest.fixture(scope="session")
+def screen(require: Callable[..., str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Screen]:
+    """A display of its own, on a number that the server finds free by itself."""
+    xvfb = require("xvfb", "opens the viewer window")
+    reading, writing = os.pipe()
+    folder = tmp_path_factory.mktemp("screen")
+    # -noreset: it stays when its last window closes.
+    command = [xvfb, "-displayfd", str(writing), "-screen", "0", "480x360x24", "-nolisten", "tcp", "-noreset"]
+    server = subprocess.Popen(
+        [*command, "-fbdir", str(folder)], pass_fds=[writing], stderr=subprocess.DEVNULL
+    )
+    os.close(writing)
+    try:
+        with os.fdopen(reading) as pipe:
+            number = pipe.readline().strip()
+        assert number, "Xvfb did not start"
+        yield Screen(f":{number}", folder / "Xvfb_screen0")
+    finally:
+        server.terminate()
+        server.wait(20)
+
+
+# Runs one program after the other, each in a namespace of its own, and says how each ended.
+OPENER = """
+import sys, traceback
+print("ready", flush=True)
+while line := sys.stdin.readline():
+    try:
+        exec(compile(open(line.strip()).read(), line.strip(), "exec"), {"__name__": "program"})
+        print("=== done", flush=True)
+    except BaseException:
+        traceback.print_exc()
+        print("=== failed", flush=True)
+"""
+
+
+class Windows:
+    """A process that opens windows on the screen: none may open in that of the tests.
+
+    One for all tests, because it takes longer to start than what they do in it.
+    """
+
+    def __init__(self, screen: Screen, folder: Path) -> None:
+        environment = {
+            **os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "1",
+        }  # fmt: skip
+        environment.pop("MUJOCO_GL", None)
+        self._folder, self._count = folder, 0
+        self._errors = folder / "stderr"
+        with self._errors.open("w") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", OPENER],
+                env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
+            )  # fmt: skip
+        assert self.line() == "ready"
+
+    def start(self, program: str) -> None:
+        """Runs a program; what it prints comes by ``line``."""
+        self._count += 1
+        file = self._folder / f"program{self._count}.py"
+        file.write_text(program)
+        self.say(str(file))
+
+    def say(self, text: str = "") -> None:
+        """A line for its standard input."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(text + "\n")
+        self.process.stdin.flush()
+
+    def line(self) -> str:
+        """The next line that it prints; fails where the program did."""
+        assert self.process.stdout is not None
+        text = self.process.stdout.readline().strip()
+        assert text not in ("", "=== failed"), self._errors.read_text()[-3000:]
+        return text
+
+    def run(self, program: str) -> list[str]:
+        """All lines that a program prints."""
+        self.start(program)
+        lines = []
+        while (text := self.line()) != "=== done":
+            lines.append(text)
+        return lines
+
+
+@pytest.fixture(scope="session")
+def opener(screen: Screen, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Windows]]:
+    made: list[Windows] = []
+    yield made
+    for one in made:
+        one.process.kill()
+        one.process.communicate()
+
+
+@pytest.fixture
+def windows(screen: Screen, opener: list[Windows], tmp_path_factory: pytest.TempPathFactory) -> Windows:
+    """The process; a new one where the last has died."""
+    if not opener or opener[-1].process.poll() is not None:
+        opener.append(Windows(screen, tmp_path_factory.mktemp("windows")))
+    return opener[-1]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,7 +19,6 @@ from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.keymap import KEYMAP
 from robot_ik.testbed.session import Session, replayed
 from robot_ik.testbed.staging import GOAL_COLOUR, INSTANCE_COLOURS
-from tests.testbed.test_window import PATIENCE, Screen, screen  # noqa: F401 (a fixture)
 
 SCRIPT = CommandLog(
     Start("tabletop_puma"),
@@ -34,21 +30,6 @@ SCRIPT = CommandLog(
     ),
     ticks=40,
 )
-
-IN_WINDOW = """
-import sys
-from pathlib import Path
-from robot_ik.testbed.commands import CommandLog
-from robot_ik.testbed.frontends.window import SessionWindow
-from robot_ik.testbed.session import replayed
-
-window = None
-for session in replayed(CommandLog.load(Path(sys.argv[1]))):
-    window = window or SessionWindow(session)
-    window.draw(session.view())
-print(session.view().digest(), flush=True)
-window.close()
-"""
 
 
 def drawn(make: Callable[[Session], Any]) -> str:
@@ -79,22 +60,6 @@ def test_the_same_script_gives_the_same_view_in_the_browser(wanted: str) -> None
     from robot_ik.testbed.frontends.browser import Page
 
     assert drawn(lambda session: Page(session, port=8710)) == wanted
-
-
-def test_the_same_script_gives_the_same_view_in_the_window(
-    wanted: str,
-    screen: Screen,  # noqa: F811
-    tmp_path: Path,
-) -> None:
-    """In a process of its own: a window must not open in that of the tests."""
-    SCRIPT.save(tmp_path / "script.jsonl")
-    environment = {**os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
-    environment.pop("MUJOCO_GL", None)
-    seen = subprocess.run(
-        [sys.executable, "-c", IN_WINDOW, str(tmp_path / "script.jsonl")],
-        env=environment, text=True, capture_output=True, timeout=2 * PATIENCE, check=False,
-    )  # fmt: skip
-    assert seen.stdout.strip() == wanted, seen.stderr[-2000:]
 
 
 def test_no_key_means_two_things() -> None:
@@ -190,5 +155,12 @@ def test_the_viewer_is_chosen_and_said(capsys: pytest.CaptureFixture[str]) -> No
 def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "--count", "3", "--no-open"]) == 2
     assert main(["view", "--robot", "puma561", "--no-open"]) == 2
+    for wrong, said in (
+        ("--method newton", "newton"), ("--method dls lm ccd sdls bfgs", "methods"), ("--seed -5", "seed"),
+        ("--seconds -1", "--seconds"), ("--port 99999", "99999"), ("--host 192.0.2.1", "192.0.2.1"),
+    ):  # fmt: skip
+        words = f"view --robot tabletop_puma --viewer browser --no-open --no-camera {wrong}"
+        assert main(words.split()) == 2
+        assert said in capsys.readouterr().err
     assert main(["view", "--bus", "sim", "--robot", "panda", "--no-open"]) == 2
     assert "arm file" in capsys.readouterr().err

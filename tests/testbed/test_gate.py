@@ -17,10 +17,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
+from robot_ik.errors import CameraError
+from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.commands import Start
-from tests.testbed.conftest import Bed, serve
+from robot_ik.testbed.session import Session, run
+from tests.testbed.conftest import Bed
 
 pytest.importorskip("viser", reason="needs the extra web")
 
@@ -87,11 +91,11 @@ class Browser:
         return self
 
     def is_open(self) -> bool:
-        """Whether the server still sends."""
-        self.socket.settimeout(10.0)
+        """Whether the server has not closed it; what was sent is thrown away."""
+        self.socket.settimeout(0.3)
         try:
             for _ in range(40):
-                if not self.socket.recv(1 << 16):
+                if not self.socket.recv(1 << 20):
                     return False
         except TimeoutError:
             return True
@@ -141,9 +145,15 @@ def browser(bed: Bed, port: int) -> Iterator[Browser]:
 )
 def test_only_pages_of_this_server_connect(port: int, headers: dict[str, str | None], wanted: int) -> None:
     given = {name: value and value.replace("PORT", str(port)) for name, value in headers.items()}
-    browser = Browser(port, **given)
-    assert browser.ask()[0] == wanted
+    assert asked(port, **given)[0] == wanted
+
+
+def asked(port: int, **headers: str | None) -> tuple[int, dict[str, str], bytes]:
+    """The answer to a connection."""
+    browser = Browser(port, **headers)
+    answer = browser.ask()
     browser.close()
+    return answer
 
 
 def page_of(port: int, path: str = "/", **headers: str | None) -> tuple[int, dict[str, str], bytes]:
@@ -168,23 +178,21 @@ def test_the_page_is_not_given_to_other_names_or_for_other_servers(port: int) ->
     assert page_of(port, "/?a=1&websocket=ws%3A%2F%2Fevil.example")[0] == 400
 
 
-def test_with_a_token_nothing_is_given_without_it() -> None:
-    for bed in serve(Start(), token=True):
-        port, token = int(bed.page.server.get_port()), bed.page.gate.token
-        assert token in bed.page.url
-        assert page_of(port)[0] == 403
-        assert page_of(port, "/?token=wrong")[0] == 403
-        browser = Browser(port)
-        assert browser.ask()[0] == 403
-        status, headers, _ = page_of(port, f"/?token={token}")
-        assert status == 303 and headers["Location"] == "/"
-        cookie = headers["Set-Cookie"]
-        assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and f"robot_ik_{port}=" in cookie
-        cookie = cookie.split(";")[0]
-        assert page_of(port, Cookie=f"other=1; {cookie}")[0] == 200
-        assert page_of(port, Cookie=cookie + "x")[0] == 403
-        assert Browser(port, Cookie=cookie).ask()[0] == 101
-        assert Browser(port, Cookie=cookie, Origin="http://evil.example").ask()[0] == 403
+def test_with_a_token_nothing_is_given_without_it(guarded: Any) -> None:
+    port, token = int(guarded.server.get_port()), guarded.gate.token
+    assert token in guarded.url
+    assert page_of(port)[0] == 403
+    assert page_of(port, "/?token=wrong")[0] == 403
+    assert asked(port)[0] == 403
+    status, headers, _ = page_of(port, f"/?token={token}")
+    assert status == 303 and headers["Location"] == "/"
+    cookie = headers["Set-Cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and f"robot_ik_{port}=" in cookie
+    cookie = cookie.split(";")[0]
+    assert page_of(port, Cookie=f"other=1; {cookie}")[0] == 200
+    assert page_of(port, Cookie=cookie + "x")[0] == 403
+    assert asked(port, Cookie=cookie)[0] == 101
+    assert asked(port, Cookie=cookie, Origin="http://evil.example")[0] == 403
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "robot.local"])
@@ -265,6 +273,58 @@ def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> N
     bed.until(lambda view: view.dragged, "the part was not dragged")
     browser.close()
     bed.until(lambda view: not view.dragged, "a lost browser still drags")
+
+
+def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) -> None:
+    from robot_ik.testbed.frontends.browser import Page
+
+    seen = [CameraError("the cable <is> out"), None, (np.zeros((8, 8, 3), np.uint8), "a picture")]
+    texts = ["the cable &lt;is&gt; out", "no scene", "a picture"]
+
+    def read() -> Any:
+        if isinstance(seen[0], Exception):
+            raise seen[0]
+        return seen[0]
+
+    with Page(bed.session, port=8612, shadows=False, camera=read) as page:
+        page._camera.switch(True)
+        for text in texts:
+            end = time.monotonic() + 20.0
+            while text not in page._camera._text.content:
+                assert time.monotonic() < end, page._camera._text.content
+                time.sleep(0.02)
+            seen.pop(0)
+            seen += [None] * (not seen)
+        page._camera.switch(False)
+        assert "switch them on" in page._camera._text.content
+
+
+def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
+    """By a real serial line; the page that drove is a browser whose connection breaks."""
+    from robot_ik.testbed.frontends.browser import Page
+
+    link, stop = arm_link("tabletop_puma", None, "pty"), threading.Event()
+    with (
+        Session(Start("tabletop_puma"), arm=link) as session,
+        Page(session, port=8613, shadows=False) as page,
+    ):
+        bed = Bed(session, page)
+        loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})
+        loop.start()
+        try:
+            bed.until(lambda view: not view.busy and view.tick > 0)
+            browser = Browser(int(page.server.get_port())).look()
+            buttons = uuid_of(bed, "Arm")
+            for lose in (browser.close, page.gate.hand_over):
+                if lose is not browser.close:
+                    browser = Browser(int(page.server.get_port())).look()
+                browser.send(update(buttons, value="Follow"))
+                bed.until(lambda view: view.arm and view.arm.state == "enabled", "it does not follow")
+                lose()
+                bed.until(lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"))
+        finally:
+            stop.set()
+            loop.join()
 
 
 def test_the_share_tunnel_is_gone(bed: Bed, browser: Browser) -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
+import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +14,12 @@ import pytest
 from robot_ik.errors import ViewerError
 from robot_ik.robot import load_robot
 from robot_ik.testbed.frontends.window import WindowSink
-
-#: A safety limit for everything that draws in software on a busy machine, seconds.
-PATIENCE = 60.0
+from robot_ik.testbed.session import replayed
+from tests.testbed.conftest import Screen, Windows, changed
+from tests.testbed.test_frontends import SCRIPT
 
 # Speaks one word a step and waits for a line before the next, so that the test looks at a still picture.
-CHILD = """
+MOVED = """
 import sys
 import numpy as np
 from robot_ik.geometry import Pose
@@ -57,124 +54,34 @@ with WindowSink(robot, start=rest) as window:
 assert not window.is_running()
 window.close()
 window.send(rest, 0.04)
-print("done", flush=True)
 """
 
 
-@dataclass(frozen=True)
-class Screen:
-    """An X server whose frame buffer is a file."""
-
-    display: str
-    file: Path
-
-    def shot(self) -> Any:
-        """The whole screen, (h, w, 3) uint8; the file is in XWD format, version 7."""
-        raw = self.file.read_bytes()
-        header = np.frombuffer(raw[:100], ">u4")
-        size, width, height, stride, colours = (int(header[k]) for k in (0, 4, 5, 12, 19))
-        pixels = np.frombuffer(raw, np.uint8, stride * height, size + 12 * colours)
-        return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
-
-    def settled(self, differs_from: Any = None) -> Any:
-        """A picture that has stopped changing and is not ``differs_from`` (or not black)."""
-        deadline = time.monotonic() + PATIENCE
-        last = self.shot()
-        while time.monotonic() < deadline:
-            time.sleep(0.7)
-            now = self.shot()
-            fresh = now.max() > 0 if differs_from is None else changed(now, differs_from) > 0
-            if fresh and changed(now, last) == 0:
-                return now
-            last = now
-        pytest.fail("the picture did not change, or never came to rest")
-
-
-def changed(a: Any, b: Any) -> int:
-    """Number of pixels that differ."""
-    return int((a != b).any(axis=-1).sum())
-
-
-@pytest.fixture
-def screen(require: Callable[..., str], tmp_path: Path) -> Iterator[Screen]:
-    """A display of its own, on a number that the server finds free by itself."""
-    xvfb = require("xvfb", "opens the viewer window")
-    reading, writing = os.pipe()
-    command = [xvfb, "-displayfd", str(writing), "-screen", "0", "480x360x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(
-        [*command, "-fbdir", str(tmp_path)], pass_fds=[writing], stderr=subprocess.DEVNULL
-    )
-    os.close(writing)
-    try:
-        with os.fdopen(reading) as pipe:
-            number = pipe.readline().strip()
-        assert number, "Xvfb did not start"
-        yield Screen(f":{number}", tmp_path / "Xvfb_screen0")
-    finally:
-        server.terminate()
-        server.wait(20)
-
-
-@pytest.fixture
-def viewer_process(screen: Screen) -> Iterator[subprocess.Popen[str]]:
-    environment = {
-        **os.environ,
-        "DISPLAY": screen.display,
-        "LIBGL_ALWAYS_SOFTWARE": "1",
-        "LP_NUM_THREADS": "1",
-    }
-    environment.pop("MUJOCO_GL", None)
-    child = subprocess.Popen(
-        [sys.executable, "-c", CHILD],
-        env=environment,
-        text=True,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    try:
-        yield child
-    finally:
-        child.kill()
-        child.communicate()
-
-
-def test_the_arm_is_seen_to_move(screen: Screen, viewer_process: subprocess.Popen[str]) -> None:
-    child = viewer_process
-    assert child.stdin is not None and child.stdout is not None and child.stderr is not None
-
-    def reach(word: str) -> None:
-        said = child.stdout.readline().strip()  # type: ignore[union-attr]
-        assert said == word, said or child.stderr.read()  # type: ignore[union-attr]
-
-    def go_on() -> None:
-        child.stdin.write("\n")  # type: ignore[union-attr]
-        child.stdin.flush()  # type: ignore[union-attr]
-
-    reach("open")
+def test_the_arm_is_seen_to_move(screen: Screen, windows: Windows) -> None:
+    windows.start(MOVED)
+    assert windows.line() == "open"
     first = screen.settled()
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 50  # a shaded picture, not a flat window
-    go_on()
-    reach("rested")
-    time.sleep(1.0)
+    windows.say()
+    assert windows.line() == "rested"
+    time.sleep(0.5)
     assert changed(screen.shot(), first) == 0  # nothing moves by itself: what follows is the arm
-    go_on()
-    reach("moved")
+    windows.say()
+    assert windows.line() == "moved"
     moved = screen.settled(differs_from=first)
     assert changed(moved, first) > 300
-    go_on()
-    reach("back")
+    windows.say()
+    assert windows.line() == "back"
     assert changed(screen.settled(differs_from=moved), first) == 0
-    go_on()
-    reach("goal")
+    windows.say()
+    assert windows.line() == "goal"
     with_goal = screen.settled(differs_from=first)
     assert 10 < changed(with_goal, first) < changed(moved, first)
-    go_on()
-    reach("cleared")
+    windows.say()
+    assert windows.line() == "cleared"
     assert changed(screen.settled(differs_from=with_goal), first) == 0
-    go_on()
-    reach("done")
-    assert child.wait(PATIENCE) == 0
+    windows.say()
+    assert windows.line() == "=== done"
 
 
 def test_without_a_display_it_says_what_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,19 +104,19 @@ def test_a_display_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None
 
 # Shows a scene as `reach --view` does, and ends when its window is closed.
 SCENE = """
-import sys, threading
+import threading
 import numpy as np
 from robot_ik.jobs.reach import scene_solids
 from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import load_robot
 from robot_ik.testbed.frontends.window import WindowSink
 
-robot = load_robot(sys.argv[1])
+robot = load_robot("NAME")
 scene = scene_for(robot)
 marker = scene.pose_world_marker
 see = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
 with WindowSink(robot, solids=scene_solids(scene), see=see, eye=scene.pose_world_camera.position) as window:
-    scene = window._viewer.user_scn
+    user = window._viewer.user_scn
     assert user.ngeom > 8, "floor, table, paper, square, cells"
     window.show_goal(marker.compose(scene.pose_marker_tool))
     assert user.ngeom == window._fixed + 3
@@ -224,23 +131,106 @@ with WindowSink(robot, solids=scene_solids(scene), see=see, eye=scene.pose_world
         way = point - place
         angle = np.arccos(way @ ahead / np.linalg.norm(way))
         assert angle < 0.5 * np.deg2rad(model.vis.global_.fovy), (point, angle)
-    threading.Timer(1.0, window._viewer.close).start()
+    threading.Timer(0.5, window._viewer.close).start()
     window.wait()
 print("closed", flush=True)
 """
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda"])
-def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, screen: Screen) -> None:
-    environment = {
-        **os.environ,
-        "DISPLAY": screen.display,
-        "LIBGL_ALWAYS_SOFTWARE": "1",
-        "LP_NUM_THREADS": "1",
-    }
-    environment.pop("MUJOCO_GL", None)
-    done = subprocess.run(
-        [sys.executable, "-c", SCENE, name],
-        env=environment, text=True, capture_output=True, timeout=3 * PATIENCE, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0 and done.stdout == "closed\n", done.stderr
+def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, windows: Windows) -> None:
+    assert windows.run(SCENE.replace("NAME", name)) == ["closed"]
+
+
+# ------------------------------------------------------------------------------ the testbed's session
+
+SHOWN = """
+from pathlib import Path
+from robot_ik.testbed.commands import CommandLog
+from robot_ik.testbed.frontends.window import SessionWindow
+from robot_ik.testbed.session import replayed
+
+window = None
+for session in replayed(CommandLog.load(Path("LOG"))):
+    window = window or SessionWindow(session)
+    window.draw(session.view())
+print(session.view().digest(), flush=True)
+window.close()
+"""
+
+
+def test_the_same_script_gives_the_same_view_in_the_window(windows: Windows, tmp_path: Path) -> None:
+    SCRIPT.save(tmp_path / "script.jsonl")
+    *_, session = replayed(SCRIPT)
+    assert windows.run(SHOWN.replace("LOG", str(tmp_path / "script.jsonl"))) == [session.view().digest()]
+
+
+# The loop runs here; what the session got is said at the end.
+PERSON = """
+import subprocess, sys, threading, time
+import numpy as np
+from robot_ik.testbed.commands import Start
+from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.frontends.window import SessionWindow
+
+def act(*words, rest=0.0):
+    subprocess.run(["xdotool", *map(str, words)], check=True)
+    time.sleep(rest)
+
+def until(holds, what):
+    end = time.monotonic() + 30.0
+    while not holds():
+        assert time.monotonic() < end, what
+        time.sleep(0.05)
+
+session = Session(Start("tabletop_puma"), beside=False)
+stop, failed = threading.Event(), []
+
+def person():
+    try:
+        until(lambda: window._view.tick > 20, "no tick")
+        act("mousemove", 240, 180, rest=0.5)  # keys go to the window under the mouse
+        act("key", "space")
+        until(lambda: not window._view.running, "space did not pause")
+        act("key", "space")
+        until(lambda: window._view.running, "space did not go on")
+        act("key", "Up")
+        until(lambda: window._view.motion == "hand", "an arrow did not move the ball")
+        before = window._view.ball.position
+        act("key", "w")
+        until(lambda: window._view.ball.position[2] > before[2] + 0.01, "W did not lift the ball")
+        flags = window._viewer.opt.flags.copy()
+        assert (flags == window._kept[0]).all(), "W switched a flag of MuJoCo, too"
+        before = window._view.ball.position
+        act("keydown", "ctrl", "mousedown", 3, rest=0.4)  # the viewer looks at the mouse once a frame
+        act("mousemove_relative", "--", 30, -20, rest=0.4)
+        act("mousemove_relative", "--", 10, -10, rest=0.4)
+        act("mouseup", 3, "keyup", "ctrl")
+        until(lambda: np.linalg.norm(window._view.ball.position - before) > 0.005, "Ctrl-drag did nothing")
+        until(lambda: window._view.instances[0].miss < 0.5, "the arm did not follow")
+        act("key", "r")
+        until(lambda: window._view.motion == "curve", "R did not reset")
+        act("key", "4")
+        until(lambda: window._view.count == 4 and window._viewer.user_scn.ngeom > 20, "no four arms")
+        act("key", "Up")
+        until(lambda: window._view.motion == "hand", "four arms: an arrow did not move the ball")
+        act("key", "r")
+        until(lambda: window._view.motion == "curve", "four arms: R did not reset")
+    except BaseException as error:
+        failed.append(error)
+    finally:
+        stop.set()
+
+with SessionWindow(session) as window:
+    thread = threading.Thread(target=person)
+    thread.start()
+    run(session, window.draw, stop)
+    thread.join()
+if failed:
+    raise failed[0]
+"""
+
+
+def test_keys_and_mouse_reach_the_session(windows: Windows, require: Callable[..., str]) -> None:
+    require("xvfb", "xdotool is not installed", present=shutil.which("xdotool") is not None)
+    assert windows.run(PERSON) == []

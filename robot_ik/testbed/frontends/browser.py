@@ -6,6 +6,8 @@ others watch; STOP works from every one of them.
 
 from __future__ import annotations
 
+import html
+import logging
 import math
 import threading
 import time
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from robot_ik.motion.trajectory import Trajectory
 
 Image = NDArray[np.uint8]
+LOG = logging.getLogger(__name__)
 
 _LEFT, _RIGHT = 300, 350  # px
 _BRAND = (37, 99, 235)
@@ -375,6 +378,7 @@ class Page:
 class _CameraThread:
     """Pictures of a camera, at most four a second, beside the loop; off until they are switched on."""
 
+    _NOTHING = "<small>this robot has no scene with a camera: choose tabletop_puma under Robot</small>"
     _OFF = page("<small>no pictures: switch them on under Show, on the left</small>")
 
     def __init__(self, read: Callable[[], tuple[Image, str] | None]) -> None:
@@ -391,6 +395,7 @@ class _CameraThread:
     def switch(self, on: bool) -> None:
         """Pictures, or none."""
         if on:
+            self._text.content = page("<small>the first picture takes some seconds …</small>")
             self._shown.set()
         else:
             self._shown.clear()
@@ -398,10 +403,21 @@ class _CameraThread:
 
     def _work(self) -> None:
         while not self._over.wait(_CAMERA_PERIOD):
-            found = self._read() if self._shown.is_set() else None
-            if found is not None and self._shown.is_set():
-                self._image.image = found[0]
-                self._text.content = page(found[1])
+            if not self._shown.is_set():
+                continue
+            image, text = self._look()
+            if self._shown.is_set() and not self._over.is_set():
+                self._text.content = page(text)
+                if image is not None:
+                    self._image.image = image
+
+    def _look(self) -> tuple[Image | None, str]:
+        """The next picture, and what is said of it."""
+        try:
+            return self._read() or (None, self._NOTHING)
+        except Exception as error:  # on a thread nobody else would see it, and the picture would stand still
+            LOG.debug("no picture", exc_info=True)
+            return None, f'<span class="no">no picture: {html.escape(str(error).splitlines()[0])}</span>'
 
     def close(self) -> None:
         """Ends the thread."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import hmac
 import http
 import io
@@ -16,6 +17,7 @@ import ipaddress
 import logging
 import math
 import secrets
+import socket
 import threading
 import time
 from collections import Counter
@@ -404,6 +406,26 @@ def in_front_of_serve(gate: Gate) -> Iterator[None]:
             setattr(ws_server, "serve", real)  # noqa: B010
 
 
+def _require_address(host: str, port: int) -> None:
+    """viser binds on a thread of its own, and its constructor waits for ever where that fails.
+
+    Raises:
+        ViewerError: The address cannot be used.
+    """
+    try:
+        if not 0 < port < 1 << 16:
+            raise OSError(f"ports are 1 to {(1 << 16) - 1}")
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:  # the next port is taken then
+            raise ViewerError(
+                f"cannot listen at {host}:{port}: {error.strerror or error}",
+                hint="give another --host or --port",
+            ) from error
+
+
 def open_server(
     host: str = "127.0.0.1", port: int = 8080, *, token: bool = False, names: tuple[str, ...] = ()
 ) -> tuple[viser.ViserServer, Gate]:
@@ -423,14 +445,10 @@ def open_server(
             f"the page is made for viser {_VISER}x, and {viser.__version__} is installed",
             hint='pip install "robot_ik[web]"',
         )
+    _require_address(host, port)
     gate = Gate(secrets.token_urlsafe(24) if token or not is_loopback(host) else None, names)
-    try:
-        with in_front_of_serve(gate), quiet():
-            server = viser.ViserServer(host=host, port=port, verbose=False)
-    except OSError as error:
-        raise ViewerError(
-            f"cannot listen at {host}:{port}: {error.strerror or error}", hint="give another --host or --port"
-        ) from error
+    with in_front_of_serve(gate), quiet():
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     for kind in (vm.ShareUrlRequest, vm.ShareUrlDisconnect):  # no tunnel to outside, whoever asks
         server._websock_server.unregister_handler(kind)
     buffer = server._websock_server._broadcast_buffer

@@ -66,6 +66,7 @@ STYLE = """<style>.rk{font:13px/1.45 system-ui,sans-serif;padding:0 .75em .5em}
 .rk .bar b{position:absolute;top:-3px;width:4px;height:12px;border-radius:2px;margin-left:-2px}
 .rk .w{width:55%}.rk .no{color:#dc2626;white-space:normal;text-align:left}
 .rk kbd{font:600 11px system-ui;border:1px solid rgba(128,128,128,.5);border-radius:4px;padding:0 5px}
+[role="tab"]{padding-inline:8px!important}
 @media(max-width:600px){[style*="max-height: 60%"]{width:100%!important;max-height:45%!important}
 [style*="max-height: 60%"] [style*="width: 20em"]{width:100%!important}}</style>"""
 
@@ -468,7 +469,14 @@ class ArmPanel:
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
-        if event.client is not None and shown is not None:
+        if event.client is None:
+            return
+        if shown is None:
+            event.client.add_notification(
+                "Nothing is recorded yet", "Press Teach, guide the arm, press Hold; then save.",
+                auto_close_seconds=4.0,
+            )  # fmt: skip
+        else:
             event.client.send_file_download("recording.csv", shown.csv_text().encode())
 
     def show(self, view: View) -> None:
@@ -581,7 +589,9 @@ class MeasuredPanel:
             top = 1.1 * max(1e-6, *(float(row.max()) for row in rows))
             if not 0.5 * plot.scales["y"]["range"][1] <= top <= plot.scales["y"]["range"][1]:
                 plot.scales = {"x": {"time": False}, "y": {"range": (0.0, 1.3 * top)}}
-        plot.data = (times, *rows)
+        data = (times, *rows)
+        if not (len(plot.data) == len(data) and all(map(np.array_equal, plot.data, data))):
+            plot.data = data  # viser compares single arrays only: a page at rest would send this for ever
 
 
 def joint_bars(view: View, robot: Robot) -> str:

@@ -16,6 +16,7 @@ import viser
 from mjviser import conversions
 from numpy.typing import NDArray
 
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.session import View
@@ -45,11 +46,49 @@ _GIZMO = 0.22  # of the extent, times 1.5
 
 
 def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
-    """(body, mesh) with what MuJoCo shows by default; geoms of a body that may be merged are."""
+    """(body, mesh) with what MuJoCo shows by default; a body is one mesh, but for what has a texture."""
+    whole = cached_mesh(model)
     for body in range(model.nbody):
         geoms = bodies_shown(model, body)
-        for part in conversions.group_geoms_by_visual_compat(model, geoms) if geoms else ():
+        plain = [
+            g
+            for g in geoms
+            if conversions.get_geom_texture_id(model, g) < 0
+            and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_HFIELD
+        ]
+        others = [g for g in geoms if g not in plain]
+        for part in conversions.group_geoms_by_visual_compat(model, others) if others else ():
             yield body, conversions.merge_geoms(model, part)
+        if plain:
+            yield body, _smooth_mesh(model, whole, plain)
+
+
+def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> trimesh.Trimesh:
+    """Geoms in their body's frame: round where they are round, with sharp edges where they have edges.
+
+    Not by mjviser, whose capsules have 4000 faces: a browser asks each whether the mouse is over it.
+    """
+    found = np.isin(whole.face_geom_id, geoms)
+    quads, owner = whole.faces[found], whole.face_geom_id[found]
+    turned = np.zeros((model.ngeom, 9))
+    for g in geoms:
+        mujoco.mju_quat2Mat(turned[g], model.geom_quat[g])
+    rotation = turned.reshape(-1, 3, 3)[owner]
+    corners = np.einsum("fij,fkj->fki", rotation, whole.vertices[quads]) + model.geom_pos[owner][:, None]
+    normals = np.einsum("fij,fkj->fki", rotation, whole.corner_normals[found])
+    colours = np.repeat((255.0 * np.clip(geom_rgba(model)[owner], 0.0, 1.0))[:, None], 4, axis=1)
+    rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
+    _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
+    index = number.reshape(-1, 4)
+    faces = np.vstack([index[:, :3], index[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
+    kept = rows[first]
+    return trimesh.Trimesh(
+        kept[:, :3],
+        faces,
+        vertex_normals=kept[:, 3:6],
+        vertex_colors=kept[:, 6:].astype(np.uint8),
+        process=False,
+    )
 
 
 class Ghosts:

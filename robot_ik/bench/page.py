@@ -1,0 +1,375 @@
+"""What the testbed's page costs and how soon it is there, each figure beside what is wanted of it.
+
+The page runs in this process and what looks at it in others, so that processor time is the page's own.
+A browser costs more than the page; only the rows of the start have one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, Self
+from urllib.parse import urlsplit
+
+import msgspec
+import numpy as np
+import viser
+import zstandard
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from robot_ik.testbed.commands import Count, Start
+from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.session import Session, View, run
+
+COUNT: Count = 4
+"""Arms side by side in every row but those of the start."""
+CHROMIUM = (
+    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update",
+)  # fmt: skip
+"""Arguments of a Chromium that draws without a GPU and asks nobody outside."""
+DRAWN = """() => {
+    const seen = window.__viserMutable, points = window.__viserTestpoints;
+    return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 2300;
+}"""
+"""JavaScript: whether viser's page shows the robot."""
+_PORT = 8660
+_TICKS = 600
+_GOALS = 40  # ball moves of which the delay is taken
+_QUIET = 0.15  # seconds without a moved robot: it has arrived
+_PATIENCE = 180.0  # seconds for a kernel cache that is empty, on a slow machine
+_PLACES = (-0.45, -0.3, 0.9), (-0.45, -0.27, 0.88)  # of the ball, in the PUMA's reach, metres
+
+
+@dataclass(frozen=True)
+class PageRow:
+    """One figure beside its target.
+
+    Attributes:
+        what: What was measured.
+        value, unit: As measured; NaN: not, because of ``note``.
+        most: The target.
+        note: What is said of it.
+    """
+
+    what: str
+    value: float
+    unit: str
+    most: float
+    note: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within its target."""
+        return self.value <= self.most
+
+
+def measure_page(seconds: float = 10.0, say: Callable[[str], None] = lambda text: None) -> Iterator[PageRow]:
+    """All rows, one after the other.
+
+    Args:
+        seconds: For which processor time and bytes are counted, each time.
+        say: Called with what is measured now.
+    """
+    say("running four arms")
+    with Session(Start(count=COUNT)) as session:
+        while session.busy or not session.ready:
+            session.tick()
+            time.sleep(0.01)
+        yield _tick_and_view(session)
+        yield from _running(session, seconds, say)
+    yield from _starts(say)
+
+
+def _tick_and_view(session: Session) -> PageRow:
+    times = []
+    for _ in range(_TICKS):
+        begin = time.perf_counter()
+        session.tick()
+        session.view()
+        times.append(time.perf_counter() - begin)
+    return PageRow("tick and view, four arms, tight loop", 1e3 * float(np.median(times)), "ms", 1.0)
+
+
+# ------------------------------------------------------------------------------------- a running page
+
+
+def _running(session: Session, seconds: float, say: Callable[[str], None]) -> Iterator[PageRow]:
+    """Costs with one client and with two; the delay of a ball that is dragged."""
+    draws: list[float] = []
+    stop = threading.Event()
+    with Page(session, port=_PORT) as page, Watcher(page.url) as first:
+
+        def draw(view: View) -> None:
+            begin = time.perf_counter()
+            page.draw(view)
+            draws.append(time.perf_counter() - begin)
+
+        loop = threading.Thread(target=run, args=(session, draw, stop), name="testbed-loop")
+        loop.start()
+        try:
+            time.sleep(1.0)  # what a new browser gets is sent
+            draws.clear()
+            say("one browser looks")
+            one, sent = _costs(first, seconds)
+            times = 1e3 * np.array(draws)
+            with Watcher(page.url) as second:
+                time.sleep(1.0)
+                say("two browsers look")
+                two, _ = _costs(second, seconds)
+            again, _ = _costs(first, seconds)
+            say("dragging the ball")
+            delays = 1e3 * np.array(first.drag())
+        finally:
+            stop.set()
+            loop.join()
+    alone = 0.5 * (one + again)
+    rows = (
+        ("draw, four arms, one client: median", np.median(times), "ms", 2.0),
+        ("draw, four arms, one client: p99", np.percentile(times, 99), "ms", 4.0),
+        ("the whole page, solved at 60 Hz, drawn at 30", 100.0 * alone, "% of a core", 25.0),
+        ("a second browser", 100.0 * (two - alone), "% of a core", 5.0),
+        ("on the wire to one browser", sent / 1000.0, "kB/s", 300.0),
+        ("from a goal message to the packet with the moved arm: p90", np.percentile(delays, 90), "ms", 60.0),
+    )
+    for what, value, unit, most in rows:
+        yield PageRow(what, float(value), unit, most)
+
+
+def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
+    """Share of a core that this process takes, and bytes a second that the watcher gets."""
+    watcher.received()
+    clock, used = time.perf_counter(), time.process_time()
+    time.sleep(seconds)
+    used, clock = time.process_time() - used, time.perf_counter() - clock
+    return used / clock, watcher.received() / clock
+
+
+class Watcher:
+    """A process that takes everything a page sends."""
+
+    def __init__(self, url: str) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=_watch, args=(url, other), daemon=True)
+        self._process.start()
+        other.close()
+        self._pipe.recv()  # it looks
+
+    def received(self) -> int:
+        """Bytes since this was last asked."""
+        self._pipe.send("received")
+        return int(self._pipe.recv())
+
+    def drag(self) -> list[float]:
+        """Seconds from each of some ball moves to the packet in which a robot has moved."""
+        self._pipe.send("drag")
+        found: list[float] = self._pipe.recv()
+        return found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._pipe.close()
+        self._process.join(10.0)
+
+
+def _watch(url: str, pipe: Connection) -> None:
+    """A watcher's process; ends with its pipe."""
+    received = 0
+    with PageClient(url) as client:
+        pipe.send("looking")
+        while True:
+            received += client.receive(0.05)[0]
+            try:
+                if not pipe.poll():
+                    continue
+                asked = pipe.recv()
+            except (EOFError, OSError):
+                return
+            pipe.send(received if asked == "received" else _drag(client))
+            received = 0
+
+
+def _drag(client: PageClient) -> list[float]:
+    rng, delays = np.random.default_rng(0), []
+    for k in range(_GOALS + 2):
+        client.drag_ball(_PLACES[k % 2])
+        begin = time.perf_counter()
+        while not client.receive(1.0)[1]:
+            if time.perf_counter() - begin > 2.0:
+                break
+        delays.append(time.perf_counter() - begin)
+        quiet = time.perf_counter()
+        while time.perf_counter() - quiet < _QUIET:
+            if client.receive(0.02)[1]:
+                quiet = time.perf_counter()
+            if time.perf_counter() - begin > 2.0:
+                break  # a method that does not come to rest
+        time.sleep(float(rng.uniform(0.0, 0.05)))  # at any moment between two drawings
+    return delays[2:]  # the first bring the arms there
+
+
+class PageClient:
+    """As much of a browser as the page's server can see: says where its camera is, takes everything."""
+
+    def __init__(self, url: str) -> None:
+        where = urlsplit(url)
+        assert where.hostname is not None and where.port is not None
+        opened = socket.create_connection((where.hostname, where.port), 20.0)
+        opened.settimeout(None)
+        self._socket = connect(
+            f"ws://{where.netloc}/", sock=opened,
+            origin=f"http://{where.netloc}", subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[arg-type, list-item]
+            compression=None, max_size=None, max_queue=None, ping_interval=None,
+        )  # fmt: skip
+        self._unpack, self._live = zstandard.ZstdDecompressor(), False
+        self._send({
+            "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0],
+            "fov": 0.7, "near": 0.01, "far": 100.0, "look_at": [0.0, 0.0, 0.0],
+            "up_direction": [0.0, 0.0, 1.0], "image_height": 900, "image_width": 1440,
+        })  # fmt: skip
+
+    def _send(self, message: dict[str, Any]) -> None:
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def drag_ball(self, place: tuple[float, float, float]) -> None:
+        """Drags the ball of the first arm to a place in the scene, metres."""
+        self._send({
+            "type": "SceneNodeDragMessage", "phase": "update", "name": "/robot/ball", "instance_index": 0,
+            "start_position": list(place), "start_screen_pos": [0.5, 0.5], "end_position": list(place),
+            "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None,
+        })  # fmt: skip
+
+    def receive(self, timeout: float) -> tuple[int, bool]:
+        """Bytes of the next packet, 0 if none comes within ``timeout`` s, and whether a robot moves in it."""
+        try:
+            data = self._socket.recv(timeout=timeout)
+        except TimeoutError:
+            return 0, False
+        assert isinstance(data, bytes)
+        size = int.from_bytes(data[8:16], "little")
+        moved = False
+        for message in msgspec.msgpack.decode(self._unpack.decompress(data[16 : 16 + size]))["messages"]:
+            if (
+                message["type"] == "ReplayDoneMessage"
+            ):  # what came before is how the page was when it was opened
+                self._live = True
+            elif message["type"] == "SceneNodeUpdateMessage" and "batched_positions" in message["updates"]:
+                moved |= self._live and re.fullmatch(r"/robot/\d+_\d+", message["name"]) is not None
+        return len(data), moved
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._socket.close()
+
+
+# ------------------------------------------------------------------------------------------ the start
+
+
+def _starts(say: Callable[[str], None]) -> Iterator[PageRow]:
+    """Warm and cold: seconds from the command to the robot in a running browser, and to the first answer."""
+    with _browser() as (browser, why):
+        say("starting the command")
+        with tempfile.TemporaryDirectory() as empty:
+            warm = _started(browser, {})
+            say("starting it with no kernel compiled")
+            cold = _started(browser, {"XDG_CACHE_HOME": empty})
+    rows = (
+        ("command to address printed, warm", warm[0], 5.0, ""),
+        ("command to robot drawn in a running browser, warm", warm[1], 5.0, why),
+        ("command to robot drawn, at home, with no kernel compiled", cold[1], 8.0, why),
+        ("command to first answer, with no kernel compiled", cold[2], 45.0, ""),
+    )
+    for what, value, most, note in rows:
+        yield PageRow(what, value, "s", most, note)
+
+
+@contextlib.contextmanager
+def _browser() -> Iterator[tuple[Any, str]]:
+    """A running Chromium, or None and why not."""
+    path = find_chromium()
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        path = None
+    if path is None:
+        yield None, "not measured: needs Chromium and playwright (extra dev)"
+        return
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=list(CHROMIUM))
+        yield browser, ""
+        browser.close()
+
+
+def find_chromium() -> str | None:
+    """Its path; None: there is none."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    return next((path for name in names if (path := shutil.which(name))), None)
+
+
+def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, float]:
+    """Seconds to address, to the robot in the browser (NaN without one), to the first answer."""
+    window = None if browser is None else browser.new_page(viewport={"width": 1440, "height": 900})
+    words = [
+        sys.executable,
+        "-m",
+        "robot_ik",
+        "view",
+        "--no-open",
+        "--viewer",
+        "browser",
+        "--port",
+        str(_PORT),
+    ]
+    begin, drawn = time.perf_counter(), float("nan")
+    child = subprocess.Popen(
+        words, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    try:
+        assert child.stdout is not None
+        found = next((one for line in child.stdout if (one := re.search(r"http://\S+", line))), None)
+        if found is None:
+            raise ChildProcessError("robot-ik view ended without an address")
+        address = time.perf_counter() - begin
+        answers: list[float] = []
+        waiting = threading.Thread(target=lambda: answers.append(_first_answer(found[0]) - begin))
+        waiting.start()
+        if window is not None:
+            window.goto(found[0])
+            window.wait_for_function(DRAWN, timeout=1e3 * _PATIENCE)
+            drawn = time.perf_counter() - begin
+            window.close()
+        waiting.join()
+    finally:
+        child.send_signal(signal.SIGINT)
+        child.communicate(timeout=60.0)
+    return address, drawn, answers[0] if answers else float("inf")
+
+
+def _first_answer(url: str) -> float:
+    """When a robot moves for the first time; infinite if it never does."""
+    with PageClient(url) as client, contextlib.suppress(ConnectionClosed):
+        end = time.perf_counter() + _PATIENCE
+        while time.perf_counter() < end:
+            if client.receive(1.0)[1]:
+                return time.perf_counter()
+    return float("inf")

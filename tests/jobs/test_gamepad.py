@@ -1,0 +1,164 @@
+"""A gamepad leads an arm: a stand-in for its state, and a virtual gamepad of SDL's for the device."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from robot_ik.cli.main import main
+from robot_ik.errors import HardwareError
+from robot_ik.geometry import Pose
+from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
+from robot_ik.jobs.teleop import Jog, TeleopTick, open_pair, teleoperate
+from robot_ik.ports import Array
+from robot_ik.robot import load_robot
+from tests.jobs.test_teleop import arm_file, home
+
+
+def led(
+    read: Callable[[], PadState], *, hand: bool = True, seconds: float = 1.5
+) -> tuple[Array, Array, dict[str, float], ArmConfig]:
+    """Where the follower was, (n,), where it is after some seconds, that by joint, and its arm file."""
+    begin = home("tabletop_puma")
+    _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
+    pad = Gamepad(follower.config, read, stop=follower.request_stop, hand=hand)
+    with follower:
+        teleoperate(pad, follower, seconds=seconds, over=lambda: pad.over)
+        return begin, follower.read().q, follower.positions(), follower.config
+
+
+def test_sticks_move_the_hand_along_the_axes_of_the_world() -> None:
+    states = iter([PadState(left=(0.0, 1.0))] * 21 + [PadState(triggers=(0.0, 1.0))] * 20)
+    begin, q, _, config = led(lambda: next(states, PadState()))
+    robot = load_robot("tabletop_puma")
+    moved = robot.forward(q).position - robot.forward(begin).position
+    assert moved == pytest.approx([0.12 * 20 / config.rate_hz, 0.0, 0.12 * 20 / config.rate_hz], abs=3e-3)
+    assert robot.forward(q).distance(robot.forward(begin))[1] < 0.02
+
+
+def test_a_hand_at_the_end_of_its_reach_stops_there_as_it_is_and_comes_back_without_drift() -> None:
+    config, robot = arm_file("tabletop_puma"), load_robot("tabletop_puma")
+    jog = Jog(config, hand=True)
+    begin = dict(zip(config.names, home("tabletop_puma").tolist(), strict=True))
+    jog.engage(begin | {joint.name: joint.limits[0] for joint in config.auxiliary})
+
+    def hand() -> Pose:
+        return robot.forward(np.array([jog.angles[name] for name in robot.joints]))
+
+    first, there = hand(), 0
+    for _ in range(100):
+        before = hand()
+        jog.move_hand(np.array((0.002, 0.0, 0.0)), np.zeros(3))
+        there += hand().distance(before)[0] > 1e-3
+    assert 20 < there < 80, "it was to come to the end of its reach on the way"
+    assert hand().distance(first)[1] < 0.01 and hand().position[2] == pytest.approx(
+        first.position[2], abs=1e-3
+    )
+    for _ in range(there):
+        jog.move_hand(np.array((-0.002, 0.0, 0.0)), np.zeros(3))
+    assert hand().distance(first)[0] < 5e-4
+
+
+def test_in_joints_the_same_six_move_one_each_within_its_limits() -> None:
+    begin, q, _, config = led(lambda: PadState(left=(0.0, 1.0)), hand=False, seconds=8.0)
+    assert q[0] == pytest.approx(config.upper[0], abs=0.005)
+    assert q[1:] == pytest.approx(begin[1:], abs=0.005)
+
+
+def test_a_button_changes_between_hand_and_joints_and_another_moves_the_gripper() -> None:
+    states = iter(
+        [PadState(pressed=frozenset({"y"}))] * 2 + [PadState((0.0, 1.0), pressed=frozenset({"up"}))] * 20
+    )
+    begin, q, angles, config = led(lambda: next(states, PadState()))
+    assert q[0] > begin[0] + 0.05 and q[1:] == pytest.approx(begin[1:], abs=0.005)
+    gripper = config.auxiliary[0]
+    assert angles[gripper.name] > gripper.limits[0] + 0.001
+
+
+def test_a_stick_that_is_let_go_moves_nothing() -> None:
+    begin, q, _, _ = led(lambda: PadState(left=(0.9 * DEAD_ZONE, -0.9 * DEAD_ZONE)), seconds=0.5)
+    assert np.abs(q - begin).max() < 1e-3
+
+
+def test_one_button_stops_and_another_ends() -> None:
+    states = iter([PadState(pressed=frozenset({"b"}))])
+    with pytest.raises(HardwareError, match="stop"):
+        led(lambda: next(states, PadState(left=(0.0, 1.0))), seconds=0.5)
+    states = iter([PadState(pressed=frozenset({"start"}))])
+    begin, q, _, _ = led(lambda: next(states, PadState(left=(0.0, 1.0))), seconds=5.0)
+    assert np.abs(q - begin).max() < 0.01
+
+
+@pytest.fixture
+def virtual_pad(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """A gamepad that SDL makes up, in the library that pygame has loaded; called it changes its state."""
+    pygame = pytest.importorskip("pygame", reason="needs the extra gamepad")
+    libraries = list(Path(pygame.__file__).parents[1].glob("pygame_ce.libs/libSDL2-2*"))
+    if not libraries:
+        pytest.skip("this build of pygame has no SDL of its own to make up a gamepad with")
+    for name in ("SDL_VIDEODRIVER", "SDL_JOYSTICK_ALLOW_BACKGROUND_EVENTS"):
+        monkeypatch.setenv(name, "dummy" if "DRIVER" in name else "1")
+    sdl = ctypes.CDLL(str(libraries[0]))
+    sdl.SDL_JoystickOpen.restype = ctypes.c_void_p
+    from pygame._sdl2 import controller
+
+    pygame.display.init()
+    controller.init()
+    number = [sdl.SDL_JoystickAttachVirtual(1, 6, 15, 0)]  # 1: a gamepad; its axes and buttons
+    stick = ctypes.c_void_p(sdl.SDL_JoystickOpen(number[0]))
+
+    def change(*, axis: int = -1, button: int = -1, value: int = 0, away: bool = False) -> None:
+        if axis >= 0:
+            sdl.SDL_JoystickSetVirtualAxis(stick, axis, ctypes.c_int16(value))
+        if button >= 0:
+            sdl.SDL_JoystickSetVirtualButton(stick, button, ctypes.c_uint8(value))
+        if away:
+            sdl.SDL_JoystickDetachVirtual(number.pop())
+
+    yield change
+    if number:
+        sdl.SDL_JoystickDetachVirtual(number[0])
+
+
+def test_a_device_is_read_and_found_missing(virtual_pad: Callable[..., None]) -> None:
+    with PadDevice() as device:
+        assert device.name and device.read() == PadState()
+        virtual_pad(axis=0, value=32767)
+        virtual_pad(axis=1, value=-32768)  # SDL's y is down
+        virtual_pad(button=1, value=1)
+        state = device.read()
+        assert state.left == (1.0, 1.0) and state.pressed == {"b"}
+        virtual_pad(away=True)
+        with pytest.raises(HardwareError, match="gone"):
+            device.read()
+        with pytest.raises(HardwareError, match="come back"):
+            device.recover(0.0)
+
+
+def test_a_gamepad_that_is_lost_commands_nothing(virtual_pad: Callable[..., None]) -> None:
+    begin = home("tabletop_puma")
+    _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
+    with PadDevice() as device, follower:
+        pad = Gamepad(follower.config, device.read, recover=device.recover)
+        virtual_pad(axis=1, value=-32768)
+
+        def tick(one: TeleopTick) -> None:
+            if one.time > 0.3:
+                virtual_pad(away=True)
+
+        with pytest.raises(HardwareError, match="come back"):
+            teleoperate(pad, follower, seconds=5.0, patience=0.2, on_tick=tick)
+        assert follower.state is ArmState.HOLD
+
+
+def test_without_a_gamepad_it_says_what_else_leads(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pygame", reason="needs the extra gamepad")
+    words = "teleop --leader gamepad --follower tabletop_puma --follower-bus sim --seconds 0.1"
+    assert main(words.split()) == 2
+    assert "--leader keys" in capsys.readouterr().err

@@ -1,0 +1,31 @@
+"""What the page draws of a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from robot_ik.robot import load_robot
+from robot_ik.testbed.staging import bodies_shown
+
+pytest.importorskip("viser", reason="needs the extra web")
+from mjviser import conversions
+
+from robot_ik.testbed.frontends.scene import body_meshes
+
+
+@pytest.mark.parametrize(("name", "most"), [("humanoid", 60_000), ("panda", 20_000)])
+def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(name: str, most: int) -> None:
+    """A browser asks every face whether the mouse is over it: of 240,000 that took seconds."""
+    model = load_robot(name).model
+    drawn = list(body_meshes(model))
+    assert sum(len(mesh.faces) for _, mesh in drawn) < most
+    bodies = [body for body, _ in drawn]
+    assert sorted(set(bodies)) == [body for body in range(model.nbody) if bodies_shown(model, body)]
+    for body, mesh in drawn if name == "panda" else ():  # of the figure mjviser's own take seconds
+        if bodies.count(body) == 1:
+            fine = conversions.merge_geoms(model, bodies_shown(model, body))
+            assert np.abs(mesh.bounds - fine.bounds).max() < 0.004
+            colours = [set(map(tuple, one.visual.vertex_colors)) for one in (mesh, fine)]
+            assert colours[0] == colours[1]
+            assert mesh.volume > 0.0, "its faces look inwards"
