@@ -312,6 +312,7 @@ class RefinedCorners:
         explained: Part of the variance of the grey values that the marker's print explains; NaN: not asked.
         misread: Cells that the picture shows otherwise than the print, beyond what its dictionary allows.
         by_print: Whether the corners are those of the whole print, not of the four sides alone.
+        model: Numbers of the fit of the print, for that of the next picture to start from.
     """
 
     corners: Array
@@ -325,6 +326,7 @@ class RefinedCorners:
     explained: float = float("nan")
     misread: int = 0
     by_print: bool = False
+    model: tuple[float, ...] | None = None
 
 
 def unrefined(

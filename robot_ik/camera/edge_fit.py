@@ -86,14 +86,10 @@ def linearise(pixels, count, x):
 
 
 @outlined
-def spread(pixels, count):
-    """Robust standard deviation: median of the residuals' sizes, corrected for the parameters used up."""
-    values = pixels[SPARE]
-    for p in range(count):
-        values[p] = abs(pixels[RESIDUAL, p])
-    # The median by Hoare's selection (1961): the part that holds it is parted again.
+def median_of(values, count):
+    """Median of the first ``count`` values, which lose their order: Hoare's selection (1961)."""
     low, high, k = 0, count - 1, count // 2
-    while low < high:
+    while low < high:  # the part that holds it is parted again
         pivot = values[(low + high) // 2]
         i, j = low, high
         while i <= j:
@@ -106,8 +102,19 @@ def spread(pixels, count):
                 i += 1
                 j -= 1
         low, high = low if k <= j else (i if k >= i else k), j if k <= j else (high if k >= i else k)
-    freedom = max(count - PARAMETERS, 1) / max(count, 1)
-    return max(1.4826 * values[k] / math.sqrt(freedom), _LEAST_NOISE) if count > 0 else _LEAST_NOISE
+    return values[k]
+
+
+@outlined
+def spread(pixels, count):
+    """Robust standard deviation: median of the residuals' sizes, corrected for the parameters used up."""
+    if count == 0:
+        return _LEAST_NOISE
+    values = pixels[SPARE]
+    for p in range(count):
+        values[p] = abs(pixels[RESIDUAL, p])
+    freedom = max(count - PARAMETERS, 1) / count
+    return max(1.4826 * median_of(values, count) / math.sqrt(freedom), _LEAST_NOISE)
 
 
 @outlined

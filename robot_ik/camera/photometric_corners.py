@@ -27,22 +27,25 @@ Source: Pearson, Mathematical contributions to the theory of evolution VII, Phil
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
 from robot_ik.camera.detection import Image, correctable, to_gray
+from robot_ik.camera.edge_fit import median_of
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel, lens_vector
 from robot_ik.kernels.jit import announce, kernel, outlined
+from robot_ik.kernels.linalg import solve_definite
 
 # ------------------------------------------------------------------------------------------
-# Normal equations of a marker's whole print, compiled.
+# The fit of a marker's whole print, compiled.
 
 
 # Unknowns: eight of the homography, ln blur, edge shift, halo; then dark and contrast, 3 or 6 numbers each.
@@ -51,6 +54,23 @@ LINEAR, QUADRATIC = 3, 6
 # What is kept of a pixel: undistorted coordinates, their derivative by pixels (symmetric but for the focal
 # lengths), grey value, how many pixels it stands for.
 PIXEL_ROWS = 8
+# What is known beforehand: edge shift, its standard deviation, blur of the sides (px); how far out of the
+# sides to start (px), with what noise and terms of the light; how many pixels are looked at, and fitted;
+# whether the residuals are asked for more unknowns; blur, edge shift, halo and light to start with.
+KNOWN_SHIFT, KNOWN_SIGMA, KNOWN_BLUR, PUSH, START_NOISE, START_TERMS = 0, 1, 2, 3, 4, 5
+LOOKED_AT, FITTED, ASK, START = 6, 7, 8, 9
+KNOWN_NUMBERS = START + 15
+# What was found: whether; blur, shift and its standard deviation, without a halo; part of the variance that
+# is explained; misread cells; noise, terms of the light, whether there is a halo; how sums were made; how
+# much the cells' mean residuals are in units of what noise alone leaves.
+FOUND, PLAIN_BLUR, PLAIN_SHIFT, SHIFT_SIGMA, EXPLAINED, MISREAD = 0, 1, 2, 3, 4, 5
+NOISE, TERMS, WITH_HALO, AT_START, USED, EVERY, TO_DROP, UNEVEN = 6, 7, 8, 9, 10, 11, 12, 13
+ANSWER_NUMBERS = 14
+# Rows of the work space: those of some pixels, so many at a time; equations; system; shares of cells along u
+# and v; shares and tones; unknowns that are held; step; places of the corners; how they follow the unknowns.
+_BLOCK = 64
+NORMAL, MATRIX, ALONG, DOWN, SHARES, HELD, STEP, PLACES, SLOPES = 24, 48, 72, 75, 78, 82, 83, 84, 88
+SPACE_ROWS = 96
 # Beyond so many standard deviations an edge is no longer felt.
 _FAR = 3.2
 # Residuals beyond this many standard deviations lose weight (Cauchy's function).
@@ -62,6 +82,50 @@ _FLAT, _SLOPE = 6, 0.06
 _LEAST_SHARE = 1e-5
 # Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow.
 _HALO_BLUR = 1.2
+# White round the black square that is looked at, in cells.
+_ROUND = 0.45
+# So many pixels say whether the model needs more unknowns; the first steps use one in so many.
+_ASKED, _COARSE = 800, 3
+# Steps at most; one so small, in standard deviations, is the last; a fit that does not come below that one
+# is none.
+_STEPS, _DONE, _RESTLESS = 14, 0.2, 0.5
+# So is one that moves no corner by more than this, px, and ln blur, edge shift and halo not more than that:
+# the model is straight enough there for the place where it ends.
+_NEAR, _ALIKE = 0.05, 0.05
+# Where noise grows by more than this, the fit is not yet where it should be.
+_GROWN = 1.3
+# Pixels of a fit at least: twice the unknowns.
+_LEAST_PIXELS = 2 * (11 + 2 * 3)
+# Rounds in which noise is still estimated anew: later it would keep the fit from coming to rest.
+_NOISE_ROUNDS = 5
+# A step at most: px at a corner, ln blur, edge shift.
+_CORNER_STEP, _BLUR_STEP, _SHIFT_STEP = 1.5, 0.4, 0.5
+# Blur of an edge, px: the pixel's own width is the least.  What it is believed to be before it is measured,
+# as ln.
+_BLUR, _LEAST_BLUR, _BLUR_SPREAD = 0.8, 0.29, 0.6
+# A corner may go so far from where its sides were found: px, part of the side.
+_FARTHEST, _FARTHEST_PART = 3.0, 0.1
+#: Edge shift and its spread for a camera of which nothing is known: none for a linear one, 0.5 for sRGB.
+UNKNOWN_SHIFT = (0.25, 0.35)
+# Spread of the edge shift between the markers of a picture (light, printing).
+_SHIFT_ALIKE = 0.08
+# Least standard deviation of corners, px, and of the edge shift by side lines, as a part of it.
+_LEAST_SIGMA, _SHIFT_PART = 0.01, 0.05
+# What print, paper and lens leave, as a part of the standard deviation from noise alone.
+_MODEL = 0.25
+# Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt.  In squares of
+# what noise leaves of a cell's mean: usual pictures give 0.4 to 5, hard shadows over the print 7 to 36.
+_UNEVEN = 4.0
+# Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
+_LEAST_NOISE, _ANY_NOISE = 0.3, 1e4
+# Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
+_LEAST_CONTRAST, _EXPLAINED = 5.0, 0.75
+# Quadratic light and a halo are taken where they lessen the sum of squares by these parts: by chance it is a
+# hundredth.  Mild sharpening (0.6) gives 0.01 to 0.04 and does no harm; strong (1.5) gives 0.06 to 0.13.
+_LIGHT_ASKED, _HALO_ASKED = 0.03, 0.05
+# Halo of the strongest sharpening; beyond any edge shift that the model is good for.
+_MOST_HALO, _MOST_SHIFT = 3.0, 2.0
+_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 # The normal distribution and its bell at so many places a sigma: Taylor's series from the nearest one is
@@ -90,11 +154,11 @@ def cell_shares(place, width, count, shares):
         The first of those cells and the one after the last.
     """
     inverse = 1.0 / width
-    at, room = (place + 0.5) * count, _FAR * width * count
+    at, room, pitch = (place + 0.5) * count, _FAR * width * count, inverse / count
     first, last = max(math.floor(at - room), 0), min(math.floor(at + room) + 1, count)
     before, before_bell, before_z = 0.0, 0.0, 0.0
     for i in range(first, last + 1):
-        z = (place + 0.5 - i / count) * inverse
+        z = (at - i) * pitch
         below, bell = (1.0 if z > 0.0 else 0.0), 0.0
         if abs(z) < _FAR:
             below, bell = normal_at(z)
@@ -155,13 +219,16 @@ def normal_quantile(p):
 @outlined
 def toned(share, k, tone):
     """Fills ``tone`` (3,): G_k of a share of white, its derivatives by the share and by k."""
+    if share <= _LEAST_SHARE or share >= 1.0 - _LEAST_SHARE:
+        tone[0], tone[1], tone[2] = 1.0 if share > 0.5 else 0.0, 0.0, 0.0
+        return
     t = normal_quantile(share)
     _, bell = normal_at(t)
     tone[0], tone[2] = normal_at(t + k)
     tone[1] = tone[2] / bell
 
 
-@kernel
+@outlined
 def take_print(gray, lens, box, every, to_print, reach, pixels):
     """Collects the pixels of a box (x0, y0, x1, y1) that see the print; how many.
 
@@ -172,14 +239,14 @@ def take_print(gray, lens, box, every, to_print, reach, pixels):
         every: Odd: one pixel in so many is taken, on a lattice.
         to_print: (3, 3) from (x, y, 1), undistorted, to (u, v, 1) over the depth.
         reach: Pixels beyond ± this (u and v) are not taken.
-        pixels: (8, k) out, with room for all of the box.
+        pixels: (8, k) out; what finds no room is left out.
     """
     count = 0
     for py in range(box[1], box[3]):
-        by = (py - lens[CY]) / lens[FY]
-        x, y = from_pixel(lens, box[0], py)
-        for px in range(box[0], box[2]):
-            # One step of Newton's method from the pixel beside it is exact to 1e-9.
+        by, first = (py - lens[CY]) / lens[FY], box[0] + (-box[0] - 2 * py) % every
+        x, y = from_pixel(lens, first, py)
+        for px in range(first, box[2], every):
+            # One step of Newton's method from a pixel near by is exact to 1e-7.
             tx, ty, xx, xy, yy = distort_point(lens, x, y)
             area = 1.0 / (xx * yy - xy * xy)
             ex, ey = tx - (px - lens[CX]) / lens[FX], ty - by
@@ -187,64 +254,58 @@ def take_print(gray, lens, box, every, to_print, reach, pixels):
             w = to_print[2, 0] * x + to_print[2, 1] * y + to_print[2, 2]
             u = (to_print[0, 0] * x + to_print[0, 1] * y + to_print[0, 2]) / w
             v = (to_print[1, 0] * x + to_print[1, 1] * y + to_print[1, 2]) / w
-            if abs(u) < reach and abs(v) < reach and w > 0.0 and (px + 2 * py) % every == 0:
+            if abs(u) < reach and abs(v) < reach and w > 0.0 and count < pixels.shape[1]:
                 pixels[0, count], pixels[1, count] = x, y
                 pixels[2, count], pixels[3, count] = yy * area / lens[FX], -xy * area / lens[FY]
                 pixels[4, count], pixels[5, count] = -xy * area / lens[FX], xx * area / lens[FY]
                 pixels[6, count], pixels[7, count] = gray[py, px], 1.0
                 count += 1
-            x, y = x + yy * area / lens[FX], y - xy * area / lens[FX]
+            x, y = x + every * yy * area / lens[FX], y - every * xy * area / lens[FX]
     return count
 
 
-@kernel
-def print_equations(pixels, count, black, to_print, x, terms, halo, noise, work, normal, misses):
+@outlined
+def print_equations(pixels, count, black, to_print, x, answer, space, misses):
     """Sums the normal equations of one marker.
 
     Args:
-        pixels: (8, k) of ``take_print``.  Those that tell nothing are left out when ``noise`` is 0, and only
-            the rows of the light are summed.
+        pixels: (8, k) of ``take_print``.  With TO_DROP those that tell nothing are left out.
         count: How many of them.
         black: (n, n) 1 where the print is black.
         to_print: As in ``take_print``.
         x: (15,) blur in px, edge shift, halo, then dark and contrast, 6 numbers each.
-        terms: Numbers of the light that are fitted: ``LINEAR`` or ``QUADRATIC``.
-        halo: Whether that of sharpening is part of the model.
-        noise: Standard deviation of a pixel, grey levels; 0: all weigh the same.
-        work: (10, 23 or more) work space.
-        normal: (23, 24) out: lower triangle, and the right side in the last column.
-        misses: (k,) out: residuals of the pixels that were used.
-
-    Returns:
-        How many pixels were used.
+        answer: Of the model: TERMS, WITH_HALO, NOISE (0: light alone); one pixel in EVERY is used.  USED is
+            written.
+        space: Work space; its rows ``NORMAL`` take the result: lower triangle, and the right side in the row
+            after the unknowns.
+        misses: (2, k) out: residuals of the pixels that were used.
     """
-    along, down, row = work[0:3], work[3:6], work[6]
-    share, tone, wider, paler = work[7, 0:4], work[7, 4:7], work[8, 0:4], work[8, 4:7]
-    basis = work[9]
-    n, last = LIGHT + 2 * terms, normal.shape[1] - 1
+    rows, normal, along, down = space[0:NORMAL], space[NORMAL:MATRIX], space[ALONG:DOWN], space[DOWN:SHARES]
+    share, tone, wider, paler = space[SHARES], space[SHARES + 1], space[SHARES + 2], space[SHARES + 3]
+    terms, halo, noise, every = int(answer[TERMS]), answer[WITH_HALO] > 0.0, answer[NOISE], int(answer[EVERY])
+    n = LIGHT + 2 * terms
     cauchy = 1.0 / (_CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
     blur2 = math.sqrt(x[0] * x[0] + _HALO_BLUR * _HALO_BLUR)
     part = x[0] / blur2
     k, k2, alpha = x[1], x[1] * part, x[2]
-    for i in range(n):
-        for j in range(n):
+    for i in range(n + 1):
+        for j in range(n + 1):
             normal[i, j] = 0.0
-        normal[i, last] = 0.0
     used, first = 0, LIGHT if noise == 0.0 else 0
-    for p in range(count):
+    for p in range(0, count, every):
         ix, iy = pixels[0, p], pixels[1, p]
-        w = to_print[2, 0] * ix + to_print[2, 1] * iy + to_print[2, 2]
-        u = (to_print[0, 0] * ix + to_print[0, 1] * iy + to_print[0, 2]) / w
-        v = (to_print[1, 0] * ix + to_print[1, 1] * iy + to_print[1, 2]) / w
+        w = 1.0 / (to_print[2, 0] * ix + to_print[2, 1] * iy + to_print[2, 2])
+        u = (to_print[0, 0] * ix + to_print[0, 1] * iy + to_print[0, 2]) * w
+        v = (to_print[1, 0] * ix + to_print[1, 1] * iy + to_print[1, 2]) * w
         # (u, v) by undistorted coordinates, then by pixels.
-        ux, uy = (to_print[0, 0] - u * to_print[2, 0]) / w, (to_print[0, 1] - u * to_print[2, 1]) / w
-        vx, vy = (to_print[1, 0] - v * to_print[2, 0]) / w, (to_print[1, 1] - v * to_print[2, 1]) / w
+        ux, uy = (to_print[0, 0] - u * to_print[2, 0]) * w, (to_print[0, 1] - u * to_print[2, 1]) * w
+        vx, vy = (to_print[1, 0] - v * to_print[2, 0]) * w, (to_print[1, 1] - v * to_print[2, 1]) * w
         gux, guy = ux * pixels[2, p] + uy * pixels[4, p], ux * pixels[3, p] + uy * pixels[5, p]
         gvx, gvy = vx * pixels[2, p] + vy * pixels[4, p], vx * pixels[3, p] + vy * pixels[5, p]
-        wide, high = math.hypot(gux, guy), math.hypot(gvx, gvy)
+        wide, high = math.sqrt(gux * gux + guy * guy), math.sqrt(gvx * gvx + gvy * gvy)
         r = (gux * gvx + guy * gvy) / (wide * high)
         blurred_print(u, v, wide * x[0], high * x[0], r, black, along, down, share)
-        if noise == 0.0:
+        if answer[TO_DROP] > 0.0:
             flat = abs(share[1] * gux + share[2] * gvx) + abs(share[1] * guy + share[2] * gvy) < _SLOPE
             if flat and p % _FLAT:
                 continue
@@ -264,77 +325,445 @@ def print_equations(pixels, count, black, to_print, x, terms, halo, noise, work,
             by_blur2 = paler[1] * wider[3] * part * part + paler[2] * k2 * (1.0 - part * part)
             by_blur += alpha * (by_blur - by_blur2)
             by_shift += alpha * (by_shift - paler[2] * part)
-        basis[0], basis[1], basis[2] = 1.0, u, v
-        basis[3], basis[4], basis[5] = u * u, u * v, v * v
-        dark, contrast = 0.0, 0.0
-        for i in range(6):
-            dark += x[3 + i] * basis[i]
-            contrast += x[9 + i] * basis[i]
+        dark = x[3] + u * (x[4] + u * x[6] + v * x[7]) + v * (x[5] + v * x[8])
+        contrast = x[9] + u * (x[10] + u * x[12] + v * x[13]) + v * (x[11] + v * x[14])
         miss = pixels[6, p] - dark - contrast * white
-        gu, gv = contrast * by_u, contrast * by_v
+        filled = used % _BLOCK
+        root = 1.0 / math.sqrt(1.0 + cauchy * miss * miss)
+        gu, gv, pale = root * contrast * by_u, root * contrast * by_v, root * white
         along_way = gu * u + gv * v
-        row[0], row[1], row[2] = gu, gu * u, gu * v
-        row[3], row[4], row[5] = gv, gv * u, gv * v
-        row[6], row[7] = along_way * u, along_way * v
-        row[BLUR], row[SHIFT], row[HALO] = contrast * by_blur, contrast * by_shift, contrast * by_halo
-        for i in range(terms):
-            row[LIGHT + i], row[LIGHT + terms + i] = basis[i], white * basis[i]
-        weight = 1.0 / (1.0 + cauchy * miss * miss)
-        for i in range(first, n):
-            portion = weight * row[i]
-            for j in range(first, i + 1):
-                normal[i, j] += portion * row[j]
-            normal[i, last] += portion * miss
-        misses[used] = miss
+        rows[0, filled], rows[1, filled], rows[2, filled] = gu, gu * u, gu * v
+        rows[3, filled], rows[4, filled], rows[5, filled] = gv, gv * u, gv * v
+        rows[6, filled], rows[7, filled] = along_way * u, along_way * v
+        rows[BLUR, filled], rows[SHIFT, filled] = root * contrast * by_blur, root * contrast * by_shift
+        rows[HALO, filled] = root * contrast * by_halo
+        rows[LIGHT, filled], rows[LIGHT + 1, filled], rows[LIGHT + 2, filled] = root, root * u, root * v
+        i = LIGHT + terms
+        rows[i, filled], rows[i + 1, filled], rows[i + 2, filled] = pale, pale * u, pale * v
+        if terms > LINEAR:
+            uu, uv, vv, i, j = u * u, u * v, v * v, LIGHT + LINEAR, LIGHT + terms + LINEAR
+            rows[i, filled], rows[i + 1, filled], rows[i + 2, filled] = root * uu, root * uv, root * vv
+            rows[j, filled], rows[j + 1, filled], rows[j + 2, filled] = pale * uu, pale * uv, pale * vv
+        rows[n, filled] = root * miss
+        misses[0, used] = miss
         used += 1
-    return used
+        if used % _BLOCK == 0:
+            add_products(rows, first, n, _BLOCK + used - used, normal)
+    add_products(rows, first, n, used % _BLOCK, normal)
+    answer[USED] = used
+
+
+@outlined
+def add_products(rows, first, n, length, normal):
+    """Adds to ``normal`` the products of the rows ``first`` to ``n``: sums along them, four at a time."""
+    for i in range(first, n + 1):
+        one = rows[i]
+        for j in range(first, i + 1):
+            other, total = rows[j], 0.0
+            for p in range(length):
+                total += one[p] * other[p]
+            normal[i, j] += total
+
+
+@outlined
+def print_system(space, x, known, answer, unit):
+    """Solves for the step of the unknowns that are not held, with what is believed beforehand.
+
+    Args:
+        space: Work space with the equations; HELD says 1 where an unknown stays as it is.  The step is in
+            STEP.
+        x: (15,) as there.
+        known: What is believed.
+        answer: Of the model: TERMS, NOISE.
+        unit: A column of the inverse is wanted in place of the step; -1.0: the step.
+
+    Returns:
+        The right side times the step: by how much it lessens the sum of squares; NaN where there is none.
+    """
+    normal, matrix, held, step = space[NORMAL:MATRIX], space[MATRIX:ALONG], space[HELD], space[STEP]
+    n, noise = LIGHT + 2 * int(answer[TERMS]), answer[NOISE]
+    right = matrix[n]
+    for i in range(n):
+        right[i] = normal[n, i]
+        for j in range(i + 1):
+            matrix[i, j] = normal[i, j]
+        matrix[i, i] += 1e-10 * matrix[i, i] + 1e-12
+    trust = (noise / _BLUR_SPREAD) ** 2
+    matrix[BLUR, BLUR] += trust
+    right[BLUR] += trust * math.log(known[KNOWN_BLUR] / x[0])
+    trust = (noise / known[KNOWN_SIGMA]) ** 2
+    matrix[SHIFT, SHIFT] += trust
+    right[SHIFT] += trust * (known[KNOWN_SHIFT] - x[1])
+    for i in range(n):
+        if held[i] > 0.0 or (i == BLUR and x[0] <= _LEAST_BLUR and right[BLUR] < 0.0):
+            for j in range(n):
+                matrix[max(i, j), min(i, j)] = 0.0
+            matrix[i, i], right[i] = 1.0, 0.0
+    for i in range(n):
+        if unit >= 0.0:
+            right[i] = 1.0 if i == unit else 0.0
+        step[i] = right[i]
+    if not solve_definite(matrix, step, n):
+        return math.nan
+    gain = 0.0
+    for i in range(n):
+        gain += right[i] * step[i]
+    return gain
+
+
+@outlined
+def take_step(space, answer, to_print, x):
+    """Moves the unknowns, a corner never far at once; how far, in parts of what is hardly any way."""
+    step, by_unknown, terms, farthest = space[STEP], space[SLOPES:], int(answer[TERMS]), 0.0
+    for i in range(8):
+        way = 0.0
+        for j in range(HOMOGRAPHY):
+            way += by_unknown[i, j] * step[j]
+        farthest = max(farthest, abs(way))
+    part = min(1.0, _CORNER_STEP / max(farthest, 1e-12))
+    for column in range(3):
+        a, b, c = to_print[0, column], to_print[1, column], to_print[2, column]
+        to_print[0, column] += part * (step[1] * a + step[2] * b + step[0] * c)
+        to_print[1, column] += part * (step[4] * a + step[5] * b + step[3] * c)
+        to_print[2, column] -= part * (step[6] * a + step[7] * b)
+    x[0] = max(x[0] * math.exp(min(max(step[BLUR], -_BLUR_STEP), _BLUR_STEP)), _LEAST_BLUR)
+    x[1] = min(max(x[1] + min(max(step[SHIFT], -_SHIFT_STEP), _SHIFT_STEP), -_MOST_SHIFT), _MOST_SHIFT)
+    x[2] = min(max(x[2] + step[HALO], -0.5), _MOST_HALO) if answer[WITH_HALO] > 0.0 else 0.0
+    for i in range(terms):
+        x[3 + i] += step[LIGHT + i]
+        x[9 + i] += step[LIGHT + terms + i]
+    return max(farthest / _NEAR, max(abs(step[BLUR]), max(abs(step[SHIFT]), abs(step[HALO]))) / _ALIKE)
+
+
+@outlined
+def corner_slopes(lens, to_print, normalized, by_unknown):
+    """Where the corners are, undistorted (4, 2), and (8, 8) how they move in px by the homography's unknowns.
+
+    Returns:
+        False beyond the print's horizon.
+    """
+    h, back = to_print, by_unknown
+    invert(to_print, back)  # in the place of what is filled later
+    for k in range(4):
+        u, v = _CORNERS[k, 0], _CORNERS[k, 1]
+        depth = back[2, 0] * u + back[2, 1] * v + back[2, 2]
+        if not depth > 0.0:
+            return False
+        normalized[k, 0] = (back[0, 0] * u + back[0, 1] * v + back[0, 2]) / depth
+        normalized[k, 1] = (back[1, 0] * u + back[1, 1] * v + back[1, 2]) / depth
+    for k in range(4):
+        u, v, x, y = _CORNERS[k, 0], _CORNERS[k, 1], normalized[k, 0], normalized[k, 1]
+        _, _, xx, xy, yy = distort_point(lens, x, y)
+        # Of (u, v) by (x, y), times the depth; its inverse has it, too.
+        a, b = h[0, 0] - u * h[2, 0], h[0, 1] - u * h[2, 1]
+        c, d = h[1, 0] - v * h[2, 0], h[1, 1] - v * h[2, 1]
+        scale = -(h[2, 0] * x + h[2, 1] * y + h[2, 2]) / (a * d - b * c)
+        for i in range(2):
+            e, f = (lens[FX] * xx, lens[FX] * xy) if i == 0 else (lens[FY] * xy, lens[FY] * yy)
+            by_u, by_v, row = scale * (e * d - f * c), scale * (f * a - e * b), by_unknown[2 * k + i]
+            row[0], row[1], row[2] = by_u, by_u * u, by_u * v
+            row[3], row[4], row[5] = by_v, by_v * u, by_v * v
+            row[6], row[7] = (by_u * u + by_v * v) * u, (by_u * u + by_v * v) * v
+    return True
+
+
+@outlined
+def settle(pixels, count, black, lens, to_print, x, known, answer, space, misses):
+    """Gauss and Newton's steps until they are small; False where they do not become so."""
+    if not corner_slopes(lens, to_print, space[PLACES:SLOPES], space[SLOPES:]):
+        return False
+    for i in range(LIGHT + 2 * int(answer[TERMS])):
+        space[HELD, i] = 1.0 if i == HALO and not answer[WITH_HALO] > 0.0 else 0.0
+    # The first steps need few pixels.
+    answer[EVERY] = _COARSE if answer[NOISE] == _ANY_NOISE and count > _COARSE * _ASKED else 1
+    size = math.inf
+    for turn in range(_STEPS):
+        print_equations(pixels, count, black, to_print, x, answer, space, misses)
+        if answer[TO_DROP] > 0.0:
+            count, answer[TO_DROP] = int(answer[USED]), 0.0
+            if count < _LEAST_PIXELS:
+                return False
+        noise = answer[NOISE]
+        if noise == _ANY_NOISE:
+            answer[AT_START] = explained_part(pixels, answer, misses)
+        if turn < _NOISE_ROUNDS:
+            answer[NOISE] = max(1.4826 * median_size(misses, int(answer[USED])), _LEAST_NOISE)
+        size = math.sqrt(max(print_system(space, x, known, answer, -1.0), 0.0)) / answer[NOISE]
+        if not size < math.inf:
+            return False
+        way = take_step(space, answer, to_print, x)
+        if not x[0] + abs(to_print[0, 0]) < math.inf:
+            return False
+        if size < _DONE or (way < 1.0 and noise < _ANY_NOISE and answer[NOISE] < _GROWN * noise):
+            if answer[EVERY] == 1.0:
+                return True
+            answer[EVERY] = 1.0
+    return size < _RESTLESS
+
+
+@outlined
+def median_size(misses, used):
+    """Median of the sizes of the residuals, by Hoare's selection."""
+    values = misses[1]
+    for p in range(used):
+        values[p] = abs(misses[0, p])
+    return median_of(values, used)
+
+
+@outlined
+def explained_part(pixels, answer, misses):
+    """Part of the variance of the grey values that the model explains."""
+    used, every = int(answer[USED]), int(answer[EVERY])
+    total, mean, spread, left = 0.0, 0.0, 0.0, 0.0
+    for i in range(used):
+        total += pixels[7, i * every]
+        mean += pixels[7, i * every] * pixels[6, i * every]
+    mean /= total
+    for i in range(used):
+        weight, off = pixels[7, i * every], pixels[6, i * every] - mean
+        spread += weight * off * off
+        left += weight * misses[0, i] * misses[0, i]
+    return 1.0 - left / spread if spread > _LEAST_CONTRAST * total else 0.0  # nothing is there
+
+
+@outlined
+def squares_of(misses, answer):
+    """Sum of the squares of the residuals; what is far off counts as four standard deviations."""
+    total, most = 0.0, (_CAUCHY * answer[NOISE]) ** 2
+    for i in range(int(answer[USED])):
+        total += min(misses[0, i] * misses[0, i], most)
+    return total
+
+
+@outlined
+def ask_for_more(pixels, count, black, to_print, x, known, answer, space, misses):
+    """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
+    held, none, light, halo = space[HELD], 0.0, False, False
+    answer[EVERY], answer[TERMS], answer[WITH_HALO] = (count + _ASKED - 1) // _ASKED, QUADRATIC, 1.0
+    print_equations(pixels, count, black, to_print, x, answer, space, misses)
+    squares = squares_of(misses, answer)
+    for model in range(3):  # as it is, with light, with a halo
+        for i in range(LIGHT + 2 * QUADRATIC):
+            curved = i >= LIGHT and (i - LIGHT) % QUADRATIC >= LINEAR
+            held[i] = 1.0 if (curved and model != 1) or (i == HALO and model != 2) else 0.0
+        gain = print_system(space, x, known, answer, -1.0)
+        none = gain if model == 0 else none
+        light = light or (model == 1 and gain - none > _LIGHT_ASKED * squares)
+        halo = halo or (model == 2 and gain - none > _HALO_ASKED * squares)
+    answer[TERMS], answer[WITH_HALO] = QUADRATIC if light else LINEAR, 1.0 if halo else 0.0
+    return light or halo
+
+
+@outlined
+def misread_cells(pixels, n, to_print, contrast, answer, misses, sums):
+    """Cells whose pixels miss the model by half of the contrast and more; ``sums`` (2, n n) is work space."""
+    every = int(answer[EVERY])
+    for i in range(n * n):
+        sums[0, i], sums[1, i] = 0.0, 0.0
+    for p in range(int(answer[USED])):
+        x, y = pixels[0, p * every], pixels[1, p * every]
+        w = to_print[2, 0] * x + to_print[2, 1] * y + to_print[2, 2]
+        column = math.floor(((to_print[0, 0] * x + to_print[0, 1] * y + to_print[0, 2]) / w + 0.5) * n)
+        row = math.floor(((to_print[1, 0] * x + to_print[1, 1] * y + to_print[1, 2]) / w + 0.5) * n)
+        if min(column, row) >= 0 and max(column, row) < n:
+            sums[0, row * n + column] += misses[0, p]
+            sums[1, row * n + column] += 1.0
+    count, cells, total = 0, 0.0, 0.0
+    for i in range(n * n):
+        count += 1 if abs(sums[0, i]) > 0.5 * abs(contrast) * sums[1, i] else 0
+        cells += 1.0 if sums[1, i] > 0.0 else 0.0
+        total += sums[0, i] * sums[0, i] / max(sums[1, i], 1.0)
+    answer[UNEVEN] = total / (max(cells, 1.0) * answer[NOISE] * answer[NOISE])
+    return count
+
+
+@outlined
+def conclude(pixels, lens, to_print, x, known, answer, space, misses, corners, normalized, covariance):
+    """Takes over a fit that can be believed; ``corners`` come in as where it started."""
+    places, by_unknown, unknowns = space[PLACES:SLOPES], space[SLOPES:], space[0:HOMOGRAPHY]
+    explained = explained_part(pixels, answer, misses)
+    if not x[9] > max(_LEAST_CONTRAST, 1.5 * answer[NOISE]) or explained < _EXPLAINED:
+        return
+    if not corner_slopes(lens, to_print, places, by_unknown):
+        return
+    far = 0.0
+    for k in range(4):
+        bx, by, _, _, _ = distort_point(lens, places[k, 0], places[k, 1])
+        places[k, 2], places[k, 3] = lens[FX] * bx + lens[CX], lens[FY] * by + lens[CY]
+        far = max(far, math.hypot(places[k, 2] - corners[k, 0], places[k, 3] - corners[k, 1]))
+    area = 0.5 * abs(
+        (places[2, 2] - places[0, 2]) * (places[3, 3] - places[1, 3])
+        - (places[2, 3] - places[0, 3]) * (places[3, 2] - places[1, 2])
+    )
+    if not far < max(_FARTHEST, _FARTHEST_PART * math.sqrt(area)):
+        return
+    variance = squares_of(misses, answer) / (answer[USED] - LIGHT - 2.0 * answer[TERMS])
+    variance = max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2
+    for k in range(HOMOGRAPHY):
+        print_system(space, x, known, answer, float(k))
+        for i in range(8):
+            total = 0.0
+            for j in range(HOMOGRAPHY):
+                total += by_unknown[i, j] * space[STEP, j]
+            unknowns[k, i] = variance * total
+    for i in range(8):
+        for j in range(8):
+            total = 0.0
+            for k in range(HOMOGRAPHY):
+                total += by_unknown[i, k] * unknowns[k, j]
+            covariance[i, j] = total
+    for k in range(4):
+        for i in range(2):
+            normalized[k, i], corners[k, i] = places[k, i], places[k, 2 + i]
+    answer[FOUND], answer[EXPLAINED] = 1.0, explained
+    for i in range(15):
+        known[START + i] = x[i]
+    if answer[WITH_HALO] == 0.0 or answer[PLAIN_BLUR] == 0.0:  # of edges as they seem to be
+        answer[PLAIN_BLUR], answer[PLAIN_SHIFT] = x[0], x[1]
+        answer[SHIFT_SIGMA] = math.sqrt(variance * print_system(space, x, known, answer, float(SHIFT)))
+
+
+@outlined
+def invert(matrix, inverse):
+    """Inverse of a matrix (3, 3) by its cofactors."""
+    m = matrix
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            c, d = (j + 1) % 3, (j + 2) % 3
+            inverse[j, i] = m[a, c] * m[b, d] - m[a, d] * m[b, c]
+    determinant = m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[1, 0] + m[0, 2] * inverse[2, 0]
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] /= determinant
+
+
+@outlined
+def print_from(lens, normalized, push, back, to_print):
+    """Fills ``to_print`` and its inverse from the corners (Heckbert, 1989).
+
+    Args:
+        lens: ``lens_vector``.
+        normalized: (4, 2) undistorted corners.
+        push: The sides lie so many px farther out.
+        back: (3, 3) out, from the print to the picture.
+        to_print: (3, 3) out.
+    """
+    c = normalized
+    ax, ay, bx, by = c[1, 0] - c[2, 0], c[1, 1] - c[2, 1], c[3, 0] - c[2, 0], c[3, 1] - c[2, 1]
+    sx, sy = c[0, 0] - c[1, 0] + c[2, 0] - c[3, 0], c[0, 1] - c[1, 1] + c[2, 1] - c[3, 1]
+    area = ax * by - ay * bx
+    back[2, 0], back[2, 1] = (sx * by - bx * sy) / area, (ax * sy - sx * ay) / area
+    for i in range(2):
+        back[i, 0] = c[1, i] - c[0, i] + back[2, 0] * c[1, i]
+        back[i, 1] = c[3, i] - c[0, i] + back[2, 1] * c[3, i]
+        back[i, 2] = c[0, i] + 0.5 * (back[i, 0] + back[i, 1])
+    back[2, 2] = 1.0 + 0.5 * (back[2, 0] + back[2, 1])
+    invert(back, to_print)
+    x, y = back[0, 2] / back[2, 2], back[1, 2] / back[2, 2]
+    w = to_print[2, 0] * x + to_print[2, 1] * y + to_print[2, 2]
+    for i in range(2):  # at the middle (u, v) are 0
+        slope = math.hypot(to_print[i, 0] / lens[FX], to_print[i, 1] / lens[FY]) / w
+        for j in range(3):
+            to_print[i, j] /= 1.0 + 2.0 * push * abs(slope)
+
+
+@outlined
+def box_of(gray, lens, back, reach, most, box):
+    """Fills ``box`` (x0, y0, x1, y1) of whole pixels round the print; one pixel in how many is looked at.
+
+    Zero where the print is not in the picture.
+    """
+    x0, y0, x1, y1, area, last_x, last_y = math.inf, math.inf, -math.inf, -math.inf, 0.0, 0.0, 0.0
+    for k in range(-1, 4):
+        u, v = 2.0 * reach * _CORNERS[k, 0], 2.0 * reach * _CORNERS[k, 1]
+        depth = back[2, 0] * u + back[2, 1] * v + back[2, 2]
+        if not depth > 0.0:
+            return 0
+        x, y = back[0, 0] * u + back[0, 1] * v + back[0, 2], back[1, 0] * u + back[1, 1] * v + back[1, 2]
+        bx, by, _, _, _ = distort_point(lens, x / depth, y / depth)
+        px, py = lens[FX] * bx + lens[CX], lens[FY] * by + lens[CY]
+        x0, y0, x1, y1 = min(x0, px), min(y0, py), max(x1, px), max(y1, py)
+        area += last_x * py - last_y * px if k >= 0 else 0.0
+        last_x, last_y = px, py
+    height, width = gray.shape
+    if not (x1 > 0.0 and y1 > 0.0 and x0 < width - 1.0 and y0 < height - 1.0):
+        return 0
+    box[0], box[1] = int(max(math.floor(x0), 0.0)), int(max(math.floor(y0), 0.0))
+    box[2], box[3] = int(min(math.ceil(x1) + 1.0, width)), int(min(math.ceil(y1) + 1.0, height))
+    return 2 * int(0.25 * abs(area) / most) + 1
+
+
+@outlined
+def thin_out(pixels, count, most):
+    """Leaves out pixels, evenly, where there are more than enough; how many are left."""
+    if count <= most:
+        return count
+    for p in range(most):
+        for i in range(PIXEL_ROWS):
+            pixels[i, p] = pixels[i, p * count // most]
+    return most
+
+
+@kernel
+def fit_print(gray, lens, black, known, corners, normalized, covariance, answer):
+    """Fits the whole print of one marker.
+
+    Args:
+        gray: (h, w) uint8, C-contiguous.
+        lens: ``lens_vector``.
+        black: (n, n) 1 where the print is black.
+        known: (KNOWN_NUMBERS,) what is known beforehand; where the print was found, what is known now.
+        corners: (4, 2) px in, roughly; out where the print was found.
+        normalized: (4, 2) the same, undistorted.
+        covariance: (8, 8) out, px^2, of noise alone.
+        answer: (ANSWER_NUMBERS,) zeros in, out what was found.
+    """
+    n, x = black.shape[0], np.zeros(15)
+    to_print, box = np.empty((3, 3)), np.empty(4, np.int64)
+    space = np.zeros((SPACE_ROWS, max(_BLOCK, n)))
+    back, reach = space[0:3], 0.5 + _ROUND / n
+    print_from(lens, normalized, known[PUSH], back, to_print)
+    every = box_of(gray, lens, back, reach, known[LOOKED_AT], box)
+    if every == 0:
+        return
+    room = ((box[2] - box[0]) // every + 1) * (box[3] - box[1])
+    pixels, misses, sums = np.empty((PIXEL_ROWS, room)), np.empty((2, room)), np.empty((2, n * n))
+    count = take_print(gray, lens, box, every, to_print, reach, pixels)
+    for i in range(15):
+        x[i] = known[START + i]
+    answer[TERMS], answer[TO_DROP] = known[START_TERMS], 1.0
+    answer[WITH_HALO], answer[EVERY] = 1.0 if x[2] != 0.0 else 0.0, 1.0
+    if known[START_NOISE] == _ANY_NOISE:
+        # Dark and contrast alone, which are linear.
+        for i in range(LIGHT):
+            space[HELD, i] = 1.0
+        print_equations(pixels, count, black, to_print, x, answer, space, misses)
+        count = int(answer[USED])
+        if count < _LEAST_PIXELS or not print_system(space, x, known, answer, -1.0) < math.inf:
+            return
+        take_step(space, answer, to_print, x)
+        count, answer[TO_DROP] = thin_out(pixels, count, int(known[FITTED])), 0.0
+    answer[NOISE] = known[START_NOISE]
+    for turn in range(2):  # as it is; with what the residuals ask for
+        if turn > 0 and not ask_for_more(pixels, count, black, to_print, x, known, answer, space, misses):
+            break
+        fine = settle(pixels, count, black, lens, to_print, x, known, answer, space, misses)
+        answer[AT_START] = max(answer[AT_START], explained_part(pixels, answer, misses))
+        answer[MISREAD] = misread_cells(pixels, n, to_print, x[9], answer, misses, sums)
+        if fine:
+            conclude(pixels, lens, to_print, x, known, answer, space, misses, corners, normalized, covariance)
+        if not fine or known[ASK] == 0.0:
+            break
+    if answer[FOUND] == 0.0:
+        answer[EXPLAINED] = answer[AT_START]
 
 
 # ------------------------------------------------------------------------------------------
-# The fit of one print, and of all of a picture.
+# The fit of all prints of a picture.
 
 
 Array = NDArray[np.float64]
-
-# White round the black square that is looked at, in cells.
-_ROUND = 0.45
-# Pixels of a print that are looked at, and those of them with an edge that are fitted: more make no marker
-# better than the model is.
-PIXELS, _FITTED = 9000, 2200
-# In films, which want to be fast: the next picture comes soon.
-FILM_PIXELS = 3000
-# So many of them say whether the model needs more unknowns.
-_ASKED = 800
-# Steps at most; one so small, in standard deviations, is the last; a fit that does not come below that one
-# is none.
-_STEPS, _DONE, _RESTLESS = 12, 0.2, 0.5
-# Rounds in which noise is still estimated anew: later it would keep the fit from coming to rest.
-_NOISE_ROUNDS = 5
-# A step at most: px at a corner, ln blur, edge shift.
-_CORNER_STEP, _BLUR_STEP, _SHIFT_STEP = 1.5, 0.4, 0.5
-# Blur of an edge, px: the pixel's own width is the least.  What it is believed to be before it is measured,
-# as ln.
-_BLUR, _LEAST_BLUR, _BLUR_SPREAD = 0.8, 0.29, 0.6
-# A corner may go so far from where its sides were found: px, part of the side.
-_FARTHEST, _FARTHEST_PART = 3.0, 0.1
-#: Edge shift and its spread for a camera of which nothing is known: none for a linear one, 0.5 for sRGB.
-UNKNOWN_SHIFT = (0.25, 0.35)
-# Spread of the edge shift between the markers of a picture (light, printing).
-_SHIFT_ALIKE = 0.08
-# Least standard deviation of corners, px, and of the edge shift by side lines, as a part of it.
-_LEAST_SIGMA, _SHIFT_PART = 0.01, 0.05
-# What print, paper and lens leave, as a part of the standard deviation from noise alone.
-_MODEL = 0.25
-# Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
-_LEAST_NOISE, _ANY_NOISE = 0.3, 1e4
-# Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
-_LEAST_CONTRAST, _EXPLAINED = 5.0, 0.75
-# Quadratic light and a halo are taken where they lessen the sum of squares by these parts: by chance it is a
-# hundredth.  Mild sharpening (0.6) gives 0.01 to 0.04 and does no harm; strong (1.5) gives 0.06 to 0.13.
-_LIGHT_ASKED, _HALO_ASKED = 0.03, 0.05
-# Halo of the strongest sharpening; beyond any edge shift that the model is good for.
-_MOST_HALO, _MOST_SHIFT = 3.0, 2.0
-_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 @dataclass(frozen=True)
@@ -357,6 +786,24 @@ class EdgeShift:
         return cls(intrinsics.edge_shift, max(intrinsics.edge_shift_sigma or 0.0, _SHIFT_ALIKE))
 
 
+@dataclass(frozen=True)
+class PrintEffort:
+    """How many pixels a fit uses.
+
+    Attributes:
+        looked_at: Of a print, at most.
+        fitted: Of those near an edge, at most.
+    """
+
+    looked_at: int = 9000
+    fitted: int = 2200
+
+
+#: Of a picture alone: more pixels make no marker better than the model is; and in films, which want to be
+#: fast: the next picture comes soon.
+SINGLE, FILM = PrintEffort(), PrintEffort(3000, 1000)
+
+
 def refine_prints(
     image: Image,
     sides: Sequence[RefinedCorners],
@@ -366,7 +813,8 @@ def refine_prints(
     *,
     origin: tuple[int, int] = (0, 0),
     expected: EdgeShift | None = None,
-    pixels: int = PIXELS,
+    effort: PrintEffort = SINGLE,
+    before: Mapping[int, RefinedCorners] = MappingProxyType({}),
 ) -> list[RefinedCorners]:
     """Corners of several markers by all of their prints.
 
@@ -381,19 +829,24 @@ def refine_prints(
         intrinsics: Of the whole picture.
         origin: Pixel (x, y) of the whole picture at which the part begins.
         expected: Edge shift of this camera; None: as its calibration says.
-        pixels: So many of a print are looked at, at most.
+        effort: How many pixels of a print are used.
+        before: Of the last picture, by id: a fit starts from what was found there.
     """
     if not len(sides):
         return []
-    announce(print_equations, "the fit of the markers' prints")
-    gray, expected = to_gray(image), expected or EdgeShift.of(intrinsics)
+    announce(fit_print, "the fit of the markers' prints")
+    gray, expected = np.ascontiguousarray(to_gray(image)), expected or EdgeShift.of(intrinsics)
+    lens = lens_vector(intrinsics).copy()
+    lens[[CX, CY]] -= origin
+    fits = []
+    for i, start in zip(ids, sides, strict=True):
+        black, last = marker_black(dictionary, i), before.get(i)
+        one = _fitted(gray, lens, black, start, origin, expected, effort, last)
+        if last is not None and not one.by_print:
+            one = _fitted(gray, lens, black, start, origin, expected, effort, None)
+        fits.append(one)
     allowed = correctable(dictionary, strict=True)
-    fits = [
-        _Print(
-            gray, marker_black(dictionary, i), one, intrinsics, origin, expected, pixels, allowed
-        ).corners()
-        for i, one in zip(ids, sides, strict=True)
-    ]
+    fits = [replace(one, misread=max(0, one.misread - allowed)) if one.misread else one for one in fits]
     shift = _common_shift([one for one in fits if one.by_print], expected)
     return [
         one if one.by_print or not one.refined else moved_outwards(one, shift, intrinsics) for one in fits
@@ -436,310 +889,44 @@ def marker_black(dictionary: str, marker_id: int) -> Array:
     return np.ascontiguousarray(marker_bits(dictionary, marker_id) == 0, dtype=float)
 
 
-class _Print:
-    """The fit of one marker's print."""
-
-    def __init__(
-        self,
-        gray: Image,
-        black: Array,
-        start: RefinedCorners,
-        intrinsics: CameraIntrinsics,
-        origin: tuple[int, int],
-        expected: EdgeShift,
-        pixels: int,
-        allowed: int,
-    ) -> None:
-        self._allowed = allowed
-        self._start, self._black, self._intrinsics, self._expected = start, black, intrinsics, expected
-        self._to_print = _homography(start.normalized)
-        blur = start.blur if start.refined else _BLUR
-        self._log_blur = math.log(blur)
-        self._x = np.array([blur, expected.value, *[0.0] * 13])
-        self._terms, self._halo, self._noise, self._step = LINEAR, False, 0.0, math.inf
-        self._inverse, self._at_start = np.empty((0, 0)), 0.0
-        room = LIGHT + 2 * QUADRATIC
-        self._work = np.empty((10, max(room, len(black))))
-        self._normal = np.empty((room, room + 1))
-        self._collect(gray, origin, pixels)
-
-    # ------------------------------------------------------------------------------- pixels
-
-    def _collect(self, gray: Image, origin: tuple[int, int], pixels: int) -> None:
-        """The pixels, chosen once."""
-        reach = 0.5 + _ROUND / len(self._black)
-        self._count, self._misses, self._taken = 0, np.empty(0), np.empty((PIXEL_ROWS, 0))
-        if not np.isfinite(self._to_print).all():
-            return
-        outline = _seen_at(self._to_print, 2.0 * reach * _CORNERS)
-        if outline is None:
-            return
-        places = self._intrinsics.distort(outline) - origin
-        size = np.array(gray.shape[::-1])
-        low = np.clip(np.floor(places.min(axis=0)), 0, size).astype(np.int64)
-        high = np.clip(np.ceil(places.max(axis=0)) + 1, 0, size).astype(np.int64)
-        room = int(np.prod(np.maximum(high - low, 0)))
-        if room == 0:
-            return
-        side = math.sqrt(abs(_area(places)))
-        every = 2 * int(side * side / (2 * pixels)) + 1
-        lens = lens_vector(self._intrinsics).copy()
-        lens[[CX, CY]] -= origin
-        self._taken, self._misses = np.empty((PIXEL_ROWS, room)), np.empty(room)
-        self._count = take_print(
-            np.ascontiguousarray(gray), lens, np.concatenate([low, high]), every, self._to_print, reach,
-            self._taken,
-        )  # fmt: skip
-
-    def _thin_out(self, most: int) -> None:
-        """Leaves out pixels where there are more than enough."""
-        if self._count > most:
-            self._taken = self._taken[:, np.arange(most) * self._count // most]
-            self._count = most
-
-    # ---------------------------------------------------------------------------------- fit
-
-    def corners(self) -> RefinedCorners:
-        """The corners; where it fails those of the sides, with how much the print explains."""
-        if self._count < 2 * (LIGHT + 2 * LINEAR) or not self._find_light():
-            return self._start
-        self._thin_out(_FITTED)
-        found = None
-        if self._fit():
-            self._blur, self._shift = float(self._x[0]), EdgeShift(float(self._x[1]), self._shift_sigma())
-            found = self._result()
-            if self._ask_for_more() and self._fit():
-                found = self._result() or found
-        best = found or replace(self._start, explained=max(self._at_start, self._explained()))
-        return replace(best, misread=max(0, self._misread() - self._allowed))
-
-    def _equations(self, terms: int, halo: bool) -> int:
-        used: int = print_equations(
-            self._taken, self._count, self._black, self._to_print, self._x, terms, halo, self._noise,
-            self._work, self._normal, self._misses,
-        )  # fmt: skip
-        return used
-
-    def _find_light(self) -> bool:
-        """Dark and contrast alone, which are linear; keeps the pixels that tell something."""
-        self._count = self._equations(LINEAR, False)
-        if self._count < 2 * (LIGHT + 2 * LINEAR):
-            return False
-        own = slice(LIGHT, LIGHT + 2 * LINEAR)
-        matrix = _symmetric(self._normal[own, own])
-        step = np.linalg.lstsq(matrix, self._normal[own, -1], rcond=1e-12)[0]
-        self._x[3:6], self._x[9:12] = step[:3], step[3:]
-        self._noise = _ANY_NOISE
-        return True
-
-    def _estimate_noise(self) -> None:
-        misses = np.abs(self._misses[: self._count])
-        self._noise = max(1.4826 * float(np.median(misses)), _LEAST_NOISE)
-
-    def _system(self, terms: int, halo: bool) -> tuple[Array, Array]:
-        """Normal matrix and right side, with what is believed beforehand."""
-        n = LIGHT + 2 * terms
-        matrix, right = _symmetric(self._normal[:n, :n]), self._normal[:n, -1].copy()
-        variance = self._noise**2
-        for k, spread, off in (
-            (BLUR, _BLUR_SPREAD, self._log_blur - math.log(self._x[0])),
-            (SHIFT, self._expected.sigma, self._expected.value - self._x[1]),
-        ):
-            matrix[k, k] += variance / spread**2
-            right[k] += variance / spread**2 * off
-        held = [] if halo else [HALO]
-        if self._x[0] <= _LEAST_BLUR and right[BLUR] < 0.0:
-            held.append(BLUR)
-        matrix[held, :], matrix[:, held], right[held] = 0.0, 0.0, 0.0
-        matrix[held, held] = 1.0
-        return matrix, right
-
-    def _fit(self) -> bool:
-        """Gauss and Newton's steps until they are small; False where they do not become so."""
-        by_unknown = self._corner_jacobian()
-        if by_unknown is None:
-            return False
-        self._by_unknown = by_unknown
-        for turn in range(_STEPS):
-            self._equations(self._terms, self._halo)
-            if self._noise == _ANY_NOISE:
-                self._at_start = self._explained()
-            if turn < _NOISE_ROUNDS:
-                self._estimate_noise()
-            matrix, right = self._system(self._terms, self._halo)
-            inverse = _inverse(matrix)
-            if inverse is None:
-                return False
-            step = inverse @ right
-            self._step = math.sqrt(max(float(step @ right), 0.0)) / self._noise
-            if not self._step < math.inf or not self._take(step):
-                return False
-            self._inverse = inverse
-            if self._step < _DONE:
-                break
-        return self._step < _RESTLESS
-
-    def _take(self, step: Array) -> bool:
-        """Moves the unknowns; a corner never far at once."""
-        x, terms = self._x, self._terms
-        way = float(np.abs(self._by_unknown @ step[:HOMOGRAPHY]).max())
-        e = step[:HOMOGRAPHY] * min(1.0, _CORNER_STEP / max(way, 1e-12))
-        change = np.array([[1 + e[1], e[2], e[0]], [e[4], 1 + e[5], e[3]], [-e[6], -e[7], 1.0]])
-        self._to_print = change @ self._to_print
-        x[0] = max(x[0] * math.exp(float(np.clip(step[BLUR], -_BLUR_STEP, _BLUR_STEP))), _LEAST_BLUR)
-        x[1] = float(
-            np.clip(x[1] + np.clip(step[SHIFT], -_SHIFT_STEP, _SHIFT_STEP), -_MOST_SHIFT, _MOST_SHIFT)
-        )
-        x[2] = min(max(x[2] + step[HALO], -0.5), _MOST_HALO) if self._halo else 0.0
-        x[3 : 3 + terms] += step[LIGHT : LIGHT + terms]
-        x[9 : 9 + terms] += step[LIGHT + terms :]
-        return bool(np.isfinite(x).all() and np.isfinite(self._to_print).all())
-
-    def _ask_for_more(self) -> bool:
-        """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
-        whole = self._taken, self._count
-        self._thin_out(_ASKED)
-        self._equations(QUADRATIC, True)
-        matrix, right = self._system(QUADRATIC, True)
-        squares = float(self._squares().sum())
-        plain = [*range(HALO), *range(LIGHT, LIGHT + 3), *range(LIGHT + 6, LIGHT + 9)]
-        light = [*range(HALO), *range(LIGHT, LIGHT + 12)]
-        none = _gain(matrix, right, plain)
-        if _gain(matrix, right, light) - none > _LIGHT_ASKED * squares:
-            self._terms = QUADRATIC
-        if _gain(matrix, right, [*plain, HALO]) - none > _HALO_ASKED * squares:
-            self._halo = True
-        self._taken, self._count = whole
-        return self._halo or self._terms == QUADRATIC
-
-    # ------------------------------------------------------------------------------- result
-
-    def _squares(self) -> Array:
-        """(k,) squares of the residuals; what is far off counts as four standard deviations."""
-        misses = self._misses[: self._count]
-        return np.asarray(np.minimum(misses**2, (_CAUCHY * self._noise) ** 2), dtype=float)
-
-    def _covariance(self) -> Array:
-        """Of the unknowns."""
-        variance = float(self._squares().sum()) / (self._count - len(self._inverse))
-        return np.asarray(self._inverse * max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2)
-
-    def _shift_sigma(self) -> float:
-        return math.sqrt(self._covariance()[SHIFT, SHIFT])
-
-    def _explained(self) -> float:
-        """Part of the variance of the grey values that the model explains."""
-        values, weights = self._taken[6, : self._count], self._taken[7, : self._count]
-        off = values - np.average(values, weights=weights)
-        spread = float(weights @ off**2)
-        if spread < _LEAST_CONTRAST * float(weights.sum()):
-            return 0.0  # nothing is there
-        return 1.0 - float(weights @ self._misses[: self._count] ** 2) / spread
-
-    def _misread(self) -> int:
-        """Cells whose pixels miss the model by more than half of the contrast, on average."""
-        n, taken = len(self._black), self._taken[:, : self._count]
-        w = self._to_print @ np.stack([taken[0], taken[1], np.ones(self._count)])
-        column, row = (np.floor((w[:2] / w[2] + 0.5) * n)).astype(int)
-        inside = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < n)
-        cell = (row * n + column)[inside]
-        misses = np.bincount(cell, self._misses[: self._count][inside], n * n)
-        return int(np.sum(np.abs(misses) > 0.5 * abs(self._x[9]) * np.bincount(cell, minlength=n * n)))
-
-    def _corner_jacobian(self) -> Array | None:
-        """(8, 8) of the corners in px by the homography's unknowns."""
-        at = _seen_at(self._to_print, _CORNERS)
-        if at is None:
-            return None
-        h = self._to_print
-        weight = h[2, 0] * at[:, 0] + h[2, 1] * at[:, 1] + h[2, 2]
-        slope = (h[None, :2, :2] - _CORNERS[:, :, None] * h[None, 2:, :2]) / weight[:, None, None]
-        by_place = self._intrinsics.pixel_jacobian(at) @ np.linalg.inv(slope)
-        return np.asarray(-(by_place @ _BY_UNKNOWN).reshape(8, 8), dtype=float)
-
-    def _result(self) -> RefinedCorners | None:
-        by_unknown, normalized = self._corner_jacobian(), _seen_at(self._to_print, _CORNERS)
-        if by_unknown is None or normalized is None:
-            return None
-        corners = self._intrinsics.distort(normalized)
-        far = float(np.linalg.norm(corners - self._start.corners, axis=1).max())
-        explained = self._explained()
-        if (
-            not far < max(_FARTHEST, _FARTHEST_PART * math.sqrt(abs(_area(corners))))
-            or not self._x[9] > max(_LEAST_CONTRAST, 1.5 * self._noise)
-            or explained < _EXPLAINED
-        ):
-            return None
-        unknowns = self._covariance()[:HOMOGRAPHY, :HOMOGRAPHY]
-        covariance = by_unknown @ unknowns @ by_unknown.T
-        way = corners - corners.mean(axis=0)
-        outward = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(8)
-        covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
-        return RefinedCorners(
-            corners, normalized, covariance, math.sqrt(covariance.trace() / 8), True,
-            blur=self._blur, edge_shift=self._shift.value, edge_shift_sigma=self._shift.sigma,
-            explained=explained, by_print=True,
-        )  # fmt: skip
-
-
-# How a corner's place on the print follows the homography's unknowns: (4, 2, 8).
-_BY_UNKNOWN = np.array(
-    [
-        [[1.0, u, v, 0.0, 0.0, 0.0, u * u, u * v], [0.0, 0.0, 0.0, 1.0, u, v, u * v, v * v]]
-        for u, v in _CORNERS
-    ]
-)
-
-
-def _homography(normalized: Array) -> Array:
-    """(3, 3) from undistorted coordinates of the corners (4, 2) to the print; NaN where there is none."""
-    rows = np.zeros((8, 8))
-    for k, ((x, y), (u, v)) in enumerate(zip(normalized, _CORNERS, strict=True)):
-        rows[2 * k] = x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y
-        rows[2 * k + 1] = 0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y
-    try:
-        found = np.linalg.solve(rows, _CORNERS.reshape(8))
-    except np.linalg.LinAlgError:
-        return np.full((3, 3), np.nan)
-    matrix = np.append(found, 1.0).reshape(3, 3)
-    centre = normalized.mean(axis=0)
-    # Positive before the camera.
-    return np.asarray(matrix * np.sign(matrix[2, 0] * centre[0] + matrix[2, 1] * centre[1] + 1.0))
-
-
-def _seen_at(to_print: Array, places: Array) -> Array | None:
-    """Undistorted coordinates (n, 2) of places on the print; None beyond its horizon."""
-    try:
-        back = np.linalg.inv(to_print)
-    except np.linalg.LinAlgError:
-        return None
-    p = places @ back[:, :2].T + back[:, 2]
-    if not p[:, 2].min() > 0.0:
-        return None
-    return np.asarray(p[:, :2] / p[:, 2:], dtype=float)
-
-
-def _symmetric(lower: Array) -> Array:
-    matrix = np.tril(lower)
-    return np.asarray(matrix + np.tril(matrix, -1).T)
-
-
-def _inverse(matrix: Array) -> Array | None:
-    """Inverse of a positive definite matrix whose rows have different units."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12))
-    outer = np.outer(scale, scale)
-    try:
-        return np.asarray(np.linalg.inv(matrix * outer + 1e-10 * np.eye(len(matrix))) * outer)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def _gain(matrix: Array, right: Array, chosen: list[int]) -> float:
-    """By how much the best step of some unknowns lessens the sum of squares."""
-    inverse = _inverse(matrix[np.ix_(chosen, chosen)])
-    return 0.0 if inverse is None else float(right[chosen] @ inverse @ right[chosen])
-
-
-def _area(corners: Array) -> float:
-    x, y = corners.T
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+def _fitted(
+    gray: Image,
+    lens: Array,
+    black: Array,
+    start: RefinedCorners,
+    origin: tuple[int, int],
+    expected: EdgeShift,
+    effort: PrintEffort,
+    before: RefinedCorners | None,
+) -> RefinedCorners:
+    """Corners by one print; where that fails those of the sides, with how much the print explains."""
+    known, answer = np.zeros(KNOWN_NUMBERS), np.zeros(ANSWER_NUMBERS)
+    blur = start.blur if start.refined else _BLUR
+    known[:PUSH] = expected.value, expected.sigma, blur
+    known[PUSH:LOOKED_AT] = blur * expected.value, _ANY_NOISE, LINEAR
+    known[LOOKED_AT:START] = effort.looked_at, effort.fitted, before is None
+    known[START : START + 2] = blur, expected.value
+    if before is not None and before.model is not None:
+        known[PUSH], known[START_NOISE:LOOKED_AT] = before.blur * before.edge_shift, before.model[:2]
+        known[START:] = before.model[2:]
+    if not start.refined:
+        known[PUSH] = 0.0
+    corners, normalized, covariance = start.corners - origin, start.normalized.copy(), np.empty((8, 8))
+    answer[EXPLAINED] = math.nan
+    fit_print(gray, lens, black, known, corners, normalized, covariance, answer)
+    misread = int(answer[MISREAD])
+    if not answer[FOUND]:
+        return replace(start, explained=float(answer[EXPLAINED]), misread=misread)
+    covariance *= max(1.0, float(answer[UNEVEN]) / _UNEVEN)
+    way = corners - corners.mean(axis=0)
+    outward = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(8)
+    covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
+    # With a halo the model's edges are others than those that four sides see.
+    seen = answer[PLAIN_BLUR:EXPLAINED].tolist()
+    if before is not None and answer[WITH_HALO]:
+        seen = [before.blur, before.edge_shift, before.edge_shift_sigma]
+    return RefinedCorners(
+        corners + origin, normalized, covariance, math.sqrt(covariance.trace() / 8), True,
+        blur=seen[0], edge_shift=seen[1], edge_shift_sigma=seen[2], explained=float(answer[EXPLAINED]),
+        misread=misread, by_print=True, model=(*answer[NOISE:WITH_HALO].tolist(), *known[START:].tolist()),
+    )  # fmt: skip

@@ -28,7 +28,7 @@ from robot_ik.camera.observations import (
     marker_observation,
     marker_points,
 )
-from robot_ik.camera.photometric_corners import FILM_PIXELS, PIXELS, EdgeShift, is_print, refine_prints
+from robot_ik.camera.photometric_corners import FILM, SINGLE, EdgeShift, is_print, refine_prints
 from robot_ik.camera.pose_fit import Branches
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
@@ -286,7 +286,8 @@ class MarkerTracker:
                 detections, refined = again, better
         fitted = refine_prints(
             part, refined, [d.id for d in detections], self.detector.dictionary, self.intrinsics,
-            origin=origin, expected=self._expected, pixels=FILM_PIXELS if self._use_window else PIXELS,
+            origin=origin, expected=self._expected, effort=FILM if self._use_window else SINGLE,
+            before={} if whole else {i: c for i, c in self._seen[1] if c.by_print},
         )  # fmt: skip
         found = [(d.id, c) for d, c in zip(detections, fitted, strict=True) if is_print(c)]
         self._seen = (frame, found)

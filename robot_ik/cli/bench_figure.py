@@ -49,6 +49,11 @@ def run(options: BenchFigureOptions) -> int:
             high = f"{row.most:g}" if row.most < 1e300 else ""
             target = f"≥ {row.least:g}" if not high else low + high
             mark = Text("yes", style="green") if row.passed else Text("NO", style="bold red")
-            shown.add_row(row.motion, row.what, f"{row.value:.4g} {row.unit}".strip(), target, mark)
+            if row.missing:
+                mark = Text("not measured", style="yellow")
+            if row.least < -1e300 and row.most > 1e300:
+                target, mark = "", Text("")
+            value = row.missing or f"{row.value:.4g} {row.unit}".strip()
+            shown.add_row(row.motion, row.what, value, target, mark)
         console.out().print(shown)
     return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED

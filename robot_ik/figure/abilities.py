@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -21,8 +20,9 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.figure import GRAVITY, Figure, Rows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
-from robot_ik.figure.poses import AT_BALL, BEND, REACH, Pose, find_pose
+from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, Pose, best_pose, find_pose
 from robot_ik.kernels.jit import cache_folder
+from robot_ik.motion.pose_prior import mirrored
 
 Array = NDArray[np.float64]
 
@@ -30,18 +30,29 @@ _GRID = 0.15  # m
 # So far aside of the palm may the ball be of a jump, which leans a little, m (docs/theory/figure.md); and the
 # least rise of the centre of mass, m.
 ASIDE, _HOP = 0.05, 0.01
-_VERSION = 3
-ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 17)
+# The girdle brings an arm by so much farther than its length, m.
+_GIRDLE = 0.06
+# A palm that stays farther from where a ball needs it, m, comes there in no other way.
+_RIM = 0.2
+# An arm that is stretched at the apex as far as it goes has nothing left to correct with, m.
+_SPARE = 0.04
+_VERSION = 4
+ORIGIN, SHAPE = np.array([-1.2, -1.35, -0.1]), (19, 19, 19)
 POINTS = ORIGIN + np.argwhere(np.ones(SHAPE, dtype=bool)) * _GRID
 # From the shoulder, m: an arm, a trunk that bends, and the hips that follow.
 _FARTHEST = 1.7
 MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
-# A ball that is so much nearer to a point of the map than that point's miss is out of reach; local minima, m.
-_SLACK = 0.08
-# A point that misses by more has no ball in its cell that is not surely out of reach, m.
-_NO_DOUBT = 0.16
+_PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
+# A ball that is so much nearer, m, to a point of the map than this share of the miss there is out of reach:
+# local minima tell a miss too large, far misses more so.
+SLACK, SHARE = 0.04, 0.75
+# Poses from which a ball is tried, and from which a point of the map is.
+_STARTS, _FEW = 8, 3
+# Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
+# them is out of reach: half a diagonal of the grid, and as much for points that were not found.
+_SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,23 +62,39 @@ class Map:
     Attributes:
         origin: (3,) first point of the grid.
         miss: (i, j, k) m; -1 where the hand comes there, but not in an admissible pose.
+        poses: (n, nq) of the points in reach, in the order of the grid: where to begin for a ball nearby.
     """
 
     origin: Array
     miss: NDArray[np.float32]
+    poses: Array
 
-    def nearest(self, ball: Array) -> tuple[float, float]:
-        """Miss of the nearest grid point (inf outside the grid) and how far that point is."""
-        index = np.rint((ball - self.origin) / _GRID).astype(int)
-        if (index < 0).any() or (index >= self.miss.shape).any():
-            return np.inf, 0.0
-        away = float(np.linalg.norm(self.origin + index * _GRID - ball))
-        return float(self.miss[tuple(index)]), away
+    @cached_property
+    def points(self) -> Array:
+        """(n, 3) points in reach."""
+        return np.asarray(self.origin + np.argwhere(self.miss == 0.0) * _GRID)
+
+    def nearby(self, ball: Array, count: int = _STARTS) -> Array:
+        """(count, nq) poses that reach the nearest points, the nearest first."""
+        away = ((self.points - ball) ** 2).sum(axis=1)
+        return np.asarray(self.poses[np.argsort(away, kind="stable")[:count]])
+
+    @cached_property
+    def _missed(self) -> tuple[Array, Array]:
+        """(m, 3) points out of reach, and (m,) by how much."""
+        out = np.isfinite(self.miss) & (self.miss > 0.0)
+        return self.origin + np.argwhere(out) * _GRID, self.miss[out].astype(float)
 
     def surely_out(self, ball: Array) -> bool:
-        """No pose reaches the ball: a point nearby is farther out of reach than it is away."""
-        miss, away = self.nearest(ball)
-        return miss > away + _SLACK
+        """No pose reaches the ball.
+
+        It is far from all points in reach, or some point is farther out of reach than it is away from it.
+        """
+        if not len(self.points) or float(((self.points - ball) ** 2).sum(axis=1).min()) > _FAR_OFF**2:
+            return True
+        points, miss = self._missed
+        away = ball - points
+        return bool((SHARE * miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > SLACK)
 
     def comfortable(self, z: float) -> Array:
         """(n, 2) grid points at that height that are in reach, and their neighbours."""
@@ -107,10 +134,15 @@ class Abilities:
 
     def can(self, kind: str, ball: Array, arm: str) -> Pose | None:
         """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
-        if self.maps[kind, arm].surely_out(ball):
+        found = self.maps[kind, arm]
+        if found.surely_out(ball):
             return None
-        pose = find_pose(self.figure, ball, arm, kind)
-        return None if pose.flaw else pose
+        pose = best_pose(self.figure, ball, arm, kind, found.nearby(ball), quick=True)
+        return None if pose is None or pose.flaw else pose
+
+    def pose(self, kind: str, ball: Array, arm: str) -> Pose:
+        """The natural pose at a ball, or the one that comes nearest."""
+        return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
 
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
@@ -121,18 +153,32 @@ class Abilities:
         shoulder, length = self.raised[arm]
         over = ball - [self.ahead, 0.0, highest_take_off(self.figure)]
         least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
-        aside = float(np.linalg.norm(over[:2] - shoulder[:2]))
-        if aside > length + 2 * ASIDE or least > shoulder[2] + length + ASIDE or over[2] <= 0.0:
+        aside = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - ASIDE, 0.0)
+        if over[2] <= 0.0 or np.hypot(aside, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
             return None
+        for palm in self._palms(arm, over, least, shoulder[:2]):
+            if float(np.linalg.norm(palm[:2] - over[:2])) <= ASIDE and palm[2] >= least - 1e-3:
+                rise = float(np.clip(over[2] - palm[2] + _SPARE, _HOP, over[2] - least))
+                return float(np.sqrt(2 * GRAVITY * rise))
+        return None
+
+    def _palms(self, arm: str, over: Array, least: float, shoulder: Array) -> Iterator[Array]:
+        """Places of the palm over the centre of mass, one of which a ball may need.
+
+        As high as it comes there, or lower for a ball that needs hardly a jump; for one at the rim nearer to
+        the shoulder, and as low as a jump allows.
+        """
         palm = palm_over_center(self.figure, arm, over[:2], None)
-        if palm[2] >= over[2] - _HOP:  # no jump would do; a small one does
-            palm = palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP)
-        elif palm[2] < least:
-            palm = palm_over_center(self.figure, arm, over[:2], least, 0.05)
-        rise = float(np.clip(over[2] - palm[2], _HOP, over[2] - least))
-        aside = float(np.linalg.norm(palm[:2] - over[:2]))
-        reached = aside <= ASIDE and palm[2] >= least - 1e-3
-        return float(np.sqrt(2 * GRAVITY * rise)) if reached else None
+        low = palm[2] >= over[2] - _HOP  # no jump would do; a small one does
+        yield palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP) if low else palm
+        if np.linalg.norm(palm[:2] - over[:2]) > _RIM or palm[2] < least - _RIM:
+            return
+        inwards = shoulder - over[:2]
+        inwards *= 0.9 * ASIDE / max(float(np.linalg.norm(inwards)), ASIDE)
+        if palm[2] < least:
+            yield palm_over_center(self.figure, arm, over[:2] + inwards, None)
+        yield palm_over_center(self.figure, arm, over[:2], least, 0.05)
+        yield palm_over_center(self.figure, arm, over[:2] + inwards, least, 0.05)
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
@@ -214,13 +260,27 @@ def load_abilities(
     where = folder or cache_folder().parents[1] / "abilities"
     digest = _digest(figure)
     kept = where / f"{figure.robot.name}-{digest}.npz"
-    keys = [(kind, arm) for arm in figure.hands for kind in (REACH, BEND)]
+    symmetric = _is_mirrored(figure)
+    arms = [arm for arm in figure.hands if not symmetric or arm == "right"]
+    keys = [(kind, arm) for arm in arms for kind in (REACH, BEND)]
     found = next((m for f in (figure.robot.folder / MAP_FILE, kept) if (m := _read(f, digest, keys))), None)
     if found is None and keys:
         found = _make_maps(figure, keys, progress)
         write_maps(kept, digest, found)
+    found = found or {}
+    if symmetric:
+        found |= {(kind, "left"): _reflected(figure, found[kind, "right"]) for kind in (REACH, BEND)}
     raised = {arm: _raised(figure, arm) for arm in figure.hands}
-    return Abilities(figure, found or {}, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+    return Abilities(figure, found, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+
+
+def _reflected(figure: Figure, right: Map) -> Map:
+    """The other arm's map: the grid is its own mirror image."""
+    place = np.full(right.miss.shape, -1)
+    place[right.miss == 0.0] = np.arange(len(right.poses))
+    flipped = place[:, ::-1]
+    poses = mirrored(figure.robot, right.poses[flipped[flipped >= 0]])
+    return Map(right.origin, right.miss[:, ::-1].copy(), poses)
 
 
 def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[str, str], Map] | None:
@@ -233,12 +293,15 @@ def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[st
         for kind, arm in keys:
             code = stored[f"{kind}-{arm}"]
             miss = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
-            out[kind, arm] = Map(stored["origin"], miss)
+            out[kind, arm] = Map(stored["origin"], miss, stored[f"poses-{kind}-{arm}"] / _PER_UNIT)
     return out
 
 
 def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
-    """Maps as whole millimetres; -1000 mm is -1, what is not worth a look is ``_FAR``."""
+    """Misses as whole millimetres, poses as tenths of a milliradian or of a millimetre.
+
+    -1000 mm is -1, what is not worth a look is ``_FAR``.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
     for (kind, arm), found in maps.items():
@@ -246,7 +309,8 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
         near = np.isfinite(found.miss)
         # Rounded down: a miss that is told too small only costs a solve.
         code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
-        arrays |= {f"{kind}-{arm}": code, "origin": found.origin}
+        coarse = np.rint(found.poses * _PER_UNIT).astype(np.int16)
+        arrays |= {f"{kind}-{arm}": code, f"poses-{kind}-{arm}": coarse, "origin": found.origin}
     part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
     np.savez_compressed(part, allow_pickle=False, **arrays)
     part.replace(file)
@@ -271,64 +335,80 @@ def _digest(figure: Figure) -> str:
 def _make_maps(
     figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
 ) -> dict[tuple[str, str], Map]:
-    """Every map; of a figure that is its own mirror image one arm's, and the other's by reflection."""
-    mirrored = _is_mirrored(figure)
-    arms = [arm for arm in figure.hands if not mirrored or arm == "right"]
-    jobs = {arm: _points_near(figure, arm) for arm in arms}
-    flat = {key: np.full(len(POINTS), np.inf, dtype=np.float32) for key in keys}
-    chunks = [(arm, part) for arm, at in jobs.items() for part in np.array_split(at, max(1, len(at) // 100))]
-    workers = min(2, os.cpu_count() or 1)
-
-    def work(chunk: tuple[str, NDArray[np.int64]], mine: Figure) -> int:
-        arm, at = chunk
-        for i in at:
-            # What is out of reach for a bend, is so standing; and a palm that misses a point by so much
-            # misses
-            # all points nearer to that one.
-            bent = _bound(flat[BEND, arm], i)
-            flat[BEND, arm][i] = bent = bent if bent > _NO_DOUBT else grade(mine, POINTS[i], arm, BEND)
-            flat[REACH, arm][i] = bent if bent > 0.0 else grade(mine, POINTS[i], arm, REACH)
-        return len(at)
-
-    figures, done = [figure.copy() for _ in range(workers)], 0
-    with ThreadPoolExecutor(workers) as pool:
-        for first in range(0, len(chunks), workers):
-            for count in pool.map(work, chunks[first : first + workers], figures):
-                done += count
+    """Every map: from the hand at home outwards and a shell round what is in reach, then all misses again."""
+    at = {key: _points_near(figure, key[1]) for key in keys}
+    whole, maps = sum(map(len, at.values())), {}
+    for done, key in enumerate(keys):
+        miss = np.full(len(POINTS), np.inf, dtype=np.float32)
+        poses = np.full((len(POINTS), figure.robot.nq), np.nan)
+        graded = -1
+        while graded < (graded := int(np.isfinite(miss).sum())):
+            for i in at[key][~np.isfinite(miss[at[key]])]:
+                near, away = _nearest(i, miss == 0.0)
+                if away > _SHELL:
+                    continue
+                miss[i], poses[i] = grade(figure, POINTS[i], key[1], key[0], poses[near[:_FEW]])
                 if progress is not None:
-                    progress(done, sum(len(at) for at in jobs.values()))
-    maps = {key: Map(ORIGIN, values.reshape(SHAPE)) for key, values in flat.items()}
-    if mirrored:  # the grid is its own mirror image
-        maps |= {
-            (kind, "left"): Map(ORIGIN, maps[kind, "right"].miss[:, ::-1].copy()) for kind in (REACH, BEND)
-        }
+                    progress(int(done * whole / len(keys) + np.isfinite(miss).sum()), whole)
+        _again(figure, key, miss, poses)
+        # A palm that comes to a point comes as near to all others as they are from there.
+        for i in np.flatnonzero(np.isfinite(miss)):
+            nearer = max(float(miss[i]), 0.0) + np.linalg.norm(POINTS - POINTS[i], axis=1)
+            miss = np.where(np.isfinite(miss), np.minimum(miss, nearer), miss).astype(np.float32)
+        maps[key] = Map(ORIGIN, miss.reshape(SHAPE), poses[miss == 0.0])
     return maps
 
 
-def _bound(known: NDArray[np.float32], i: int) -> float:
-    """What the points graded so far say that the miss at a point is at least."""
-    at = np.flatnonzero(np.isfinite(known) & (known > 0.0))
-    if not len(at):
-        return 0.0
-    return float((known[at] - np.linalg.norm(POINTS[at] - POINTS[i], axis=1)).max())
+def _nearest(i: int, which: NDArray[np.bool_]) -> tuple[NDArray[np.int64], float]:
+    """Those points that are nearest to a point, and the distance of the first, m."""
+    reached = np.flatnonzero(which)
+    if not len(reached):
+        return reached, 0.0
+    away = np.linalg.norm(POINTS[reached] - POINTS[i], axis=1)
+    order = np.argsort(away, kind="stable")[:_STARTS]
+    return reached[order], float(away[order[0]])
 
 
-def grade(figure: Figure, point: Array, arm: str, kind: str) -> float:
-    """What the map says of a point.
+def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> tuple[float, Array]:
+    """What the map says of a point, and the pose (nq,) that comes nearest.
 
     0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m.
     """
-    pose = find_pose(figure, point, arm, kind)
+    pose = find_pose(figure, point, arm, kind, starts)
+    if pose.flaw and pose.miss < NEARLY:
+        found = find_pose(figure, point, arm, kind)
+        pose = pose if found.flaw and found.miss > pose.miss else found
+    return _graded(pose), pose.q
+
+
+def _graded(pose: Pose) -> float:
     return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
 
 
-def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:
-    """Points that an arm and what the trunk can do may bring a palm to, in a random order.
+def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], poses: Array) -> None:
+    """Points that are missed, from the nearest that are not, as long as that brings more into reach."""
+    kind, arm = key
+    fresh = np.flatnonzero(miss == 0.0)
+    while len(fresh):
+        found, places = [], POINTS[fresh]
+        for i in np.flatnonzero((miss != 0.0) & (miss < 2.0 * _GRID)).tolist():
+            if np.abs(places - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
+                continue
+            best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss == 0.0)[0]])
+            assert best is not None
+            if not best.flaw:
+                miss[i], poses[i] = 0.0, best.q
+                found.append(i)
+            elif miss[i] > 0.0:
+                miss[i] = min(float(miss[i]), max(best.miss, AT_BALL))
+        fresh = np.array(found, dtype=int)
 
-    The first tell most.
-    """
+
+def _points_near(figure: Figure, arm: str) -> NDArray[np.int64]:
+    """Points that an arm and what the trunk can do may bring a palm to, those near the hand at home first."""
     near = np.flatnonzero(np.linalg.norm(POINTS - shoulder_of(figure, arm), axis=1) < _FARTHEST)
-    return np.asarray(np.random.default_rng(0).permutation(near))
+    away = np.linalg.norm(POINTS[near] - figure.hands_at_home[arm], axis=1)
+    return np.asarray(near[np.argsort(away, kind="stable")])
 
 
 def _is_mirrored(figure: Figure) -> bool:

@@ -13,10 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import compensate, smooth, zero_moment_points
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, Frames, Rows, Slices, minimum_jerk, rotation
+from robot_ik.figure.balance import compensate, smooth, zero_moment_slices
+from robot_ik.figure.figure import (
+    GRAVITY,
+    RATE,
+    Figure,
+    Frames,
+    Rows,
+    Slices,
+    finished,
+    minimum_jerk,
+    rotation,
+)
 from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
-from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned
+from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support, touches_itself
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 
 Array = NDArray[np.float64]
@@ -28,8 +38,15 @@ _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
 _GLANCE = 2.5
 # Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
 _UPRIGHT = 0.966
-# A zero-moment point off its plan by less than this, m, is let be.
-_STEADY = 0.015
+# A zero-moment point so far inside the soles, m, is let be; else the frames are corrected, so often.
+_INSIDE, _ROUNDS = 0.005, 3
+# Frames that lose balance or change a joint's speed by more than this, rad/s a frame, are planned again so
+# much slower; those that touch the body with the elbow so much farther from it, rad; so often.
+_ABRUPT, _SLOWER, _AWAY, _TRIES = 1.8, 1.35, 0.35, 4
+# A hand that the posture leads is drawn to its ball from this share of the way on, so strongly.
+_LATE, _CLOSE = 0.8, 300.0
+# Of these frames one each is looked at.
+_LOOK_EACH = 2
 # A motion that is left decays into the next in this time, s.
 BLEND = 0.4
 
@@ -104,13 +121,22 @@ def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: f
     far = max(float(np.linalg.norm(ball - eyes)), 0.1)
     ahead, to = turn[:, 0], (ball - eyes) / far
     angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
-    s = minimum_jerk(t / max(within, 1.875 * angle / _GLANCE))[:, None]
+    s = minimum_jerk(t / max(within, _glance_time(figure, q, ball)))[:, None]
     # Along the arc: half way between two points that are seen in opposite directions lies the head.
     arc = (
         np.sin((1 - s) * angle) * ahead + np.sin(s * angle) * to if angle > 1e-3 else (1 - s) * ahead + s * to
     )
     arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
     rows.aim(figure.gaze, (eyes + far * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
+
+
+def _glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
+    """How long the eyes take to a ball, s: a motion that ends before would stop the neck."""
+    if figure.gaze is None or ball is None:
+        return 0.0
+    eyes, turn = figure.pose(q, figure.gaze)
+    to = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), 0.1)
+    return 1.875 * float(np.arccos(np.clip(turn[:, 0] @ to, -1.0, 1.0))) / _GLANCE
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
@@ -124,25 +150,40 @@ def _duration(distance: float, speed: float) -> float:
 
 def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
     """Back to standing at ease, the feet where they are."""
+    return finished(rest_slices(figure, q, look=look, dt=dt))
+
+
+def rest_slices(
+    figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE
+) -> Slices[Motion]:
+    """``rest``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
     way = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
-    duration = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
-    t = _times(duration, 0.1, dt)
-    s = minimum_jerk(t / duration)
+    least = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
+    seen = None if look is None else seen_from(stance, look)
+    least = max(least, _glance_time(figure, start, seen))
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
     turn = figure.pose(start, figure.trunk)[1]
 
-    def solve(center: Array) -> Frames:
-        rows = Rows(figure, len(t))
-        pinned(figure, start, rows)
-        rows.center(_flat(center), axes="xy")
-        rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
-        if look is not None:
-            _look(figure, rows, start, seen_from(stance, look), t)
-        return rows.solve(start + (figure.home - start) * s[:, None], figure.stiffnesses(STIFF), start, dt=dt)
+    def plan(duration: float, aside: float) -> Slices[_Try]:
+        t = _times(duration, 0.1, dt)
+        s = minimum_jerk(t / duration)
 
-    frames = _balanced(figure, solve, here + (home - here) * s[:, None], dt)
+        def solve(center: Array) -> Slices[Frames]:
+            rows = Rows(figure, len(t))
+            pinned(figure, start, rows)
+            rows.center(_flat(center), axes="xy")
+            rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
+            if seen is not None:
+                _look(figure, rows, start, seen, t)
+            posture = start + (figure.home - start) * s[:, None]
+            posture += _elbows(figure, s, aside)
+            return rows.slices(posture, figure.stiffnesses(STIFF), start, dt=dt)
+
+        return _balanced(figure, solve, here + (home - here) * s[:, None], dt)
+
+    frames = yield from _best(plan, least)
     return placed_motion(figure, _standing("rest", frames, home), stance)
 
 
@@ -152,16 +193,84 @@ def _turned(start: Array, end: Array, s: Array) -> Array:
     return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
 
 
-def _balanced(figure: Figure, solve: Callable[[Array], Frames], center: Array, dt: float) -> Frames:
-    """Frames over a planned centre of mass (n, 2), corrected once by the whole body's own dynamics."""
-    frames = solve(center)
-    points, _ = zero_moment_points(figure, frames.q, dt)
-    error = smooth(np.clip(points - center, -0.12, 0.12), 0.02 / dt)
-    error[:2], error[-2:] = 0.0, 0.0
-    if np.abs(error).max() < _STEADY:
-        return frames
-    omega2 = np.full(len(error), GRAVITY / figure.center_at_home[2])
-    return solve(center + compensate(error, omega2, dt))
+@dataclass(frozen=True, eq=False)
+class _Try:
+    """Frames and what is wrong with them.
+
+    Attributes:
+        frames: Found.
+        inside: How far inside the soles the zero-moment point stays, m.
+        change: Largest change of a joint's speed in a frame, rad/s.
+        touching: Whether the body touches itself on the way.
+    """
+
+    frames: Frames
+    inside: float
+    change: float
+    touching: bool
+
+    @property
+    def unsteady(self) -> bool:
+        """Whether it is too fast."""
+        return self.inside < 0.0 or self.change > _ABRUPT
+
+    @property
+    def order(self) -> tuple[bool, bool, float]:
+        """The larger the better."""
+        return not self.touching, not self.unsteady, self.inside
+
+
+def _balanced(
+    figure: Figure, solve: Callable[[Array], Slices[Frames]], point: Array, dt: float
+) -> Slices[_Try]:
+    """Frames whose zero-moment point follows ``point`` (n, 2).
+
+    The centre of mass follows it at first, and is corrected by what the whole body's own dynamics say.
+    """
+    _, normal, offset = support(figure)
+    omega2 = np.full(len(point), GRAVITY / figure.center_at_home[2])
+    center = point
+    for left in reversed(range(_ROUNDS)):
+        frames = yield from solve(center)
+        found, _ = yield from zero_moment_slices(figure, frames.q, dt)
+        inside = float((found[1:-1] @ normal.T - offset).min())
+        if inside >= _INSIDE or not left:
+            break
+        error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
+        error[:2], error[-2:] = 0.0, 0.0
+        center = center + compensate(error, omega2, dt)
+    change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
+    yield
+    return _Try(frames, inside, change, touches_itself(figure, frames.q[::_LOOK_EACH]))
+
+
+def _best(plan: Callable[[float, float], Slices[_Try]], duration: float) -> Slices[Frames]:
+    """The fastest of some plans that keeps its balance and does not touch itself, or the best of all.
+
+    A plan is made for a duration, s, and for how far the elbow is held away from the body, rad.
+    """
+    best: _Try | None = None
+    aside = 0.0
+    for _ in range(_TRIES):
+        found = yield from plan(duration, aside)
+        if best is None or found.order > best.order:
+            best = found
+        if not found.unsteady and not found.touching:
+            break
+        duration *= _SLOWER if found.unsteady else 1.0
+        aside += _AWAY if found.touching else 0.0
+    assert best is not None
+    return best.frames
+
+
+def _elbows(figure: Figure, s: Array, aside: float, arm: str | None = None) -> Array:
+    """(n, nq) what is added to a posture so that elbows keep away from the body on the way."""
+    out = np.zeros((len(s), figure.robot.nq))
+    for side in figure.hands if arm is None else (arm,):
+        joint = f"{side}_shoulder_roll"
+        if aside and joint in figure.robot.joints:
+            out[:, figure.place(joint)[0]] = aside * 16 * (s * (1 - s)) ** 2
+    return out
 
 
 def _flat(xy: Array) -> Array:
@@ -169,53 +278,77 @@ def _flat(xy: Array) -> Array:
 
 
 def reach(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
-) -> Motion:
-    """The hand to the ball, standing, along a nearly straight line of least jerk."""
-    return _take(figure, q, ball, arm, REACH, hold, dt)
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, end: Array | None = None,
+    hold: float = 0.2, dt: float = 1.0 / RATE,
+) -> Motion:  # fmt: skip
+    """The hand to the ball, standing, along a nearly straight line of least jerk.
+
+    Args:
+        figure: Who.
+        q: (nq,) where it begins.
+        ball: (3,) in the world.
+        arm: Which hand.
+        end: (nq,) the pose at the ball, seen from the feet (``Abilities.pose``); default: searched for.
+        hold: How long the hand stays there, s.
+        dt: Time between frames, s.
+    """
+    return finished(take_slices(figure, q, ball, arm, REACH, end=end, hold=hold, dt=dt))
 
 
 def bend(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, hold: float = 0.2, dt: float = 1.0 / RATE
-) -> Motion:
-    """The hand to a low ball, hips back."""
-    return _take(figure, q, ball, arm, BEND, hold, dt)
+    figure: Figure, q: Array, ball: Array, arm: str = "right", *, end: Array | None = None,
+    hold: float = 0.2, dt: float = 1.0 / RATE,
+) -> Motion:  # fmt: skip
+    """The hand to a low ball, hips back; arguments as those of ``reach``."""
+    return finished(take_slices(figure, q, ball, arm, BEND, end=end, hold=hold, dt=dt))
 
 
-def _take(figure: Figure, q: Array, ball: Array, arm: str, kind: str, hold: float, dt: float) -> Motion:
-    """The hand to the ball: the end is solved for first, and the posture led there.
+def take_slices(
+    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None,
+    hold: float = 0.2, dt: float = 1.0 / RATE,
+) -> Slices[Motion]:  # fmt: skip
+    """``reach`` or ``bend``, a few milliseconds at a time.
 
-    A hand that must follow its line asks too much of the joints on the way; this one is drawn to it.
+    The end is solved for first, and the posture led there: a hand that must follow its line asks too much of
+    the joints on the way; this one is drawn to it.
     """
     start, stance = to_stance(figure, q)
     ball = seen_from(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
-    end = find_pose(figure, ball, arm, kind).q
+    goal = find_pose(figure, ball, arm, kind).q if end is None else end
     # A hand that is led along a line while the trunk leans far straightens elbow and knees on the way.
-    upright = kind == REACH and figure.pose(end, figure.trunk)[1][2, 2] > _UPRIGHT
-    way = figure.robot.difference(start, end)[6:]
+    upright = kind == REACH and figure.pose(goal, figure.trunk)[1][2, 2] > _UPRIGHT
+    way = figure.robot.difference(start, goal)[6:]
     limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
     slowest = 1.875 * float((np.abs(way) / limit).max())
-    duration = max(
-        _duration(float(np.linalg.norm(ball - hand)), _REACH_SPEED if upright else _BEND_SPEED), slowest
-    )
-    t = _times(duration, hold, dt)
-    s = minimum_jerk(t / duration)
-    here, there = figure.center(start)[:2], figure.center(end)[:2]
-    turns = _turned(figure.pose(start, figure.trunk)[1], figure.pose(end, figure.trunk)[1], s)
+    length = float(np.linalg.norm(ball - hand))
+    here, there = figure.center(start)[:2], figure.center(goal)[:2]
+    turns = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
-    def solve(center: Array) -> Frames:
-        rows = Rows(figure, len(t))
-        pinned(figure, start, rows)
-        rows.center(_flat(center), axes="xy")
-        rows.turned(figure.trunk, turns, 20.0 if upright else 3.0)
-        if upright:
-            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-        _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
-        return rows.solve(start + (end - start) * s[:, None], stiff, start, dt=dt)
+    def plan(duration: float, aside: float) -> Slices[_Try]:
+        t = _times(duration, hold, dt)
+        s = minimum_jerk(t / duration)
 
-    frames = _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+        def solve(center: Array) -> Slices[Frames]:
+            rows = Rows(figure, len(t))
+            pinned(figure, start, rows)
+            rows.center(_flat(center), axes="xy")
+            rows.turned(figure.trunk, _turned(*turns, s), 20.0 if upright else 3.0)
+            if upright:
+                rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
+            else:  # the last millimetres
+                last = minimum_jerk((t / duration - _LATE) / (1 - _LATE))
+                rows.position(figure.hands[arm], ball, _CLOSE * last)
+            _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
+            posture = start + (goal - start) * s[:, None] + _elbows(figure, s, aside, arm)
+            return rows.slices(posture, stiff, start, dt=dt)
+
+        return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+
+    least = max(_duration(length, _REACH_SPEED if upright else _BEND_SPEED), slowest)
+    least = max(least, _glance_time(figure, start, ball))
+    frames = yield from _best(plan, least)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 
 

@@ -214,11 +214,12 @@ class Decider:
     def _walk(self, ball: Array, stance: Array) -> Decision:
         """To the cheapest free stand point from which the ball can be had, on a free path."""
         for kind, verb in ((REACH, "reached"), (BEND, "reached bending"), ("jump", "reached jumping")):
+            able: dict[tuple[str, bytes], bool] = {}  # many stand points see the ball alike
             for stand, arm, local in self._stands(kind, ball, stance)[:_TRIES]:
-                if kind == "jump":
-                    if self.abilities.take_off(local, arm) is None:
-                        continue
-                elif self.abilities.can(kind, local, arm) is None:
+                seen = arm, local.tobytes()
+                if seen not in able:
+                    able[seen] = self._able(kind, local, arm)
+                if not able[seen]:
                     continue
                 way = self.path(stance, stand)
                 if way is not None:
@@ -230,6 +231,11 @@ class Decider:
         return Decision(
             "nothing", None, f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
         )
+
+    def _able(self, kind: str, local: Array, arm: str) -> bool:
+        if kind == "jump":
+            return self.abilities.take_off(local, arm) is not None
+        return self.abilities.can(kind, local, arm) is not None
 
     def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
@@ -330,23 +336,13 @@ class Decider:
 
 def inside_body(figure: Figure, local: Array) -> str:
     """Name of the body part, arms aside, that holds a point seen from the feet; empty where none does."""
-    model, data = figure.model, figure.data
-    data.qpos[:] = figure.home
-    mujoco.mj_kinematics(model, data)
-    arms: set[int] = set()
-    trunk = figure.robot.frame(figure.trunk).body
-    for frame in figure.hands.values():
-        body = figure.robot.frame(frame).body
-        while body not in (0, trunk):
-            arms.add(body)
-            body = int(model.body_parentid[body])
+    model = figure.model
+    geoms, places, turns = _trunk_shapes(figure)
     kinds = mujoco.mjtGeom
-    for g in range(model.ngeom):
-        body = int(model.geom_bodyid[g])
-        away = local - data.geom_xpos[g]
-        if not model.geom_contype[g] or body in arms or away @ away > model.geom_rbound[g] ** 2:
-            continue
-        x, size = data.geom_xmat[g].reshape(3, 3).T @ away, model.geom_size[g]
+    away = local - places
+    for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
+        g = int(geoms[i])
+        x, size = turns[i].T @ away[i], model.geom_size[g]
         kind = model.geom_type[g]
         if kind == kinds.mjGEOM_BOX:
             held = bool((np.abs(x) <= size).all())
@@ -358,8 +354,28 @@ def inside_body(figure: Figure, local: Array) -> str:
         else:
             held = bool(x @ x <= size[0] ** 2)
         if held:
-            return str(model.body(body).name).replace("_", " ")
+            return str(model.body(int(model.geom_bodyid[g])).name).replace("_", " ")
     return ""
+
+
+def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
+    """Colliding geoms that belong to no arm, and their (g, 3) places and (g, 3, 3) rotations at home."""
+    known: tuple[NDArray[np.int64], Array, Array] | None = figure.robot.memory.get("figure.shapes")
+    if known is None:
+        model, data = figure.model, figure.data
+        data.qpos[:] = figure.home
+        mujoco.mj_kinematics(model, data)
+        arms: set[int] = set()
+        trunk = figure.robot.frame(figure.trunk).body
+        for frame in figure.hands.values():
+            body = figure.robot.frame(frame).body
+            while body not in (0, trunk):
+                arms.add(body)
+                body = int(model.body_parentid[body])
+        geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, list(arms)))
+        known = geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].reshape(-1, 3, 3).copy()
+        figure.robot.memory["figure.shapes"] = known
+    return known
 
 
 def decide(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cached_property
 from typing import Any, TypeVar, cast
@@ -38,8 +38,8 @@ _GEOM = mujoco.mjtGeom
 # Work that is done a little at a time yields between its parts and returns its result.
 _Result = TypeVar("_Result")
 Slices = Generator[None, None, _Result]
-SLICE = 60
-"""Frames solved between two yields: some 3 ms."""
+SLICE, _STEPS = 60, 8
+"""Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
 
 
 def finished(slices: Slices[_Result]) -> _Result:
@@ -67,43 +67,54 @@ def minimum_jerk(s: ArrayLike) -> Array:
     return np.asarray(s * s * s * (10.0 + s * (6.0 * s - 15.0)))
 
 
-def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
-    """(a, g) heights and (a, g, 3) places of the lowest points of geoms, in their body's frame.
+def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
+    """(k, a, 3) points of a geom, in its body's frame, one of which is its lowest: ends, corners.
+
+    A shape that lies on the floor touches it with all of them.
 
     Args:
         model: The model.
-        geoms: Spheres, capsules, ellipsoids, boxes, cylinders.
+        g: A sphere, capsule, ellipsoid, box or cylinder.
         up: (a, 3) what is up, seen from the body.
 
     Raises:
         ModelError: A geom of another kind (a mesh has no exact lowest point here).
     """
-    places = np.empty((len(up), len(geoms), 3))
+    turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
+    mujoco.mju_quat2Mat(turn, model.geom_quat[g])
+    axes = turn.reshape(3, 3)
+    down = -up @ axes
+    ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])[:, None]
+    if kind == _GEOM.mjGEOM_SPHERE:
+        local = size[0] * down[None]
+    elif kind == _GEOM.mjGEOM_CAPSULE:
+        local = size[0] * down + ends
+    elif kind == _GEOM.mjGEOM_ELLIPSOID:
+        local = (size**2 * down / np.linalg.norm(size * down, axis=1, keepdims=True))[None]
+    elif kind == _GEOM.mjGEOM_BOX:
+        corners = size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+        local = np.broadcast_to(corners[:, None], (8, len(up), 3))
+    elif kind == _GEOM.mjGEOM_CYLINDER:
+        flat = down * [1.0, 1.0, 0.0]
+        local = size[0] * flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) + ends
+    else:
+        raise ModelError(
+            f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
+            hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
+        )
+    return np.asarray(model.geom_pos[g] + local @ axes.T)
+
+
+def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
+    """(a, g) heights and (a, g, 3) places of the lowest points of geoms; as ``shape_points``."""
+    height, place = np.empty((len(up), len(geoms))), np.empty((len(up), len(geoms), 3))
+    rows = np.arange(len(up))
     for index, g in enumerate(geoms):
-        turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
-        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
-        axes = turn.reshape(3, 3)
-        down = -up @ axes
-        if kind == _GEOM.mjGEOM_SPHERE:
-            local = size[0] * down
-        elif kind == _GEOM.mjGEOM_CAPSULE:
-            local = size[0] * down + np.sign(down[:, 2:]) * [0.0, 0.0, size[1]]
-        elif kind == _GEOM.mjGEOM_ELLIPSOID:
-            local = size**2 * down / np.linalg.norm(size * down, axis=1, keepdims=True)
-        elif kind == _GEOM.mjGEOM_BOX:
-            local = np.sign(down) * size
-        elif kind == _GEOM.mjGEOM_CYLINDER:
-            flat = np.linalg.norm(down[:, :2], axis=1, keepdims=True)
-            local = np.column_stack(
-                [size[0] * down[:, :2] / np.maximum(flat, 1e-12), np.sign(down[:, 2]) * size[1]]
-            )
-        else:
-            raise ModelError(
-                f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
-                hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
-            )
-        places[:, index] = model.geom_pos[g] + local @ axes.T
-    return np.einsum("agk,ak->ag", places, up), places
+        points = shape_points(model, g, up)
+        heights = np.einsum("kai,ai->ka", points, up)
+        low = heights.argmin(axis=0)
+        height[:, index], place[:, index] = heights[low, rows], points[low, rows]
+    return height, place
 
 
 @dataclass(frozen=True)
@@ -169,6 +180,7 @@ class Figure:
         speeds: (nv,) joint speed limits, rad/s, by name of the set.
         stance: (3,) x, y, heading of the middle between the feet at home.
         apart: Half the distance of the feet at home.
+        workspace: Tables that solves fill in, by name: one thread uses a figure at a time.
     """
 
     robot: Robot
@@ -184,15 +196,12 @@ class Figure:
     apart: float
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
+    workspace: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def model(self) -> mujoco.MjModel:
         """MuJoCo's model."""
         return self.robot.model
-
-    def copy(self) -> Figure:
-        """The same with work space of its own, for another thread."""
-        return replace(self, data=mujoco.MjData(self.model))
 
     @property
     def mass(self) -> float:
@@ -462,7 +471,7 @@ class Rows:
     def solve(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
     ) -> Frames:  # fmt: skip
         """The frames.
 
@@ -488,29 +497,38 @@ class Rows:
     def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = 8, rest: float = 1e-3, close: float = 1e-6,
+        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
     ) -> Slices[Frames]:  # fmt: skip
         """As ``solve``, some frames at a time: the same bits."""
-        figure, n = self.figure, self.frames
-        groups = len(self._kind)
-        target = np.ascontiguousarray(np.stack(self._target, axis=1).reshape(-1, 12))
-        weight = np.ascontiguousarray(np.stack(self._weight, axis=1))
-        postures = np.ascontiguousarray(np.broadcast_to(posture, (n, figure.robot.nq)))
-        q, miss, used = np.empty((n, figure.robot.nq)), np.empty(n), np.empty(n, dtype=np.int64)
-        body = self._table(
-            stiffness, figure.speeds.get(speeds or "", np.full(figure.robot.nv, np.inf)) * dt, limits
-        )
-        before, here = (start if second is None else second).copy(), start.copy()
-        for a in range(0, n, SLICE):
-            b = min(n, a + SLICE)
-            whole_body.solve_frames(
-                figure.robot.tree.handle, body, target[a * groups : b * groups], weight[a:b], postures[a:b],
-                q[a:b], here, before, steps, rest, close, miss[a:b], used[a:b],
-            )  # fmt: skip
+        ready = self.prepare(posture, stiffness, limits=limits, speeds=speeds, dt=dt)
+        n, nq = self.frames, self.figure.robot.nq
+        found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
+        before, here = np.array(start if second is None else second), np.array(start)
+        some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
+        for a in range(0, n, some):
+            b = min(n, a + some)
+            ready.solve(found, a, b, here, before, steps, rest, close)
             if b < n:
-                before, here = (q[b - 2] if b > a + 1 else here).copy(), q[b - 1].copy()
+                before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
                 yield
-        return Frames(q, miss, used)
+        return found
+
+    def prepare(
+        self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
+        speeds: str | None = "daily", dt: float = 1.0 / RATE,
+    ) -> Prepared:  # fmt: skip
+        """The rows with their tables, for many solves; arguments as those of ``solve``."""
+        robot = self.figure.robot
+        stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
+        ready = Prepared(
+            robot.tree.handle,
+            np.ascontiguousarray(np.stack(self._target, axis=1)),
+            np.ascontiguousarray(np.stack(self._weight, axis=1)),
+            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
+            np.array(stiffness),
+        )
+        ready.body = self._table(ready.stiffness, stride, limits)
+        return ready
 
     def _table(
         self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
@@ -542,6 +560,35 @@ class Rows:
         }.items():  # fmt: skip
             arrays[name] = np.zeros(shape)
         return whole_body.WHOLE_BODY.pack(arrays)
+
+
+@dataclass(eq=False)
+class Prepared:
+    """Rows with their tables.  All but the tables may change between solves, in place.
+
+    Attributes:
+        tree, body: Tables of the kernel.
+        target: (frames, groups, 12), in the order in which the rows were added.
+        weight: (frames, groups).
+        posture: (frames, nq).
+        stiffness: (nv,).
+    """
+
+    tree: NDArray[np.int64]
+    target: Array
+    weight: Array
+    posture: Array
+    stiffness: Array
+    body: NDArray[np.int64] = field(init=False, repr=False)
+
+    def solve(
+        self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
+    ) -> None:
+        """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
+        whole_body.solve_frames(
+            self.tree, self.body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
+            found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -40,10 +40,12 @@ _CROUCH, _READY, _STRETCH, _CALM = 0.18, 0.02, 0.015, 0.4
 """How far the centre goes down before the push; how much lower than home it waits, for straight knees hold no
 height; what is left of the legs at take-off; m; and how long the body takes to turn upright after landing,
 s."""
-_PITCH_DEG, _LANDED = 50.0, 0.75
-"""Sole at take-off, and the share of it at landing."""
-_TUCK = 0.07
-"""How far the feet are drawn up in flight, m."""
+_PITCH_DEG, _LANDED, _ABSORB = 50.0, 0.85, 0.7
+"""Sole at take-off, and the share of it at landing; depth of the landing as a share of the push: deeper,
+ankles reach their limit before the heels are down."""
+_TUCK = 0.02
+"""How far the feet are drawn up in flight, m: feet drawn up, and an idle arm held up, leave the acting one
+less high over the centre of mass."""
 _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
@@ -146,9 +148,9 @@ def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
     high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
     crouch = _CROUCH * float(np.clip(speed / 2.0, 0.5, 1.0))
     low, d = wait - crouch, high - wait + crouch
-    landed = high - 0.8 * d
+    landed = high - _ABSORB * d
     push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
-    brake = 1.35 * speed**2 / (1.6 * d)
+    brake = 1.35 * speed**2 / (2 * (high - landed))
     rise = min(0.7, float(np.sqrt(17 * (wait - landed) / brake)))  # longer overshoots: a0 <= 20 d / T²
     ends = np.cumsum([0.45, 0.5, push, flight, absorb, rise])
     return JumpPlan(figure, ready, ball, arm, speed, wait, low, high, landed, ends, 0.7 * push)
@@ -281,7 +283,7 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
                 w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
     for joint, values in {
-        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 1.3, 1.3, 0.9, 0.5, 0.02],
+        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02],
         f"{other}_elbow_pitch": [0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3],
     }.items():
         if joint in figure.robot.joints:
@@ -289,7 +291,12 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     return out
 
 
-def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
+def _palm(plan: JumpPlan, forward: _Forward) -> Array:
+    """(3,) the ball seen from the centre of mass at the apex."""
+    return plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
+
+
+def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
     """(nq,) the arm's angles with the palm at its place beside the centre of mass, the trunk upright."""
     figure, arm = plan.figure, plan.arm
     q = figure.home
@@ -300,12 +307,15 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
         rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
         rows.turned(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
-        q = rows.solve(figure.posture(raised), figure.stiffnesses(STIFF), q, speeds=None, steps=20).q[-1]
+        stiff = figure.stiffnesses(STIFF)
+        frames = yield from rows.slices(figure.posture(raised), stiff, q, speeds=None, steps=20)
+        q = frames.q[-1]
+        yield
     return q
 
 
 def _frames(
-    plan: JumpPlan, forward: _Forward, t: Array, start: Array, dt: float
+    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, dt: float
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
@@ -348,12 +358,12 @@ def _frames(
         rows.aim(
             figure.gaze, seen + (plan.ball - seen) * minimum_jerk(t / 0.6)[:, None], 6.0, figure.neck or None
         )
-    palm = plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
+    palm = _palm(plan, forward)
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
     near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
     rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (_PULL * near - 3))
-    posture = _posture(plan, t, deep, palm, pitch, contact)
+    posture = _posture(plan, t, deep, top, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
     frames = yield from rows.slices(posture, stiff, start, speeds="jump", dt=dt, steps=20)
@@ -361,7 +371,7 @@ def _frames(
 
 
 def _posture(
-    plan: JumpPlan, t: Array, deep: Array, palm: Array, pitch: Array, contact: NDArray[np.int64]
+    plan: JumpPlan, t: Array, deep: Array, top: Array, pitch: Array, contact: NDArray[np.int64]
 ) -> Array:
     figure = plan.figure
     out = np.tile(figure.home, (len(t), 1))
@@ -370,7 +380,7 @@ def _posture(
     back = minimum_jerk((t - plan.apex) / (plan.ends[3] - plan.apex))  # level again before they touch
     level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
     moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bent.items()}
-    moves |= _arms(plan, t, _arm_at_apex(plan, palm))
+    moves |= _arms(plan, t, top)
     for joint, angle in moves.items():
         if joint in figure.robot.joints:
             out[:, figure.place(joint)[0]] = angle
@@ -415,7 +425,10 @@ def jump_slices(
     error: tuple[Array, Array] | None = None
     for k in range(corrections + 1):
         forward = _forward(plan, error)
-        frames, contact = yield from _frames(plan, forward, t, start, dt)
+        yield
+        if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
+            top = yield from _arm_at_apex(plan, _palm(plan, forward))
+        frames, contact = yield from _frames(plan, forward, top, t, start, dt)
         if k == corrections:
             break
         points, force = yield from zero_moment_slices(figure, frames.q, dt)

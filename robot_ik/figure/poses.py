@@ -12,9 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import hull, hull_margin, inset
-from robot_ik.figure.figure import Figure, Rows, lowest_points, rotation
-from robot_ik.kernels.whole_body import HARD
+from robot_ik.figure.balance import hull, inset
+from robot_ik.figure.figure import Figure, Frames, Rows, lowest_points, rotation, shape_points
 
 Array = NDArray[np.float64]
 
@@ -33,12 +32,15 @@ STIFF = {
 _STEPS = 12
 # A hand that stays farther away comes no nearer by leaning, m; frames of the last millimetres.
 _HOPELESS = 0.3
-# Frames of a block of the last millimetres, how many blocks, and how much each holds on to the one before:
-# first more, then less.
-_BLOCK, _BLOCKS, _DAMPING = 3, 20, (1.0, 0.1)
-_STAND, _PULL = 3e3, 300.0
-# A hand that stays nearer than this is tried from other poses, so many.
-_NEARLY, _FRESH = 0.02, 6
+# Most damped steps to a ball, and the damping of the first.
+_MOST, _DAMPING = 60, 1.0
+# No progress: so many steps that each leave more than this share of what is short.  A ball that is still far
+# after so many steps from a pose nearby is out of reach.
+_PATIENCE, _GAIN, _QUICK = 3, 0.97, 8
+_STAND, _PULL = 3e4, 300.0
+NEARLY = 0.02
+"""A hand that stays nearer to a ball than this, m, is tried from other poses."""
+_FRESH = 6
 
 
 def pinned(figure: Figure, q: Array, rows: Rows) -> None:
@@ -53,6 +55,11 @@ def support_middle(figure: Figure) -> Array:
     """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
     sole = figure.feet["left"].sole
     return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
+
+
+def limits_of(figure: Figure, kind: str) -> tuple[Array, Array]:
+    """(nv,) lower and upper joint limits of a ``reach`` or a ``bend``."""
+    return upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
 
 
 def upright_limits(figure: Figure) -> tuple[Array, Array]:
@@ -100,56 +107,79 @@ class Pose:
     flaw: str
 
 
-def find_pose(figure: Figure, ball: Array, arm: str, kind: str) -> Pose:
+def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> Pose:
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
 
-    Feet where they are.  First the natural one; where it does not do, that one stretched as far as balance
-    allows, another swivel of the arm, and some poses that are far from it.
+    Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``).
+    Without those it searches: the natural one stretched as far as balance allows, another swivel of the arm,
+    and some poses that are far from it, which takes a hundred times as long.
+
+    Args:
+        figure: Who.
+        ball: (3,) seen from the feet.
+        arm: Which hand.
+        kind: ``reach`` or ``bend``.
+        starts: (n, nq) poses that reach balls nearby, the nearest first (``abilities.Map.nearby``).
     """
-    limits = upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
-    best = _attempt(figure, ball, arm, kind, limits)
-    if not best.flaw or best.miss > _HOPELESS:
-        return best
-    for pose in _stretched(figure, ball, arm, kind, limits, best.q):
-        if not pose.flaw:
-            return pose
-        best = min(best, pose, key=lambda one: one.miss)
-    if best.miss <= AT_BALL:  # another swivel of the arm, or a flat hand
-        flat = best.flaw.endswith("floor")
-        for aside in (0.0,) if flat else (0.7, 1.2):
-            pose = _attempt(figure, ball, arm, kind, limits, aside=aside, flat=flat)
-            if pose.flaw and pose.miss < _HOPELESS:
-                pose = _polished(figure, ball, arm, limits, pose.q)
-            if not pose.flaw:
-                return pose
-    if best.miss < _NEARLY:
-        rng = np.random.default_rng(0)
-        for _ in range(_FRESH):
-            q = _scattered(figure, kind, limits, rng)
-            for pose in _stretched(figure, ball, arm, kind, limits, q, leaning=False):
-                if not pose.flaw:
-                    return pose
-                best = min(best, pose, key=lambda one: one.miss)
+    natural = _attempt(figure, ball, arm, kind)
+    if not natural.flaw:
+        return natural
+    if starts is None:
+        return natural if natural.miss > _HOPELESS else _searched(figure, ball, arm, kind, natural)
+    best = best_pose(figure, ball, arm, kind, starts) or natural
+    return best if not best.flaw or best.miss < natural.miss else natural
+
+
+def best_pose(
+    figure: Figure, ball: Array, arm: str, kind: str, starts: Array, *, quick: bool = False
+) -> Pose | None:
+    """The first admissible pose by short steps from ``starts`` (n, nq), or the nearest; None without starts.
+
+    Starts nearby agree on what is out of reach: ``quick``, a ball that is missed by far is not tried again,
+    nor is it told by how much.
+    """
+    best: Pose | None = None
+    for k, start in enumerate(starts):
+        pose = _polish(figure, arm, kind)(start, ball, _QUICK if quick else _MOST)
+        best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
+        if not pose.flaw or (quick and (pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3))):
+            break
     return best
 
 
-def _stretched(
-    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], q: Array, *,
-    leaning: bool = True,
-) -> Iterator[Pose]:  # fmt: skip
-    """Leaning and stretching as far as balance allows, from poses nearby."""
-    starts = [q]
-    if leaning:
-        starts += [
-            _attempt(figure, ball, arm, kind, limits, upright=0.5, share=share).q
-            for share in ((1.0, 0.3) if kind == BEND else (1.0,))
-        ]
-    for start in starts:
-        yield _polished(figure, ball, arm, limits, start)
+def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: Pose) -> Pose:
+    """The first admissible pose from the natural one and from others, or the nearest of all."""
+    polish, natural = _polish(figure, arm, kind), best
+
+    def stretched() -> Iterator[Pose]:
+        yield polish(natural.q, ball)
+        for share in (1.0, 0.3) if kind == BEND else (1.0,):
+            yield polish(_attempt(figure, ball, arm, kind, upright=0.5, share=share).q, ball)
+
+    def swivelled() -> Iterator[Pose]:
+        flat = best.flaw.endswith("floor")
+        for aside in (0.0,) if flat else (0.7, 1.2):
+            pose = _attempt(figure, ball, arm, kind, aside=aside, flat=flat)
+            yield polish(pose.q, ball) if pose.flaw and pose.miss < _HOPELESS else pose
+
+    def scattered() -> Iterator[Pose]:
+        rng = np.random.default_rng(0)
+        for _ in range(_FRESH):
+            yield polish(_scattered(figure, kind, rng), ball)
+
+    for search, near in ((stretched, np.inf), (swivelled, AT_BALL), (scattered, NEARLY)):
+        if best.miss > near:
+            continue
+        for pose in search():
+            if not pose.flaw:
+                return pose
+            best = min(best, pose, key=lambda one: one.miss)
+    return best
 
 
-def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.random.Generator) -> Array:
+def _scattered(figure: Figure, kind: str, rng: np.random.Generator) -> Array:
     """(nq,) a random pose about home, or between home and deeply bent."""
+    limits = limits_of(figure, kind)
     bend = float(rng.uniform(0.0, 1.0)) if kind == BEND else 0.0
     q = figure.home + bend * (figure.bent - figure.home)
     q[:2], q[3:7] = figure.home[:2], figure.home[3:7]
@@ -161,45 +191,91 @@ def _scattered(figure: Figure, kind: str, limits: tuple[Array, Array], rng: np.r
     return np.asarray(q)
 
 
-def _polished(figure: Figure, ball: Array, arm: str, limits: tuple[Array, Array], q: Array) -> Pose:
-    """From a pose nearby, with no posture of its own, by short steps: long ones get caught at limits.
+class _Polish:
+    """From a pose nearby to a ball, with no posture of its own: damped steps that each come nearer.
 
-    The centre of mass is free while it is far enough inside the soles, and held at the border else.
+    The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3): a step
+    that comes no nearer is taken back and tried shorter.  The centre of mass is free while it is far enough
+    inside the soles, and held at the border else.
     """
-    feet, corners = figure.feet_at_home, _support(figure)
-    last, hard, held = np.inf, np.inf, None
-    for k in range(_BLOCKS):
-        rows = Rows(figure, _BLOCK)
-        # Hard rows of legs at their limits contradict each other until the hand is nearly there.
-        stand = HARD if last < AT_BALL else _STAND
-        for side, (place, turn) in feet.items():
-            rows.position(figure.feet[side].frame, place, stand)
-            rows.turned(figure.feet[side].frame, turn, stand)
-        rows.position(figure.hands[arm], ball, _PULL)
-        if held is not None:
-            rows.center(np.array([*held, 0.0]), _PULL, axes="xy")
-        damping = figure.stiffnesses({"*": _DAMPING[k > 1], "*toe*": 100.0})
-        frames = rows.solve(q, damping, q, limits=limits, speeds=None, steps=3)
-        q, hard = frames.q[-1], _feet_off(figure, frames.q[-1])
-        center = figure.center(q)[:2]
-        miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-        outside = hull_margin(corners, center) < BALANCED + 0.0005
-        if not outside and (
-            (miss < 0.5 * AT_BALL and hard < 3e-5) or (k > 3 and AT_BALL < miss > 0.93 * last)
-        ):
-            break
-        last = miss if k > 1 else np.inf
-        held = inset(corners, center, BALANCED + 0.001) if outside or held is not None else None
-    return _judged(figure, q, ball, arm, hard)
+
+    def __init__(self, figure: Figure, arm: str, kind: str) -> None:
+        self.figure, self.arm = figure, arm
+        rows = Rows(figure, 1)
+        for side, (place, turn) in figure.feet_at_home.items():
+            rows.position(figure.feet[side].frame, place, _STAND)
+            rows.turned(figure.feet[side].frame, turn, _STAND)
+        rows.position(figure.hands[arm], np.zeros(3), _PULL)
+        rows.center(np.zeros(3), 0.0, axes="xy")
+        self.flat = [foot.toes[0] for foot in figure.feet.values() if foot.toes is not None]
+        self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
+        self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
+        self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
+        self.feet = [
+            (figure.robot.frame(figure.feet[side].frame), place, turn)
+            for side, (place, turn) in figure.feet_at_home.items()
+        ]
+        self.hand = figure.robot.frame(figure.hands[arm])
+
+    def __call__(self, start: Array, ball: Array, patience: int = _MOST) -> Pose:
+        """The pose that comes nearest to a ball (3,) from ``start`` (nq,)."""
+        ready, center_row = self.ready, 2 * len(self.feet) + 1
+        ready.target[0, center_row - 1, :3] = ball
+        q, damping, gains = np.array(start, dtype=float), _DAMPING, [0.0]
+        q[self.flat] = self.figure.home[self.flat]
+        short, off, outside = self._short(q, ball)
+        for tried in range(1, _MOST + 1):
+            ready.weight[0, center_row] = 0.0 if outside is None else _PULL
+            if outside is not None:
+                ready.target[0, center_row, :2] = outside
+            ready.stiffness[:] = damping * self.even + self.toes
+            ready.posture[0] = q
+            ready.solve(self.found, 0, 1, q, q, 1, 0.0, 0.0)
+            new = self.found.q[0].copy()
+            found = self._short(new, ball)
+            if found[0] < short:
+                gains.append(found[0] / short)
+                q, (short, off, outside), damping = new, found, max(0.2 * damping, 1e-4)
+                if short < 0.4 * AT_BALL and off < 3e-5 and outside is None:
+                    break
+            else:
+                damping *= 5.0
+            stalled = len(gains) >= _PATIENCE and min(gains[-_PATIENCE:]) > _GAIN
+            if damping > 1e3 or (short > AT_BALL and (stalled or (tried >= patience and short > NEARLY))):
+                break
+        return _judged(self.figure, q, ball, self.arm, off)
+
+    def _short(self, q: Array, ball: Array) -> tuple[float, float, Array | None]:
+        """What is short of the ball (with feet and balance), how far the feet are off, where balance is."""
+        corners, normal, offset = support(self.figure)
+        palm, center, off = self._measure(q)
+        missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
+        away = palm - ball
+        short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2))
+        return short, off, inset(corners, center, BALANCED + 0.001) if missing else None
+
+    def _measure(self, q: Array) -> tuple[Array, Array, float]:
+        """Palm, centre of mass (2,), and how far the feet are from where they stand, m or (roughly) rad."""
+        data, off = self.figure.data, 0.0
+        center = self.figure.center(q)
+        for frame, place, turn in self.feet:
+            rotated = data.xmat[frame.body].reshape(3, 3)
+            there = data.xpos[frame.body] + rotated @ frame.local.position
+            off = max(
+                off,
+                float(np.abs(there - place).max()),
+                float(np.abs(rotated @ frame.local.rotation - turn).max()),
+            )
+        palm = data.xpos[self.hand.body] + data.xmat[self.hand.body].reshape(3, 3) @ self.hand.local.position
+        return palm, center[:2], off
 
 
-def _feet_off(figure: Figure, q: Array) -> float:
-    """How far the feet are from where they stand at home, m or (roughly) rad."""
-    off = 0.0
-    for side, (place, turn) in figure.feet_at_home.items():
-        there, rotated = figure.pose(q, figure.feet[side].frame)
-        off = max(off, float(np.linalg.norm(there - place)), float(np.linalg.norm(rotated - turn)))
-    return off
+def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
+    key = f"polish {arm} {kind}"
+    if key not in figure.workspace:
+        figure.workspace[key] = _Polish(figure, arm, kind)
+    made: _Polish = figure.workspace[key]
+    return made
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
@@ -208,8 +284,8 @@ def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pos
 
 
 def _attempt(
-    figure: Figure, ball: Array, arm: str, kind: str, limits: tuple[Array, Array], *,
-    aside: float = 0.0, flat: bool = False, upright: float = 30.0, share: float = 1.0,
+    figure: Figure, ball: Array, arm: str, kind: str, *, aside: float = 0.0, flat: bool = False,
+    upright: float = 30.0, share: float = 1.0,
 ) -> Pose:  # fmt: skip
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
     deep = 0.0 if kind == REACH else share * depth(figure, ball)
@@ -231,14 +307,17 @@ def _attempt(
     if aside:
         goal = figure.posture({f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside}, goal)
     posture = start + (goal - start) * s[:, None]
-    stiff = np.minimum(figure.stiffnesses(STIFF), 0.1)
-    frames = rows.solve(posture, stiff, start, limits=limits, speeds=None, steps=6)
+    stiff = np.minimum(figure.stiffnesses(STIFF), 0.1) + figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
+    frames = rows.solve(posture, stiff, start, limits=limits_of(figure, kind), speeds=None, steps=6)
     return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
 
-def _support(figure: Figure) -> Array:
-    """(h, 2) hull of the soles at home."""
-    known = figure.robot.memory.get("figure.support")
+def support(figure: Figure) -> tuple[Array, Array, Array]:
+    """Hull of the soles at home: (h, 2) corners, and its edges as (h, 2) normals and (h,) offsets.
+
+    A point p is inside by the least of ``normals @ p - offsets``.
+    """
+    known: tuple[Array, Array, Array] | None = figure.robot.memory.get("figure.support")
     if known is None:
         found, data = [], figure.data
         data.qpos[:] = figure.home
@@ -246,19 +325,23 @@ def _support(figure: Figure) -> Array:
         for foot in figure.feet.values():
             for body, geoms in foot.parts:
                 turn = data.xmat[body].reshape(3, 3)
-                _, points = lowest_points(figure.model, list(geoms), turn[2:3])
-                world = data.xpos[body] + points[0] @ turn.T
+                points = np.concatenate([shape_points(figure.model, g, turn[2:3])[:, 0] for g in geoms])
+                world = data.xpos[body] + points @ turn.T
                 found.append(world[world[:, 2] < 0.003, :2])
-        known = figure.robot.memory["figure.support"] = hull(np.concatenate(found))
-    return np.asarray(known)
+        corners = hull(np.concatenate(found))
+        edge = np.concatenate([corners[1:], corners[:1]]) - corners
+        normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+        known = figure.robot.memory["figure.support"] = corners, normal, (normal * corners).sum(axis=1)
+    return known
 
 
 def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:
     """Why a pose is not admissible, by MuJoCo; empty where it is."""
     model, data = figure.model, figure.data
-    corners = _support(figure)
+    _, normal, offset = support(figure)
     data.qpos[:] = q
-    mujoco.mj_forward(model, data)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     hand = figure.robot.frame(figure.hands[arm])
     palm = data.xpos[hand.body] + data.xmat[hand.body].reshape(3, 3) @ hand.local.position
     miss = float(np.linalg.norm(palm - ball))
@@ -266,9 +349,9 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
         return f"the hand stays {100 * miss:.0f} cm away"
     if hard > 1e-4:
         return "the feet would move"
-    margin = hull_margin(corners, data.subtree_com[0][:2])
-    if margin < BALANCED:
+    if (normal @ data.subtree_com[0][:2] - offset).min() < BALANCED:
         return "balance would be lost"
+    mujoco.mj_collision(model, data)
     for c in range(data.ncon):
         if data.contact[c].dist < -TOUCHING:
             names = sorted(
@@ -279,15 +362,26 @@ def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) 
     return f"the {low} would go under the floor" if low else ""
 
 
+def touches_itself(figure: Figure, q: Array) -> bool:
+    """Whether bodies touch in any of some frames (n, nq), by MuJoCo."""
+    model, data = figure.model, figure.data
+    for row in q:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        if data.ncon and (data.contact.dist < 0.0).any():
+            return True
+    return False
+
+
 def _lowest(figure: Figure, data: mujoco.MjData) -> str:
     """Name of a body that is under the floor; soles may touch it."""
     model = figure.model
-    soles = {body for foot in figure.feet.values() for body, _ in foot.parts}
-    for g in range(model.ngeom):
+    soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
+    near = (data.geom_xpos[:, 2] < model.geom_rbound) & (model.geom_contype != 0)
+    for g in np.flatnonzero(near & ~np.isin(model.geom_bodyid, soles)).tolist():
         body = int(model.geom_bodyid[g])
-        if model.geom_contype[g] and body not in soles and data.geom_xpos[g, 2] < model.geom_rbound[g]:
-            up = data.xmat[body].reshape(3, 3)[2:3]
-            low, _ = lowest_points(model, [g], up)
-            if low[0, 0] + data.xpos[body, 2] < 0.0:
-                return str(model.body(body).name).replace("_", " ")
+        low, _ = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
+        if low[0, 0] + data.xpos[body, 2] < 0.0:
+            return str(model.body(body).name).replace("_", " ")
     return ""

@@ -11,14 +11,23 @@ ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import Motion, bend, join, reach, rest, rest_of, stop_walk, walk_motion
+from robot_ik.figure.actions import (
+    Motion,
+    join,
+    rest_of,
+    rest_slices,
+    seen_from,
+    stop_walk,
+    take_slices,
+    walk_motion,
+)
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, SLICE, Figure, Slices
 from robot_ik.figure.gait import (
@@ -33,6 +42,7 @@ from robot_ik.figure.gait import (
     walk_slices,
 )
 from robot_ik.figure.jump import jump_slices
+from robot_ik.figure.poses import BEND, REACH
 from robot_ik.ports import JointSink
 
 Array = NDArray[np.float64]
@@ -114,6 +124,8 @@ _MOVED, _OFTEN = 0.01, 6
 # A walk or a jump is planned in the frames before it, so many slices each; a ball that goes farther
 # meanwhile, m, is decided upon anew.
 _SLICES, _ELSEWHERE = 2, 0.3
+# A reach, a bend or a rest is planned from where the motion under way will be in so many frames.
+_LEAD = 4
 # The end of a walk under way is planned within so many frames; so often is each frame of a walk worked on.
 _AHEAD, _PASSES = 30, 11
 # Nearer than this to home, rad, and slower than this, rad/s, it need not stand up first; farther than this
@@ -125,7 +137,7 @@ _NEAR, _TURN = 1.0, np.radians(50.0)
 
 @dataclass(eq=False)
 class _Planning:
-    """A walk or a jump that is being planned.
+    """A motion that is being planned.
 
     Attributes:
         slices: The work.
@@ -185,7 +197,7 @@ class FigureSession:
 
     @property
     def planning(self) -> bool:
-        """Whether a walk or a jump is being planned, some milliseconds a frame."""
+        """Whether a motion is being planned, some milliseconds a frame."""
         return self._planning is not None
 
     def send(self, command: Command) -> None:
@@ -196,7 +208,7 @@ class FigureSession:
         """The next frame."""
         while self._commands:
             self._obey(self._commands.popleft())
-        if self._motion is not None and self._leave():
+        if self._motion is not None and (self._planning is None or self._asked(_ELSEWHERE)) and self._leave():
             self._choose()
         if self._planning is not None:
             self._plan_on()
@@ -286,7 +298,7 @@ class FigureSession:
         if motion.action == "walk" and not motion.free[self._index - 1]:
             self._stop_walking()
             return False
-        return bool(motion.free[max(self._index - 1, 0)])
+        return bool(motion.free[max(self._index - 1, 0) :].all())  # it goes on while the next is planned
 
     def _stop_walking(self) -> None:
         """The walk ends with the next steps; what to do then is decided there."""
@@ -356,7 +368,7 @@ class FigureSession:
         speed = float(np.abs(figure.robot.difference(self._before, q)).max()) / self.dt
         away_from_home = float(away.max()) > _AT_EASE or speed > _STILL
         if decision.action in ("walk", "jump", "nothing") and away_from_home:
-            self._begin(rest(figure, q, look=ball, dt=self.dt))
+            self._plan(lambda q: rest_slices(figure, q, look=ball, dt=self.dt))
             self._after = None if decision.action == "nothing" else decision
         elif decision.action == "walk":
             self._way = list(decision.way)
@@ -365,14 +377,20 @@ class FigureSession:
             self._motion = None
         else:
             assert ball is not None and decision.arm is not None
-            if decision.action == "reach":
-                self._begin(reach(figure, q, ball, decision.arm, dt=self.dt))
-            elif decision.action == "bend":
-                self._begin(bend(figure, q, ball, decision.arm, dt=self.dt))
+            if decision.action in (REACH, BEND):
+                arm, kind = decision.arm, decision.action
+                end = self.decider.abilities.pose(kind, seen_from(figure.stance(q), ball), arm).q
+                self._plan(lambda q: take_slices(figure, q, ball, arm, kind, end=end, dt=self.dt))
             else:
                 speed = decision.speed or 0.0
                 self._planning = _Planning(jump_slices(figure, q, ball, decision.arm, speed, dt=self.dt))
                 self._motion = None
+
+    def _plan(self, slices: Callable[[Array], Slices[Motion]]) -> None:
+        """Plans what follows on the motion under way, which goes on meanwhile: from where it will be then."""
+        motion = self._motion
+        q = self._q if motion is None else motion.q[min(self._index + _LEAD, len(motion)) - 1]
+        self._planning = _Planning(slices(q))
 
     def _step_on(self) -> None:
         """The next walk on the way: a turn on the spot, a walk along a curve, or small steps."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, look_at
-from robot_ik.camera.synthetic.scene import TableTop
+from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -70,7 +70,7 @@ class Scene:
     cube_offset: Pose
     cube: Mapping[int, tuple[float, Pose]]
     cube_margin: float
-    table: TableTop | None = None
+    table: SceneTable | None = None
     generated: bool = False
 
     @property
@@ -133,7 +133,7 @@ def _described(robot: Robot) -> Scene:
         else (tool.size, _cube_side(k, tool.cube))
         for k, id in enumerate(tool.ids)
     }
-    table = None if reach.table is None else TableTop(reach.table.height, reach.table.x, reach.table.y)
+    table = None if reach.table is None else SceneTable(reach.table.height, reach.table.x, reach.table.y)
     return Scene(
         intrinsics=intrinsics,
         pose_world_camera=look_at(place.position, place.look_at),
@@ -225,13 +225,13 @@ def _marker_for(tool: Pose, scene: Scene, upright: bool) -> Pose:
     return tool.compose(scene.pose_marker_tool.inverse())
 
 
-def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> TableTop | None:
+def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> SceneTable | None:
     """A table top below marker and tool where the floor, at height 0, would hide them."""
     cube = _cube_pose(robot, scene, q_goal)
     side = next(side for side, _ in scene.cube.values())
     lowest = min(scene.pose_world_marker.position[2] - scene.marker_size, cube.position[2] - 1.2 * side)
     height = float(lowest) - 0.02 * reach
-    return None if height > 0.0 else TableTop(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
+    return None if height > 0.0 else SceneTable(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
 
 
 def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:

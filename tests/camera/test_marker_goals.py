@@ -134,7 +134,7 @@ def test_a_frame_of_another_size_is_refused() -> None:
 def test_the_window_finds_what_the_whole_frame_finds() -> None:
     whole = MarkerTracker(CAMERA, "DICT_5X5_50", 0.05)
     window = MarkerTracker(CAMERA, "DICT_5X5_50", 0.05, window=True)
-    sizes = []
+    sizes, off = [], []
     inner = window.detector.detect_part
 
     def spy(image: np.ndarray, *rest: Any, **more: Any) -> list:
@@ -155,7 +155,9 @@ def test_the_window_finds_what_the_whole_frame_finds() -> None:
             assert [o.id for o in first] == [o.id for o in second], k
         for a in second:
             b = next(o for o in first if o.id == a.id)
-            assert a.corners == pytest.approx(b.corners, abs=0.05)
+            # Fewer pixels, from another start: a difference, within what is stated.
+            off.append(float(np.abs(a.corners - b.corners).max()) / a.sigma)
+    assert max(off) < 3.0 and np.median(off) < 1.5
     assert min(s[0] * s[1] for s in sizes) < 0.3 * 640 * 480
 
 

@@ -11,7 +11,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers, unrefined
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.observations import estimate_body
-from robot_ik.camera.photometric_corners import is_print, refine_prints
+from robot_ik.camera.photometric_corners import FILM, is_print, refine_prints
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
@@ -92,6 +92,34 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
     outside = unrefined(sides[0].corners + 2000.0, STANDARD_CAMERA)
     assert not fit(image, 0, outside).by_print
     assert refine_prints(image, [], [], DICTIONARY, STANDARD_CAMERA) == []
+
+
+def test_in_a_film_a_fit_starts_from_the_last_picture_and_ends_where_it_would_alone() -> None:
+    before: dict[int, RefinedCorners] = {}
+    off: list[float] = []
+    for k in range(6):
+        pose = Pose((0.01 * k - 0.02, 0.004 * k, 0.7 + 0.005 * k), FACING.wxyz)
+        image = picture(pose, k)
+        sides = sides_of(image)
+        ids, starts = list(sides), list(sides.values())
+
+        def fit(
+            known: dict[int, RefinedCorners],
+            image: NDArray[np.uint8] = image,
+            starts: list[RefinedCorners] = starts,
+            ids: list[int] = ids,
+        ) -> list[RefinedCorners]:
+            return refine_prints(image, starts, ids, DICTIONARY, STANDARD_CAMERA, effort=FILM, before=known)
+
+        alone, again, tracked = fit({}), fit({}), fit(before)
+        assert all((a.corners == b.corners).all() for a, b in zip(alone, again, strict=True))
+        assert all(one.by_print for one in tracked)
+        off += [
+            float(np.abs(a.corners - b.corners).max() / a.sigma) for a, b in zip(alone, tracked, strict=True)
+        ]
+        before = dict(zip(ids, tracked, strict=True))
+    # Not the same pixels, so not the same corners: but within what either states.
+    assert np.median(off) < 1.0 and max(off) < 3.0
 
 
 def test_nothing_given_is_changed() -> None:

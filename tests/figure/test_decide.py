@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError, ModelError
-from robot_ik.figure.abilities import POINTS, Abilities, grade
+from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
 from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
-from robot_ik.figure.figure import Figure, load_figure, rotation
-from robot_ik.figure.poses import BEND, REACH
+from robot_ik.figure.figure import Figure, Frames, Prepared, load_figure, rotation
+from robot_ik.figure.poses import BEND, REACH, best_pose
 from robot_ik.robot import load_robot
 
 Array = NDArray[np.float64]
@@ -132,11 +132,12 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
     flat = abilities.maps[kind, "right"].miss.ravel()
     sure = np.flatnonzero(np.isfinite(flat) & ((flat == 0.0) | (flat > 0.01)))
     for i in rng.choice(sure, 12, replace=False):
-        reported = grade(figure, POINTS[i], "right", kind)
+        found = best_pose(figure, POINTS[i], "right", kind, abilities.maps[kind, "right"].nearby(POINTS[i]))
+        assert found is not None
         if flat[i] == 0.0:
-            assert reported == 0.0
+            assert not found.flaw
         else:  # else the map would hide a ball
-            assert reported >= flat[i] - 0.08
+            assert found.miss >= SHARE * flat[i] - SLACK
 
 
 # Judged by 64 random starts a ball, some seconds each:
@@ -178,10 +179,7 @@ def agreement(decider: Decider, balls: list[tuple[Array, str]]) -> None:
         if (reported := disagreement(decider, judge, ball, label, k))
     ]
     counted = len(balls) - len(border)
-    # The rim of what a jump reaches is not met as well as that of the hands: 99 % is wanted there, too.
-    jumps = [reported for reported in wrong if "right is jump" in reported]
-    assert len(wrong) - len(jumps) <= 0.01 * counted, f"border {border}\n" + "\n".join(wrong)
-    assert len(jumps) <= 0.03 * counted, "\n".join(jumps)
+    assert len(wrong) <= 0.01 * counted, f"border {border}\n" + "\n".join(wrong)
     assert len(border) <= 0.08 * len(balls), border
 
 
@@ -190,6 +188,24 @@ def test_decisions_agree_with_an_independent_judge(figure: Figure, decider: Deci
     assert _judge.digest(figure) in head, "the model changed: judge the balls again (judge.py says how)"
     assert {label for _, label in balls} >= set(ACTIONS) and len(balls) >= 100
     agreement(decider, balls)
+
+
+def test_a_decision_takes_few_steps_at_the_edge_of_reach_too(
+    decider: Decider, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames that are solved, counted: a tenth of a millisecond each at most.  Random starts took 1300."""
+    solved: list[int] = []
+    solve = Prepared.solve
+
+    def counted(self: Prepared, found: Frames, a: int, b: int, *rest: Any) -> None:
+        solve(self, found, a, b, *rest)
+        solved[-1] += int(found.steps[a:b].sum())
+
+    monkeypatch.setattr(Prepared, "solve", counted)
+    for ball, _ in judged()[1]:
+        solved.append(0)
+        decider.decide(ball)
+    assert np.mean(solved) <= 40 and max(solved) <= 500
 
 
 def test_the_judge_says_today_what_it_said(figure: Figure) -> None:

@@ -89,6 +89,9 @@ Action = Callable[[Figure, Array, Array, str], Motion]
         (reach, (0.3, -0.15, 1.85)),
         (bend, (0.45, -0.25, 0.25)),
         (bend, (0.5, 0.0, 0.4)),
+        (reach, (0.31, -0.07, 0.87)),  # so near that the fastest way changes a joint's speed at once
+        (reach, (0.21, -0.17, 1.65)),  # straight there the forearm would touch the belly
+        (reach, (0.475, -0.025, 0.845)),  # as fast as the hand may, the weight would be beside the soles
     ],
 )
 def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball: tuple[float, ...]) -> None:
@@ -105,14 +108,19 @@ def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball:
 
 def test_a_bend_found_from_a_random_pose_keeps_its_toes_on_the_floor(figure: Figure) -> None:
     motion = bend(figure, figure.home, np.array([0.28, -0.08, 0.17]), "right")
-    require_feet(measure_motion(figure, motion.q, motion.contact))
+    measure = measure_motion(figure, motion.q, motion.contact)
+    require_feet(measure)
+    assert measure.inside == 1.0
 
 
-def test_a_jump_flies_by_its_own_momentum(figure: Figure, abilities: Abilities) -> None:
-    ball = np.array([0.2, -0.2, 2.3])
-    speed = abilities.take_off(ball, "right")
+@pytest.mark.parametrize("ball", [(0.2, -0.2, 2.3), (0.1, -0.1, 2.5)])
+def test_a_jump_flies_by_its_own_momentum(
+    figure: Figure, abilities: Abilities, ball: tuple[float, ...]
+) -> None:
+    """Also one that is as fast as a man's: soles that neither slip nor flail, the palm on the ball."""
+    speed = abilities.take_off(np.array(ball), "right")
     assert speed is not None
-    motion = jump(figure, figure.home, ball, "right", speed, corrections=2)
+    motion = jump(figure, figure.home, np.array(ball), "right", speed, corrections=2)
     near = min(float(np.linalg.norm(figure.pose(row, "right_hand")[0] - ball)) for row in motion.q)
     assert near <= 0.005
     measure = measure_motion(figure, motion.q, motion.contact, speeds="jump")

@@ -8,14 +8,14 @@ made with errors, or from those views.  The job that moves servos and takes pict
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, Figure
-from robot_ik.bench.camera.accuracy import rms
-from robot_ik.camera.boards.board import BoardView, Layout
+from robot_ik.bench.camera.accuracy import frame_of, rms
+from robot_ik.camera.boards.board import BoardView, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEyeSample, moved, solve_handeye
@@ -23,8 +23,9 @@ from robot_ik.camera.calibration.kinematic import ArmView, KnownPose, fit_zero_o
 from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.sensor import WEBCAM
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
 from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import Robot, load_robot
@@ -133,7 +134,12 @@ def _look(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView:
     )
 
 
-def _view(robot: Robot, eye: Pose, board: Pose, hidden: Array, rng: np.random.Generator) -> ArmView:
+_Look = Callable[[Pose, Layout, np.random.Generator], BoardView | None]
+
+
+def _view(
+    robot: Robot, eye: Pose, board: Pose, hidden: Array, rng: np.random.Generator, look: _Look = _look
+) -> ArmView:
     """What the servos say and the camera sees, at a random pose that shows the board."""
     while True:
         q = robot.clip(robot.home + rng.uniform(-_BEND, _BEND, robot.nq))
@@ -145,7 +151,92 @@ def _view(robot: Robot, eye: Pose, board: Pose, hidden: Array, rng: np.random.Ge
         corners = np.concatenate([on.apply(marker_points(side)) for side, on in _CARRIED.values()])
         pixels = STANDARD_CAMERA.project(there.apply(corners))
         if (pixels > _EDGE).all() and (pixels < np.array(STANDARD_CAMERA.size) - _EDGE - 1).all():
-            return ArmView(q, _look(there, _CARRIED, rng))
+            seen = look(there, _CARRIED, rng)
+            if seen is not None:
+                return ArmView(q, seen)
+
+
+# ------------------------------------------------------------------------------------------
+# The whole chain by pictures of a webcam: is each answer as near as it says?
+
+
+_SEEDS, _CHAIN_VIEWS = 20, 20
+# Mean squared error over the stated one.
+_HONEST = (0.3, 3.0)
+_PRINTED = "DICT_4X4_50"
+
+
+def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView | None:
+    """A board at ``pose`` (camera frame) in a picture of a webcam."""
+    placed = {id: (side, pose.compose(on)) for id, (side, on) in layout.items()}
+    image = render_markers(STANDARD_CAMERA, placed, rng, dictionary=_PRINTED, margin=0.12, look=WEBCAM)
+    return MarkerBoard(layout, _PRINTED).see(frame_of(image), STANDARD_CAMERA)
+
+
+@dataclass
+class _Honesty:
+    """Squared errors over the stated ones, one a seed.
+
+    Attributes:
+        located: Of the camera's place by a sheet on the table; ``handeye`` by the arm's views.
+        handeye: See ``located``.
+        zeros: Of the joint zeros; ``offsets`` their errors, rad.
+        offsets: See ``zeros``.
+    """
+
+    located: list[float] = field(default_factory=list)
+    handeye: list[float] = field(default_factory=list)
+    zeros: list[float] = field(default_factory=list)
+    offsets: list[float] = field(default_factory=list)
+
+    def add(self, robot: Robot, eye: Pose, rng: np.random.Generator) -> None:
+        """One arm with hidden offsets, one camera, one board in a mount."""
+        hidden = rng.uniform(-_HIDDEN, _HIDDEN, robot.nv)
+        board = moved(_DRAWN, rng.normal(0.0, 1.0, 6) * np.repeat(_MOUNTED, 3))
+        views = [_view(robot, eye, board, hidden, rng, _photographed) for _ in range(_CHAIN_VIEWS)]
+        sheet = _photographed(_SHEET_SEEN, _SHEET, rng)
+        assert sheet is not None, "the sheet of the bench was not found"
+        place = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
+        self.located.append(_nees(place.pose_parent_camera, eye, place.covariance))
+        # The same pictures by an arm whose zeros are right: the camera's place by its views alone.
+        samples = [HandEyeSample(robot.forward(one.q + hidden), one.view) for one in views]
+        found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
+        self.handeye.append(_nees(found.pose_parent_camera, eye, found.covariance[:6, :6]))
+        fit = fit_zero_offsets(
+            views, robot, robot.tool, STANDARD_CAMERA,
+            camera=KnownPose(place.pose_parent_camera, place.covariance),
+            board=KnownPose.within(_DRAWN, *_MOUNTED),
+        )  # fmt: skip
+        told = np.flatnonzero(fit.sigma > 0.0)
+        off = (fit.offsets - hidden)[told]
+        self.offsets += np.abs(off).tolist()
+        self.zeros.append(float(off @ np.linalg.solve(fit.covariance[np.ix_(told, told)], off)) / len(told))
+
+
+def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
+    """Squared error of a pose over the stated one: 1 on average for an honest one."""
+    turn = rotation_log(quat_multiply(found.wxyz, truth.inverse().wxyz))
+    off = np.concatenate([found.position - truth.position, turn])
+    return float(off @ np.linalg.solve(covariance, off)) / 6.0
+
+
+def honesty(effort: Effort) -> Iterator[Figure]:
+    """Locate, hand-eye and ``verify --fit`` by the pictures of a webcam: is each as near as it says?"""
+    robot, result = load_robot(_ROBOT), _Honesty()
+    seen = robot.forward(robot.home).compose(_DRAWN)
+    eye = look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
+    for seed in range(effort.count(_SEEDS)):
+        result.add(robot, eye, np.random.default_rng([effort.seed, seed]))
+    for what, values in (
+        ("camera by a sheet", result.located), ("camera by the arm's views", result.handeye),
+        ("joint zeros", result.zeros),
+    ):  # fmt: skip
+        nees = float(np.mean(values))
+        yield Figure(f"{what}, squared error over the stated", nees, "", _HONEST[1])
+        yield Figure(f"{what}, the same, at least", nees, "", _HONEST[0], at_least=True)
+    off = np.degrees(result.offsets)
+    yield Figure("joint zeros, RMS", rms(off), "°", 0.1)
+    yield Figure("joint zeros, worst", float(off.max()), "°")
 
 
 # ------------------------------------------------------------------------------------------

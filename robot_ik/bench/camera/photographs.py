@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,46 +18,138 @@ from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, Figure, NotMeasuredError
 from robot_ik.bench.camera.accuracy import frame_of
-from robot_ik.camera.boards.patterns import ChessboardPattern, FoundPattern
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate
-from robot_ik.camera.tracker import MarkerFinder
+from robot_ik.camera.detection import largest_dictionaries, to_gray
+from robot_ik.camera.image import IMAGE_SUFFIXES, natural_sort, read_image
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
+from robot_ik.errors import CalibrationError
 
 Image = NDArray[np.uint8]
 
-# The chessboard that photographs may show: OpenCV's own has 9 × 6 inner corners.
-_BOARD = ChessboardPattern(9, 6, 0.025)
-_LEAST_BOARDS = 6
-_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}
+#: The boards that photographs may show: OpenCV's own chessboard has 9 × 6 inner corners; its ChArUco board,
+#: and that of ``robot-ik camera sheet``.
+CHESSBOARD = ChessboardPattern(9, 6, 0.025)
+CHARUCOS = (
+    CharucoPattern(5, 7, 0.04, 0.02, "DICT_6X6_250", legacy=True),
+    CharucoPattern(8, 6, 0.03, 0.022, "DICT_5X5_50"),
+)
+_LEAST_BOARDS, _LEAST_SADDLES = 6, 8
+# So many chessboards are searched for markers of all dictionaries: a second and more each.
+_ASKED = 3
+_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
 _FIRST_SECONDS, _PATIENCE = 20.0, 300.0
 
 
 def photographs(effort: Effort) -> Iterator[Figure]:
-    """False finds in a folder of photographs; where they show chessboards, how well unseen corners are met.
+    """What the tests ask of OpenCV's samples, of a user's folder: false finds, calibration, markers' places.
 
     Raises:
         NotMeasuredError: No folder is given, or it holds no pictures.
     """
     if not effort.photographs:
         raise NotMeasuredError("it needs photographs of yours: --photographs FOLDER")
-    files = sorted(f for f in Path(effort.photographs).glob("*") if f.suffix.lower() in _SUFFIXES)
-    pictures = [one for f in files if (one := cv2.imread(str(f), cv2.IMREAD_GRAYSCALE)) is not None]
+    folder = Path(effort.photographs)
+    files = [f for f in natural_sort(folder.glob("*")) if f.suffix.lower() in IMAGE_SUFFIXES]
+    pictures = [to_gray(read_image(f)) for f in files]
     if not pictures:
-        raise NotMeasuredError(f"no pictures in {effort.photographs}")
+        raise NotMeasuredError(f"no pictures in {folder}")
+    boards = [(one, view) for one in pictures if (view := CHESSBOARD.find(one)) is not None]
+    if boards:
+        finds = sum(any_finds(one) for one, _ in boards[:_ASKED])
+        yield Figure(f"finds of any dictionary on {min(len(boards), _ASKED)} chessboards", finds, "", 0)
+    plain = [one for one in pictures if all(one is not other for other, _ in boards)]
     finder = MarkerFinder("DICT_5X5_50")
-    finds = sum(len(finder.look(frame_of(np.asarray(one, dtype=np.uint8))).ids) for one in pictures)
-    yield Figure(f"finds in {len(pictures)} photographs without markers (DICT_5X5_50)", finds, "", 0)
-    yield from _real_corners([np.asarray(one, dtype=np.uint8) for one in pictures])
+    finds = sum(len(finder.look(frame_of(one)).ids) for one in plain)
+    yield Figure(f"finds in {len(plain)} photographs without markers (DICT_5X5_50)", finds, "", 0)
+    yield from _of_chessboards(boards)
+    yield from _of_charuco(plain, folder)
 
 
-def _real_corners(pictures: list[Image]) -> Iterator[Figure]:
-    """Pose by every other corner of a chessboard, the lens by all other photographs; the miss at the rest."""
-    size = max((one.shape for one in pictures), key=[one.shape for one in pictures].count)
-    views = [v for one in pictures if one.shape == size and (v := _BOARD.find(one)) is not None]
+def any_finds(picture: Image) -> int:
+    """How many markers all dictionaries together find in a picture."""
+    return sum(len(MarkerFinder(name).look(frame_of(picture)).ids) for name in largest_dictionaries())
+
+
+def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Figure]:
+    """Reprojection beside OpenCV's; and the miss at every other corner, the lens by all other pictures."""
+    size = max((one.shape for one, _ in boards), key=[one.shape for one, _ in boards].count, default=(0, 0))
+    boards = [(one, view) for one, view in boards if one.shape == size]
+    views = [view for _, view in boards]
     if len(views) < _LEAST_BOARDS:
         return
+    mine = calibrate(views, (size[1], size[0])).rms
+    yield Figure(f"calibration by {len(views)} chessboards, RMS", mine, "px")
+    yield Figure("the same, beside OpenCV's corners", mine / opencv_rms(boards), "", 1.0)
     squares = [_unseen(view, views[:k] + views[k + 1 :], (size[1], size[0])) for k, view in enumerate(views)]
     error = float(np.sqrt(np.mean(np.concatenate(squares))))
     yield Figure(f"overlay on real corners of {len(views)} chessboards, RMS", error, "px", 1.0)
+
+
+def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
+    """Reprojection error, px, of ``cv2.calibrateCamera`` with OpenCV's own corners of the same pictures."""
+    points, pixels = [], []
+    for gray, view in boards:
+        seen, corners = cv2.findChessboardCorners(gray, (CHESSBOARD.columns, CHESSBOARD.rows))
+        if seen:
+            fine = cv2.cornerSubPix(gray, corners.reshape(-1, 1, 2), (11, 11), (-1, -1), _STOP)
+            pixels.append(np.asarray(fine, dtype=np.float32).reshape(-1, 2))
+            points.append(view.points_board.astype(np.float32))
+    return float(cv2.calibrateCamera(points, pixels, boards[0][0].shape[::-1], None, None)[0])
+
+
+def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Figure]:
+    """Markers against the saddles of their board; where a camera file of that size lies in the folder."""
+    lenses = {}
+    for file in sorted((*folder.glob("*.yml"), *folder.glob("*.yaml"))):
+        with contextlib.suppress(CalibrationError):
+            lens = CameraIntrinsics.load(file)
+            lenses[lens.size] = lens
+    off: list[float] = []
+    for picture in pictures:
+        size = (picture.shape[1], picture.shape[0])
+        if size not in lenses:
+            continue
+        lens = lenses[size]
+        for board in CHARUCOS:
+            tracker = MarkerTracker(lens, board.dictionary, board.marker)
+            seen = {one.id: one.corners for one in tracker.observe(frame_of(picture))}
+            off += outward_of_saddles(picture, lens, board, seen)
+    if off:
+        words = f"{len(off)} markers, outwards of where the saddles of their board say"
+        yield Figure(f"{words}, mean", abs(float(np.mean(off))), "px", 0.15)
+        yield Figure(f"{words}, scatter", float(np.std(off)), "px", 0.12)
+
+
+def outward_of_saddles(
+    gray: Image, lens: CameraIntrinsics, board: CharucoPattern, seen: Mapping[int, NDArray[np.float64]]
+) -> list[float]:
+    """How far outwards, px, corners (4, 2) of markers, by id, lie of where the saddles round them say.
+
+    Only markers with saddles on all sides are asked: beyond them homography and lens are only guessed.
+    """
+    found = board.find(gray)
+    if found is None or len(found.pixels) < _LEAST_SADDLES:
+        return []
+    homography, _ = cv2.findHomography(found.points_board[:, :2], lens.undistort(found.pixels))
+    off = []
+    for number, (column, row) in enumerate(board.marker_squares()):
+        if number not in seen or not 0 < row < board.rows - 1:
+            continue
+        expected = lens.distort(_predicted(homography, board, column, row))
+        way = expected - expected.mean(axis=0)
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        off.append(float(np.mean(np.sum((seen[number] - expected) * way, axis=1))))
+    return off
+
+
+def _predicted(homography: NDArray[Any], board: CharucoPattern, column: int, row: int) -> NDArray[np.float64]:
+    """Undistorted corners (4, 2) of the marker in a square of the board."""
+    middle = (np.array([column, row]) + 0.5) * board.square
+    half = 0.5 * board.marker * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    there = np.column_stack([middle + half, np.ones(4)]) @ homography.T
+    return np.asarray(there[:, :2] / there[:, 2:], dtype=float)
 
 
 def _unseen(view: FoundPattern, others: list[FoundPattern], size: tuple[int, int]) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.photograph import QUALITIES, Photographer, PlacedSheet
 from robot_ik.camera.synthetic.prints import Condition, PaintedMarker, make_sheet
-from robot_ik.camera.synthetic.scene import Lights, TableTop
+from robot_ik.camera.synthetic.scene import Lights, SceneTable
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
@@ -161,7 +161,7 @@ class SyntheticScene:
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
     markers: tuple[SyntheticMarker, ...] = ()
-    table: TableTop | None = None
+    table: SceneTable | None = None
     lights: Lights | None = None
 
     def __post_init__(self) -> None:

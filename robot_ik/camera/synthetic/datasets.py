@@ -42,8 +42,6 @@ _PAPER_MARGIN = 0.25
 # can be off by the same 1/100 px: a tenth of a degree in the tilt of a board that faces the camera.
 _RAYS = 233
 _LATTICE = np.stack([np.arange(_RAYS), np.arange(_RAYS) * 144 % _RAYS], axis=1) / _RAYS + 0.5 / _RAYS - 0.5
-# Softness of a shadow's edge, px.
-_SHADOW_SOFT = 20.0
 # So many rays are traced at once.
 _TOGETHER = 16
 
@@ -162,7 +160,7 @@ def photograph(canvas: Array, centre: Array, rng: np.random.Generator, look: Sen
         away = (np.arange(width) - centre[0]) * across[0] + ((np.arange(height) - centre[1]) * across[1])[
             :, None
         ]
-        light = light * (1.0 - look.shadow / (1.0 + np.exp(-away / _SHADOW_SOFT)))
+        light = light * (1.0 - 0.5 * look.shadow * (1.0 + np.tanh(0.5 * away / look.shadow_edge)))
     return look.developed(light, rng.normal(0.0, 1.0, light.shape))
 
 

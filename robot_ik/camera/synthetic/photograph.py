@@ -17,7 +17,7 @@ from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, pain
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.prints import PaintedMarker, Sheet, nearer, paint_marker
-from robot_ik.camera.synthetic.scene import Lights, Point, StillPicture, TableTop, still_picture
+from robot_ik.camera.synthetic.scene import Lights, Point, SceneTable, StillPicture, still_picture
 from robot_ik.geometry import Pose
 
 # ------------------------------------------------------------------------------------------
@@ -301,7 +301,7 @@ class Photographer:
         model: mujoco.MjModel,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        table: TableTop | None,
+        table: SceneTable | None,
         lights: Lights,
         subject: Point,
     ) -> None:

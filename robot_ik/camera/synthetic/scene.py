@@ -135,7 +135,7 @@ _LIGHT_STRIDE = 8
 
 
 @dataclass(frozen=True)
-class TableTop:
+class SceneTable:
     """A rectangular table on the floor; world frame, metres.
 
     Attributes:
@@ -157,7 +157,7 @@ class TableTop:
         return 0.0 if self.height > 0.2 else self.height - 0.7
 
 
-def _environment(table: TableTop | None, floor: float) -> mujoco.MjModel:
+def _environment(table: SceneTable | None, floor: float) -> mujoco.MjModel:
     """Floor and table as a model of their own: geom 0 floor, 1 table top, then legs."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], pos=[0, 0, floor])
@@ -194,7 +194,7 @@ class StillPicture:
 def still_picture(
     intrinsics: CameraIntrinsics,
     pose_world_camera: Pose,
-    table: TableTop | None,
+    table: SceneTable | None,
     lights: Lights,
     subject: Point,
 ) -> StillPicture:
@@ -217,7 +217,7 @@ class _StillScene:
         self,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        table: TableTop | None,
+        table: SceneTable | None,
         lights: Lights,
         subject: Point,
     ) -> None:

@@ -68,7 +68,8 @@ class SensorModel:
         jpeg: Quality, 0 to 100; None: not compressed.
         bleed: Ink reaches so far beyond the black cells, metres.
         motion: The picture is smeared over so many pixels.
-        shadow: Light lost behind the soft edge of a shadow across what is looked at, 0 to 1.
+        shadow: Light lost behind the edge of a shadow across what is looked at, 0 to 1.
+        shadow_edge: How soft that edge is, px.
 
     Raises:
         CameraError: Unknown tone curve.
@@ -88,6 +89,7 @@ class SensorModel:
     bleed: float = 0.0
     motion: float = 0.0
     shadow: float = 0.0
+    shadow_edge: float = 20.0
 
     def __post_init__(self) -> None:
         if self.tone not in TONES:

@@ -13,7 +13,7 @@ from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
-from robot_ik.camera.synthetic.scene import TableTop
+from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -164,7 +164,7 @@ def synthetic_scene(
         lens(width, height),
         look_at(eye, look),
         tuple(markers),
-        table=TableTop(0.0, (-0.55, 0.55), (-0.40, 0.45)),
+        table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = SteppedClock(rate_hz)
     source = SyntheticSource(

@@ -18,7 +18,7 @@ from robot_ik.camera.boards.board import BoardView, Layout
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.scene import TableTop
+from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
@@ -48,7 +48,7 @@ class Clearance:
         table: None for no table.
     """
 
-    def __init__(self, robot: Robot, free: Array, table: TableTop | None = None) -> None:
+    def __init__(self, robot: Robot, free: Array, table: SceneTable | None = None) -> None:
         self._robot, self._table = robot, table
         self._data = mujoco.MjData(robot.model)
         model = robot.model
@@ -186,7 +186,7 @@ class ViewTask:
     frame: str
     layout: Layout
     intrinsics: CameraIntrinsics
-    table: TableTop | None = None
+    table: SceneTable | None = None
 
     def pose_camera_board(self, robot: Robot, q: Array) -> Pose:
         """Where the board is seen at ``q``."""

@@ -16,7 +16,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.prints import INK, PAPER, dictionary_by_name, make_sheet, paint_marker
-from robot_ik.camera.synthetic.scene import TableTop
+from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.camera.synthetic.sensor import LINEAR
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
@@ -45,7 +45,7 @@ class Prop:
 def desk(
     *markers: SyntheticMarker, body: str = "", lens: CameraIntrinsics = LENS, camera: Pose = OVERHEAD
 ) -> SyntheticScene:
-    return SyntheticScene(Prop(body), lens, camera, markers, TableTop(0.0, (-0.5, 0.5), (-0.4, 0.5)))
+    return SyntheticScene(Prop(body), lens, camera, markers, SceneTable(0.0, (-0.5, 0.5), (-0.4, 0.5)))
 
 
 def photograph(scene: SyntheticScene, **options: object) -> SyntheticSource:
@@ -212,7 +212,7 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
         lens,
         camera,
         (SyntheticMarker(7, 0.1, Pose((-0.42, -0.1, 0.6))), *markers),
-        TableTop(0.6, (-0.77, -0.23), (-0.5, 0.4)),
+        SceneTable(0.6, (-0.77, -0.23), (-0.5, 0.4)),
     )
     source = SyntheticSource(scene, lambda: where[0], sensor=LINEAR_SENSOR)
     detector = MarkerDetector("DICT_5X5_50")
