@@ -123,7 +123,7 @@ def take(browser: Any, shot: Shot) -> None:
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture: Image.Image = Image.open(BytesIO(raw)).convert("RGB")
-    picture = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    picture = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
     file = IMAGES / f"{shot.name}.png"
     picture.save(file, optimize=True)
     print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB", flush=True)

@@ -1,0 +1,60 @@
+"""`robot-ik bench page`: what it prints, and that its client sees what the page sends."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from robot_ik.cli.main import main
+from robot_ik.testbed.commands import Start
+from robot_ik.testbed.session import Session, run
+
+pytest.importorskip("viser", reason="needs the extra web")
+from robot_ik.bench import page as bench
+from robot_ik.testbed.frontends.browser import Page
+
+
+def test_what_misses_its_target_or_was_not_measured_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [
+        bench.PageRow("good", 0.5, "ms", 1.0),
+        bench.PageRow("missed", float("nan"), "s", 8.0, "no browser"),
+    ]
+
+    def measure(seconds: float, say: object) -> Iterator[bench.PageRow]:
+        yield from rows
+
+    monkeypatch.setattr(bench, "measure_page", measure)
+    assert main(["bench", "page"]) == 1
+    text = capsys.readouterr().out
+    assert "0.5 ms" in text and "NO" in text and "no browser" in text
+    rows.pop()
+    assert main(["bench", "page", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"][0]["passed"] is True
+    assert main(["bench", "page", "--seconds", "0"]) == 2
+    assert "--seconds" in capsys.readouterr().err
+
+
+def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:
+    stop = threading.Event()
+    with Session(Start("tabletop_puma"), beside=False) as session, Page(session, port=8670) as page:
+        loop = threading.Thread(target=run, args=(session, page.draw, stop))
+        loop.start()
+        try:
+            with bench.PageClient(page.url) as client:
+                client.drag_ball((0.2, 0.05, 0.1))
+                end, moved, received = time.monotonic() + 30.0, False, 0
+                while not (moved and np.allclose(session.ball.position, (0.2, 0.05, 0.1))):
+                    assert time.monotonic() < end, "no packet has the arm"
+                    size, moved = client.receive(1.0)
+                    received += size
+            assert received > 50_000, "meshes come with the first packets"
+        finally:
+            stop.set()
+            loop.join()
