@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.goals import PosePrior, PosePriorGoal
+from robot_ik.goals import PosePriorGoal
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.motion.pose_prior import fit_pose_prior, mirrored
+from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
 

@@ -70,7 +70,7 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
     """
     if not isinstance(solver, str):
         if not hasattr(solver, "attempt"):
-            raise UnknownSolverError(str(solver), _ROWS)
+            raise UnknownSolverError(solver, _ROWS)  # type: ignore[arg-type]  # whatever it is
         if options:
             raise ConfigError(
                 f"{', '.join(options)} cannot be set on a solver that is made already",
