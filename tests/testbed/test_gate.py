@@ -321,7 +321,11 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
                 browser.send(update(buttons, value="Follow"))
                 bed.until(lambda view: view.arm and view.arm.state == "enabled", "it does not follow")
                 lose()
-                bed.until(lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"))
+                bed.until(
+                    lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"),
+                    "it goes on following a page that is gone",
+                    limit=20.0,
+                )
         finally:
             stop.set()
             loop.join()

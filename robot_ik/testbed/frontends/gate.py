@@ -47,6 +47,10 @@ _LARGEST = 1e9  # of any number in a message
 _LONGEST = 1000  # characters of a text
 _VISER = "1.1."
 
+# An arm follows a page whose connection broke until that is noticed: within the sum of these, seconds.  By
+# default it takes 50.  Browsers answer pings beside the page's own work, so a slow page is not a lost one.
+KEEPALIVE: Mapping[str, float] = {"ping_interval": 2.0, "ping_timeout": 4.0, "close_timeout": 1.0}
+
 # viser's page evaluates its own code in workers and from blobs; nothing outside is ever needed.
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
@@ -392,7 +396,7 @@ def in_front_of_serve(gate: Gate) -> Iterator[None]:
                     response.headers[name] = value
             return response
 
-        options |= {"max_size": MAX_MESSAGE, "open_timeout": 10, "max_queue": 64}
+        options |= {"max_size": MAX_MESSAGE, "open_timeout": 10, "max_queue": 64, **KEEPALIVE}
         return real(
             lambda connection: gate.guard(handler, connection),
             host, port, process_request=first_the_gate, **options,
