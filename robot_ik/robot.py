@@ -248,7 +248,7 @@ class Robot:
         return np.asarray(whole[places])
 
     def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
-        """MuJoCo's data at ``q``: one a thread, as making it costs more than filling it; good until the next call."""
+        """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
         own = self.memory.setdefault("kinematics", threading.local())
         data = getattr(own, "data", None)
         if data is None:
