@@ -132,8 +132,8 @@ class MarkerDetector:
         """Markers in a picture (h, w) or (h, w, 3) uint8, sorted by id.
 
         The same id may come twice when two copies of a marker are in view.  A large picture is searched in a
-        smaller size too: its edges may be too soft for the thresholds.  Where some of the named ids are found,
-        and small, the others are searched round them in a larger size.
+        smaller size too: its edges may be too soft for the thresholds.  Where some of the named ids are
+        found, and small, the others are searched round them in a larger size.
         """
         gray = to_gray(image)
         found = self._wanted(self._search(gray))

@@ -725,9 +725,10 @@ class _PrintFit:
             return None
         variance = self.squares() / (self.used - self.unknowns)
         variance = max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2
+        variance *= max(1.0, (uneven - 1.0) / _UNEVEN)
         inverse = variance * np.linalg.inv(self._system()[0])
         slopes = _corner_slopes(back, by_normalized)
-        covariance = slopes @ inverse[:HOMOGRAPHY, :HOMOGRAPHY] @ slopes.T * max(1.0, (uneven - 1.0) / _UNEVEN)
+        covariance = slopes @ inverse[:HOMOGRAPHY, :HOMOGRAPHY] @ slopes.T
         way = corners - corners.mean(axis=0)
         outward = (way / np.hypot(way[:, :1], way[:, 1:])).reshape(8)
         covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
