@@ -15,7 +15,7 @@ S is the print, 0 black and 1 white, blurred by a Gaussian of the picture; N is 
 the shift of an edge into the black, in sigmas of the blur.  Light and contrast are linear, or quadratic where
 the residuals ask for it.  Where they ask for that, the picture has been sharpened by a share a:
 
-    (1 + a) G_k(S) - a G_k'(S'),        S' of the blur s'^2 = s^2 + 1.2^2,     k' = k s / s'
+    (1 + a) G_k(S) - a G_k'(S'),        S' of the blur s'^2 = s^2 + h^2,     k' = k s / s'
 
 A cell's share of S is an integral of a Gaussian over a rectangle.  Seen aslant, the Gaussian's u and v are
 correlated; the integral is then a series in the correlation r, whose terms are products of differences along
@@ -58,9 +58,9 @@ PIXEL_ROWS = 8
 # What is kept of a residual: its size in grey levels, u and v, what it was before the first step, work space.
 MISS_ROWS = 5
 # Of a fit: noise in grey levels (0: dark and contrast alone); one pixel in EVERY is used; whether pixels that
-# tell nothing are left out; whether a halo is asked for.  Out: how many were used, whether steps became
-# small.
-NOISE, EVERY, TO_DROP, WITH_HALO, USED, AT_REST = 0, 1, 2, 3, 4, 5
+# tell nothing are left out; blur that sharpening subtracts, px (0: no halo).  Out: how many were used,
+# whether steps became small.
+NOISE, EVERY, TO_DROP, HALO_WIDTH, USED, AT_REST = 0, 1, 2, 3, 4, 5
 FIT_NUMBERS = 6
 # Trust in what stays as it is.
 HELD = 1e15
@@ -80,8 +80,9 @@ _FLAT, _SLOPE = 6, 0.06
 _NO_SLOPE = 2.4
 # Least share of black or white: beyond, the inverse of the normal distribution says nothing.
 _LEAST_SHARE = 1e-5
-# Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow.
-_HALO_BLUR = 1.2
+# Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow, those of programs
+# wider.
+_HALO_BLURS = (1.2, 2.0, 3.0)
 # White round the black square that is looked at, in cells.
 _ROUND = 0.45
 # So many pixels say whether the model needs more unknowns; the first steps use one in so many.
@@ -103,8 +104,9 @@ _CORNER_STEP, _BLUR_STEP, _SHIFT_STEP = 1.5, 0.4, 0.5
 # Blur of an edge, px: the pixel's own width is the least.  What it is believed to be before it is measured,
 # as ln.
 _BLUR, _LEAST_LN_BLUR, _BLUR_SPREAD = 0.8, math.log(0.29), 0.6
-# A corner may go so far from where its sides were found: px, part of the side.
-_FARTHEST, _FARTHEST_PART = 3.0, 0.1
+# A corner may go so far from where it was found: px, part of the side.  The detector's sharp corners of a
+# strongly tilted marker are off by a tenth; a print that is shifted by a cell explains nothing.
+_FARTHEST, _FARTHEST_PART = 3.0, 0.2
 #: Edge shift and its spread for a camera of which nothing is known: none for a linear one, 0.5 for sRGB.
 UNKNOWN_SHIFT = (0.25, 0.35)
 # Spread of the edge shift between the markers of a picture (light, printing).
@@ -315,8 +317,8 @@ def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal
     n, h, noise, every = unknowns, to_print, numbers[NOISE], int(numbers[EVERY])
     seen, wider, basis = space[_PRINT], space[_WIDER], space[_BASIS]
     cauchy = 1.0 / (_CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
-    blur, k, alpha, halo = math.exp(x[BLUR]), x[SHIFT], x[HALO], numbers[WITH_HALO] > 0.0
-    blur2 = math.sqrt(blur * blur + _HALO_BLUR * _HALO_BLUR)
+    blur, k, alpha, halo = math.exp(x[BLUR]), x[SHIFT], x[HALO], numbers[HALO_WIDTH]
+    blur2 = math.sqrt(blur * blur + halo * halo)
     part, dropping, flat = blur / blur2, numbers[TO_DROP] > 0.0, _SLOPE * blur
     for i in range(n + 1):
         for j in range(n + 1):
@@ -341,7 +343,7 @@ def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal
                 pixels[i, used] = pixels[i, p]
             pixels[7, used] = _FLAT if seen[5] < flat else 1.0
         white, by_u, by_v, by_blur, by_shift, by_halo = seen[0], seen[1], seen[2], seen[3], seen[4], 0.0
-        if halo:
+        if halo > 0.0:
             toned_print(u, v, wide * blur2, high * blur2, r, k * part, black, 0.0, space, wider)
             by_halo = white - wider[0]
             white += alpha * by_halo
@@ -559,7 +561,7 @@ class _PrintFit:
 
     Attributes:
         x: (23,) unknowns; the homography is in ``to_print``.
-        unknowns: How many the model has; ``halo`` whether a halo is one of them.
+        unknowns: How many the model has; ``halo`` how wide a halo is among them, px, 0 without.
         halo: See ``unknowns``.
         to_print: (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth.
         pixels: (8, k), of which ``count`` are used.
@@ -576,17 +578,17 @@ class _PrintFit:
         self.numbers, self.normal = np.zeros(FIT_NUMBERS), np.zeros((24, 24))
         self.space = np.zeros((SPACE_ROWS, _BLOCK))
         self.misses = np.empty((MISS_ROWS, pixels.shape[1]))
-        self.unknowns, self.halo, self._first = PLAIN, False, 0
+        self.unknowns, self.halo, self._first = PLAIN, 0.0, 0
 
     def believe(self, blur: float, shift: EdgeShift) -> None:
         """What is known beforehand."""
         self.expected[BLUR], self.expected[SHIFT] = math.log(blur), shift.value
         self.trust[SHIFT] = 1.0 / shift.sigma**2
 
-    def model(self, unknowns: int, halo: bool) -> None:
-        """Which unknowns there are."""
+    def model(self, unknowns: int, halo: float) -> None:
+        """Which unknowns there are; how wide the halo is, px, 0 without."""
         self.unknowns, self.halo = unknowns, halo
-        self.trust[HALO], self.numbers[WITH_HALO] = 0.0 if halo else HELD, halo
+        self.trust[HALO], self.numbers[HALO_WIDTH] = 0.0 if halo > 0.0 else HELD, halo
 
     def _sum(self, steps: int) -> None:
         settle(
@@ -606,7 +608,7 @@ class _PrintFit:
 
     def resume(self, model: tuple[float, ...]) -> None:
         """Starts from where the fit of the last picture ended."""
-        self.model(int(model[1]), bool(model[2]))
+        self.model(int(model[1]), model[2])
         self.numbers[NOISE], self.numbers[TO_DROP], self.x[BLUR:] = model[0], 1.0, model[3:]
 
     def light(self, blur: float, shift: float, most: int) -> bool:
@@ -651,18 +653,24 @@ class _PrintFit:
 
     def ask_for_more(self) -> bool:
         """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
-        self.model(UNKNOWNS, halo=True)
         self.numbers[EVERY] = (self.count + _ASKED - 1) // _ASKED
-        self._sum(0)
-        matrix, right = self._system()
-        plain, light, halo = (
-            float(right[some] @ np.linalg.solve(matrix[np.ix_(some, some)], right[some]))
-            for some in _MODELS_ASKED
-        )
-        squares = self.squares()
-        curved, haloed = light - plain > _LIGHT_ASKED * squares, halo - plain > _HALO_ASKED * squares
-        self.model(UNKNOWNS if curved else HALOED if haloed else PLAIN, haloed)
-        return curved or haloed
+        most, width, curved = 0.0, 0.0, False
+        for halo in _HALO_BLURS:
+            self.model(UNKNOWNS, halo)
+            self._sum(0)
+            matrix, right = self._system()
+            plain, by_light, by_halo = (
+                float(right[some] @ np.linalg.solve(matrix[np.ix_(some, some)], right[some]))
+                for some in _MODELS_ASKED
+            )
+            squares = self.squares()
+            curved = by_light - plain > _LIGHT_ASKED * squares
+            if by_halo - plain > max(most, _HALO_ASKED * squares):
+                most, width = by_halo - plain, halo
+            if width == 0.0:
+                break  # where a narrow one lessens nothing a wide one does not either
+        self.model(UNKNOWNS if curved else HALOED if width else PLAIN, width)
+        return curved or width > 0.0
 
     def squares(self) -> float:
         """Sum of the squares of the residuals; what is far off counts as four standard deviations."""
@@ -733,7 +741,7 @@ class _PrintFit:
         outward = (way / np.hypot(way[:, :1], way[:, 1:])).reshape(8)
         covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
         edges = math.exp(x[BLUR]), float(x[SHIFT]), math.sqrt(inverse[SHIFT, SHIFT])
-        if self.halo and other is not None:
+        if self.halo > 0.0 and other is not None:
             # With a halo the model's edges are others than those that four sides see.
             edges = other.blur, other.edge_shift, other.edge_shift_sigma
         return RefinedCorners(
