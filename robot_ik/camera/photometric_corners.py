@@ -113,13 +113,6 @@ UNKNOWN_SHIFT = (0.25, 0.35)
 _SHIFT_ALIKE = 0.08
 # Least standard deviation of corners, px, and of the edge shift by side lines, as a part of it.
 _LEAST_SIGMA, _SHIFT_PART = 0.01, 0.05
-# What print, paper and lens leave, as a part of the standard deviation from noise alone.
-_MODEL = 0.25
-# Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt.  In squares of
-# what noise leaves of a cell's mean, which is 1, usual pictures give 0.4 to 5, hard shadows over the print 7
-# to 36.  Each 1.5 beyond 1 widens the covariance once: so shadows are stated (204 pictures at three
-# distances: squared error over the stated 0.7, 1.0, 1.7), and usual pictures hardly feel it.
-_UNEVEN = 1.5
 # Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
 _LEAST_NOISE, _ANY_NOISE = 0.3, 1e4
 # Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
@@ -732,8 +725,9 @@ class _PrintFit:
         if not far < max(_FARTHEST, _FARTHEST_PART * math.sqrt(0.5 * abs(ax * by - ay * bx))):
             return None
         variance = self.squares() / (self.used - self.unknowns)
-        variance = max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2
-        variance *= max(1.0, (uneven - 1.0) / _UNEVEN)
+        # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt: usual
+        # pictures give 0.4 to 5 times what noise leaves of a cell's mean, squared; hard shadows 7 to 36.
+        variance = max(variance, _LEAST_NOISE**2) * max(1.0, uneven - 1.0)
         inverse = variance * np.linalg.inv(self._system()[0])
         slopes = _corner_slopes(back, by_normalized)
         covariance = slopes @ inverse[:HOMOGRAPHY, :HOMOGRAPHY] @ slopes.T
