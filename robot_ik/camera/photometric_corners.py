@@ -478,7 +478,7 @@ def settle(
     for turn in range(steps + 1):
         used = print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal, space, misses)
         numbers[USED] = used
-        if turn == steps:
+        if turn == steps or used == 0:
             return
         if numbers[TO_DROP] > 0.0:
             count, numbers[TO_DROP] = used, 0.0
@@ -536,7 +536,7 @@ class PrintEffort:
     """How many pixels a fit uses.
 
     Attributes:
-        looked_at: Of a print, at most.
+        looked_at: Of a print, about.
         fitted: Of those near an edge, at most.
     """
 
@@ -724,17 +724,8 @@ class _PrintFit:
         far = float(np.abs(corners - start.corners).max())
         if not far < max(_FARTHEST, _FARTHEST_PART * math.sqrt(0.5 * abs(ax * by - ay * bx))):
             return None
-        variance = self.squares() / (self.used - self.unknowns)
-        # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt: usual
-        # pictures give 0.4 to 5 times what noise leaves of a cell's mean, squared; hard shadows 7 to 36.
-        variance = max(variance, _LEAST_NOISE**2) * max(1.0, uneven - 1.0)
-        inverse = variance * np.linalg.inv(self._system()[0])
-        slopes = _corner_slopes(back, by_normalized)
-        covariance = slopes @ inverse[:HOMOGRAPHY, :HOMOGRAPHY] @ slopes.T
-        way = corners - corners.mean(axis=0)
-        outward = (way / np.hypot(way[:, :1], way[:, 1:])).reshape(8)
-        covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
-        edges = math.exp(x[BLUR]), float(x[SHIFT]), math.sqrt(inverse[SHIFT, SHIFT])
+        covariance, sigma = self._uncertainty(uneven, corners, _corner_slopes(back, by_normalized))
+        edges = math.exp(x[BLUR]), float(x[SHIFT]), sigma
         if self.halo > 0.0 and other is not None:
             # With a halo the model's edges are others than those that four sides see.
             edges = other.blur, other.edge_shift, other.edge_shift_sigma
@@ -743,6 +734,19 @@ class _PrintFit:
             edge_shift=edges[1], edge_shift_sigma=edges[2], explained=explained, misread=misread,
             by_print=True, model=(self.noise, self.unknowns, self.halo, *x[BLUR:].tolist()),
         )  # fmt: skip
+
+    def _uncertainty(self, uneven: float, corners: Array, slopes: Array) -> tuple[Array, float]:
+        """Covariance (8, 8) of the corners, px^2; standard deviation of the edge shift."""
+        variance = self.squares() / (self.used - self.unknowns)
+        # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt: usual
+        # pictures give 0.4 to 5 times what noise leaves of a cell's mean, squared; hard shadows 7 to 36.
+        variance = max(variance, _LEAST_NOISE**2) * max(1.0, uneven - 1.0)
+        inverse = variance * np.linalg.inv(self._system()[0])
+        covariance = slopes @ inverse[:HOMOGRAPHY, :HOMOGRAPHY] @ slopes.T
+        way = corners - corners.mean(axis=0)
+        outward = (way / np.hypot(way[:, :1], way[:, 1:])).reshape(8)
+        covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
+        return covariance, math.sqrt(inverse[SHIFT, SHIFT])
 
 
 def _homography(corners: Array) -> Array | None:
@@ -825,7 +829,10 @@ def _begin(
     if found is None:
         return None
     box, every = found
-    to_print = np.linalg.inv(back)
+    try:
+        to_print = np.linalg.inv(back)
+    except np.linalg.LinAlgError:
+        return None
     # At the middle (u, v) are 0, and the depth is back[2, 2].
     slopes = np.hypot(to_print[:2, 0] / lens[FX], to_print[:2, 1] / lens[FY]) * abs(back[2, 2])
     to_print[:2] /= (1.0 + 2.0 * push * slopes)[:, None]
@@ -952,5 +959,7 @@ def _fitted(
             break
     if found is not None:
         return found
+    if fit.used < _LEAST_PIXELS:
+        return replace(start, explained=math.nan, misread=0)
     explained = max(fit.explained(before=True), fit.explained())
     return replace(start, explained=explained, misread=fit.cells()[0])

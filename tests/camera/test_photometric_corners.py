@@ -89,8 +89,12 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
         other = fit(spoilt, 0, rough)
         assert other is not None and not other.by_print and not is_print(other)
         assert (other.corners == rough.corners).all()
-    outside = unrefined(sides[0].corners + 2000.0, STANDARD_CAMERA)
-    assert not fit(image, 0, outside).by_print
+    last = {0: fit(image, 0, sides[0])}
+    flat = unrefined(sides[0].corners * (1, 0), STANDARD_CAMERA)
+    for spoilt in (unrefined(sides[0].corners + 2000.0, STANDARD_CAMERA), flat):
+        assert not fit(image, 0, spoilt).by_print
+        (found,) = refine_prints(image, [spoilt], [0], DICTIONARY, STANDARD_CAMERA, effort=FILM, before=last)
+        assert not found.by_print
     assert refine_prints(image, [], [], DICTIONARY, STANDARD_CAMERA) == []
 
 
