@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -247,7 +248,11 @@ class Robot:
         return np.asarray(whole[places])
 
     def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
-        data = mujoco.MjData(self.model)
+        """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
+        own = self.memory.setdefault("kinematics", threading.local())
+        data = getattr(own, "data", None)
+        if data is None:
+            data = own.data = mujoco.MjData(self.model)
         data.qpos[:] = self.qpos(q)
         mujoco.mj_kinematics(self.model, data)
         return data
