@@ -132,13 +132,23 @@ class MarkerDetector:
         """Markers in a picture (h, w) or (h, w, 3) uint8, sorted by id.
 
         The same id may come twice when two copies of a marker are in view.  A large picture is searched in a
-        smaller size too: its edges may be too soft for the thresholds.
+        smaller size too: its edges may be too soft for the thresholds.  Where some of the named ids are
+        found, and small, the others are searched round them in a larger size.
         """
         gray = to_gray(image)
         found = self._wanted(self._search(gray))
-        if times_smaller(gray) == 1:
+        if times_smaller(gray) > 1:
+            found = _sorted(found + [one for one in self.detect_quickly(gray) if not _among(one, found)])
+        if self.ids is None or {one.id for one in found} >= self.ids:
             return found
-        return _sorted(found + [one for one in self.detect_quickly(gray) if not _among(one, found)])
+        window = SearchWindow()
+        window.remember(found)
+        box = window.around(gray.shape[1], gray.shape[0], wide=True)
+        if box is None or window.side > _SMALL_CELL * self.cells:
+            return found
+        x0, y0, x1, y1 = box
+        more = self.detect_part(gray[y0:y1, x0:x1], window.side, origin=(x0, y0), thorough=True)
+        return _sorted(found + [one for one in more if not _among(one, found)])
 
     def detect_part(
         self, image: Image, side: float, *, origin: tuple[int, int] = (0, 0), thorough: bool = False

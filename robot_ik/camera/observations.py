@@ -168,7 +168,7 @@ _DOUBTED, _REWEIGHTINGS = 1.5, 4
 _CORNER_NUMBERS = 8
 # The corners of several markers are each this much less certain, px: what the model of an edge leaves out
 # differs from marker to marker, and a sharp picture must not make it count.
-_MODEL_SIGMA = 0.007
+_MODEL_SIGMA = 0.004
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ S is the print, 0 black and 1 white, blurred by a Gaussian of the picture; N is 
 the shift of an edge into the black, in sigmas of the blur.  Light and contrast are linear, or quadratic where
 the residuals ask for it.  Where they ask for that, the picture has been sharpened by a share a:
 
-    (1 + a) G_k(S) - a G_k'(S'),        S' of the blur s'^2 = s^2 + 1.2^2,     k' = k s / s'
+    (1 + a) G_k(S) - a G_k'(S'),        S' of the blur s'^2 = s^2 + h^2,     k' = k s / s'
 
 A cell's share of S is an integral of a Gaussian over a rectangle.  Seen aslant, the Gaussian's u and v are
 correlated; the integral is then a series in the correlation r, whose terms are products of differences along
@@ -41,36 +41,34 @@ from robot_ik.camera.edge_fit import median_of
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel, lens_vector
-from robot_ik.kernels.jit import announce, kernel, outlined
-from robot_ik.kernels.linalg import solve_definite
+from robot_ik.kernels.jit import announce, kernel, outlined, pure
+from robot_ik.kernels.linalg import eliminate
 
 # ------------------------------------------------------------------------------------------
-# The fit of a marker's whole print, compiled.
+# What is summed over the pixels of a marker's print, compiled.
 
 
-# Unknowns: eight of the homography, ln blur, edge shift, halo; then dark and contrast, 3 or 6 numbers each.
-HOMOGRAPHY, BLUR, SHIFT, HALO, LIGHT = 8, 8, 9, 10, 11
-LINEAR, QUADRATIC = 3, 6
+# Unknowns: eight of the homography, ln blur (px), edge shift, three each of dark and contrast; then halo, and
+# three more each of dark and contrast where light is quadratic.  A fit has the first 16, 17 or 23 of them.
+HOMOGRAPHY, BLUR, SHIFT, DARK, CONTRAST, HALO, CURVED = 8, 8, 9, 10, 13, 16, 17
+PLAIN, HALOED, UNKNOWNS = 16, 17, 23
 # What is kept of a pixel: undistorted coordinates, their derivative by pixels (symmetric but for the focal
 # lengths), grey value, how many pixels it stands for.
 PIXEL_ROWS = 8
-# What is known beforehand: edge shift, its standard deviation, blur of the sides (px); how far out of the
-# sides to start (px), with what noise and terms of the light; how many pixels are looked at, and fitted;
-# whether the residuals are asked for more unknowns; blur, edge shift, halo and light to start with.
-KNOWN_SHIFT, KNOWN_SIGMA, KNOWN_BLUR, PUSH, START_NOISE, START_TERMS = 0, 1, 2, 3, 4, 5
-LOOKED_AT, FITTED, ASK, START = 6, 7, 8, 9
-KNOWN_NUMBERS = START + 15
-# What was found: whether; blur, shift and its standard deviation, without a halo; part of the variance that
-# is explained; misread cells; noise, terms of the light, whether there is a halo; how sums were made; how
-# much the cells' mean residuals are in units of what noise alone leaves.
-FOUND, PLAIN_BLUR, PLAIN_SHIFT, SHIFT_SIGMA, EXPLAINED, MISREAD = 0, 1, 2, 3, 4, 5
-NOISE, TERMS, WITH_HALO, AT_START, USED, EVERY, TO_DROP, UNEVEN = 6, 7, 8, 9, 10, 11, 12, 13
-ANSWER_NUMBERS = 14
+# What is kept of a residual: its size in grey levels, u and v, what it was before the first step, work space.
+MISS_ROWS = 5
+# Of a fit: noise in grey levels (0: dark and contrast alone); one pixel in EVERY is used; whether pixels that
+# tell nothing are left out; blur that sharpening subtracts, px (0: no halo).  Out: how many were used,
+# whether steps became small.
+NOISE, EVERY, TO_DROP, HALO_WIDTH, USED, AT_REST = 0, 1, 2, 3, 4, 5
+FIT_NUMBERS = 6
+# Trust in what stays as it is.
+HELD = 1e15
 # Rows of the work space: those of some pixels, so many at a time; equations; system; shares of cells along u
-# and v; shares and tones; unknowns that are held; step; places of the corners; how they follow the unknowns.
+# and v; the print with and without the halo's blur; (1, u, v, uu, uv, vv); step.
 _BLOCK = 64
-NORMAL, MATRIX, ALONG, DOWN, SHARES, HELD, STEP, PLACES, SLOPES = 24, 48, 72, 75, 78, 82, 83, 84, 88
-SPACE_ROWS = 96
+_SYSTEM, _CELLS, _PRINT, _WIDER, _BASIS, _STEP = 24, 48, 54, 55, 56, 57
+SPACE_ROWS = 58
 # Beyond so many standard deviations an edge is no longer felt.
 _FAR = 3.2
 # Residuals beyond this many standard deviations lose weight (Cauchy's function).
@@ -78,10 +76,13 @@ _CAUCHY = 4.0
 # Where hardly anything changes (parts of the contrast a pixel), light is all there is to see: of such pixels
 # one in so many is enough.
 _FLAT, _SLOPE = 6, 0.06
+# Of a blur of so many sigmas nothing is left that is steeper.
+_NO_SLOPE = 2.4
 # Least share of black or white: beyond, the inverse of the normal distribution says nothing.
 _LEAST_SHARE = 1e-5
-# Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow.
-_HALO_BLUR = 1.2
+# Blur that sharpening subtracts, px: unsharp masks of webcams and telephones are narrow, those of programs
+# wider.
+_HALO_BLURS = (1.2, 2.0, 3.0)
 # White round the black square that is looked at, in cells.
 _ROUND = 0.45
 # So many pixels say whether the model needs more unknowns; the first steps use one in so many.
@@ -95,27 +96,23 @@ _NEAR, _ALIKE = 0.05, 0.05
 # Where noise grows by more than this, the fit is not yet where it should be.
 _GROWN = 1.3
 # Pixels of a fit at least: twice the unknowns.
-_LEAST_PIXELS = 2 * (11 + 2 * 3)
+_LEAST_PIXELS = 2 * HALOED
 # Rounds in which noise is still estimated anew: later it would keep the fit from coming to rest.
 _NOISE_ROUNDS = 5
 # A step at most: px at a corner, ln blur, edge shift.
 _CORNER_STEP, _BLUR_STEP, _SHIFT_STEP = 1.5, 0.4, 0.5
 # Blur of an edge, px: the pixel's own width is the least.  What it is believed to be before it is measured,
 # as ln.
-_BLUR, _LEAST_BLUR, _BLUR_SPREAD = 0.8, 0.29, 0.6
-# A corner may go so far from where its sides were found: px, part of the side.
-_FARTHEST, _FARTHEST_PART = 3.0, 0.1
+_BLUR, _LEAST_LN_BLUR, _BLUR_SPREAD = 0.8, math.log(0.29), 0.6
+# A corner may go so far from where it was found: px, part of the side.  The detector's sharp corners of a
+# strongly tilted marker are off by a tenth; a print that is shifted by a cell explains nothing.
+_FARTHEST, _FARTHEST_PART = 3.0, 0.2
 #: Edge shift and its spread for a camera of which nothing is known: none for a linear one, 0.5 for sRGB.
 UNKNOWN_SHIFT = (0.25, 0.35)
 # Spread of the edge shift between the markers of a picture (light, printing).
 _SHIFT_ALIKE = 0.08
 # Least standard deviation of corners, px, and of the edge shift by side lines, as a part of it.
 _LEAST_SIGMA, _SHIFT_PART = 0.01, 0.05
-# What print, paper and lens leave, as a part of the standard deviation from noise alone.
-_MODEL = 0.25
-# Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt.  In squares of
-# what noise leaves of a cell's mean: usual pictures give 0.4 to 5, hard shadows over the print 7 to 36.
-_UNEVEN = 4.0
 # Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
 _LEAST_NOISE, _ANY_NOISE = 0.3, 1e4
 # Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
@@ -125,7 +122,15 @@ _LEAST_CONTRAST, _EXPLAINED = 5.0, 0.75
 _LIGHT_ASKED, _HALO_ASKED = 0.03, 0.05
 # Halo of the strongest sharpening; beyond any edge shift that the model is good for.
 _MOST_HALO, _MOST_SHIFT = 3.0, 2.0
-_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+# Corners of the print as (u, v, 1), and (4, 2, 8) how u and v there follow the unknowns of the homography.
+_CORNERS = np.array([[-0.5, -0.5, 1.0], [0.5, -0.5, 1.0], [0.5, 0.5, 1.0], [-0.5, 0.5, 1.0]])
+_BY_UNKNOWN = np.array(
+    [[[1, u, v, 0, 0, 0, u * u, u * v], [0, 0, 0, 1, u, v, u * v, v * v]] for u, v, _ in _CORNERS]
+)
+# Unknowns of a fit as it is, with light that is curved, with a halo.
+_MODELS_ASKED = tuple(
+    np.array([*range(PLAIN), *more]) for more in ((), range(CURVED, UNKNOWNS), range(HALO, HALOED))
+)
 
 
 # The normal distribution and its bell at so many places a sigma: Taylor's series from the nearest one is
@@ -136,7 +141,7 @@ _BELLS = np.exp(-0.5 * _AT**2) / math.sqrt(2.0 * math.pi)
 _BELOW = np.array([0.5 * math.erfc(-z * math.sqrt(0.5)) for z in _AT])
 
 
-@outlined
+@pure
 def normal_at(z):
     """The normal distribution and its bell at z, -8 to 8."""
     i = int(z * _PLACES + _REACH * _PLACES + 0.5)
@@ -146,9 +151,11 @@ def normal_at(z):
     return _BELOW[i] + h * bell * (1.0 - 0.5 * h * place + bend / 3.0), bell * (1.0 - h * place + bend)
 
 
-@outlined
-def cell_shares(place, width, count, shares):
+@pure
+def cell_shares(place, width, count, shares, row):
     """Differences over the cells that are felt: of the normal distribution, its bell, and bell times place.
+
+    They are written into three rows of ``shares``, from ``row`` on.
 
     Returns:
         The first of those cells and the one after the last.
@@ -163,44 +170,11 @@ def cell_shares(place, width, count, shares):
         if abs(z) < _FAR:
             below, bell = normal_at(z)
         if i > first:
-            shares[0, i - 1] = before - below
-            shares[1, i - 1] = before_bell - bell
-            shares[2, i - 1] = before_z * before_bell - z * bell
+            shares[row, i - 1] = before - below
+            shares[row + 1, i - 1] = before_bell - bell
+            shares[row + 2, i - 1] = before_z * before_bell - z * bell
         before, before_bell, before_z = below, bell, z
     return first, last
-
-
-@outlined
-def blurred_print(u, v, wide, high, r, black, along, down, share):
-    """Fills ``share``: white at (u, v), its derivatives by u, by v, by ln blur.
-
-    Args:
-        u: Place on the print, with ``v``.
-        v: See ``u``.
-        wide: Sigma of the blur along u; ``high`` along v; ``r`` their correlation.
-        high: See ``wide``.
-        r: See ``wide``.
-        black: (n, n) 1 where the print is black.
-        along: (3, n) work space, as ``down``.
-        down: See ``along``.
-        share: (4,) out.
-    """
-    n = black.shape[0]
-    left, right = cell_shares(u, wide, n, along)
-    top, bottom = cell_shares(v, high, n, down)
-    white, by_u, by_v, by_blur = 1.0, 0.0, 0.0, 0.0
-    for j in range(top, bottom):
-        d0, d1, d2 = down[0, j], down[1, j], down[2, j]
-        for i in range(left, right):
-            if black[j, i] == 0.0:
-                continue
-            a0, a1, a2 = along[0, i], along[1, i], along[2, i]
-            white -= a0 * d0 + r * (a1 * d1 + 0.5 * r * a2 * d2)
-            by_u -= a1 * d0 - r * a2 * d1
-            by_v -= a0 * d1 - r * a1 * d2
-            by_blur += a2 * d0 + a0 * d2
-    share[0] = min(max(white, _LEAST_SHARE), 1.0 - _LEAST_SHARE)
-    share[1], share[2], share[3] = by_u / wide, by_v / high, by_blur
 
 
 @outlined
@@ -217,18 +191,61 @@ def normal_quantile(p):
 
 
 @outlined
-def toned(share, k, tone):
-    """Fills ``tone`` (3,): G_k of a share of white, its derivatives by the share and by k."""
-    if share <= _LEAST_SHARE or share >= 1.0 - _LEAST_SHARE:
-        tone[0], tone[1], tone[2] = 1.0 if share > 0.5 else 0.0, 0.0, 0.0
-        return
-    t = normal_quantile(share)
-    _, bell = normal_at(t)
-    tone[0], tone[2] = normal_at(t + k)
-    tone[1] = tone[2] / bell
+def toned_print(u, v, wide, high, r, k, black, least, space, seen):
+    """Fills ``seen``: G_k(S) at (u, v), its derivatives by u, v, ln blur and k; how steep S is, a sigma.
+
+    Args:
+        u: Place on the print, with ``v``.
+        v: See ``u``.
+        wide: Sigma of the blur along u; ``high`` along v; ``r`` their correlation.
+        high: See ``wide``.
+        r: See ``wide``.
+        k: Edge shift.
+        black: (n, n) 1 where the print is black.
+        least: Where S is less steep than this, nothing but that is wanted.
+        space: Work space.
+        seen: (6,) out.
+
+    Returns:
+        Whether it is as steep.
+    """
+    n = black.shape[0]
+    if least > 0.0:
+        # Far from every border between cells, which most pixels are.
+        x, y = (u + 0.5) * n, (v + 0.5) * n
+        if abs(x - math.floor(x + 0.5)) > _NO_SLOPE * wide * n and abs(y - math.floor(y + 0.5)) > (
+            _NO_SLOPE * high * n
+        ):
+            return False
+    left, right = cell_shares(u, wide, n, space, _CELLS)
+    top, bottom = cell_shares(v, high, n, space, _CELLS + 3)
+    white, by_u, by_v, by_blur = 1.0, 0.0, 0.0, 0.0
+    for j in range(top, bottom):
+        d0, d1, d2 = space[_CELLS + 3, j], space[_CELLS + 4, j], space[_CELLS + 5, j]
+        for i in range(left, right):
+            if black[j, i] > 0.0:
+                a0, a1, a2 = space[_CELLS, i], space[_CELLS + 1, i], space[_CELLS + 2, i]
+                white -= a0 * d0 + r * (a1 * d1 + 0.5 * r * a2 * d2)
+                by_u -= a1 * d0 - r * a2 * d1
+                by_v -= a0 * d1 - r * a1 * d2
+                by_blur += a2 * d0 + a0 * d2
+    seen[5] = abs(by_u) + abs(by_v)
+    if seen[5] < least:
+        return False
+    value, slope, by_k = 1.0, 0.0, 0.0
+    if white <= _LEAST_SHARE:
+        value = 0.0
+    elif white < 1.0 - _LEAST_SHARE:
+        t = normal_quantile(white)
+        _, bell = normal_at(t)
+        value, by_k = normal_at(t + k)
+        slope = by_k / bell
+    seen[0], seen[1], seen[2] = value, slope * by_u / wide, slope * by_v / high
+    seen[3], seen[4] = slope * by_blur, by_k
+    return True
 
 
-@outlined
+@kernel
 def take_print(gray, lens, box, every, to_print, reach, pixels):
     """Collects the pixels of a box (x0, y0, x1, y1) that see the print; how many.
 
@@ -236,121 +253,131 @@ def take_print(gray, lens, box, every, to_print, reach, pixels):
         gray: (h, w) uint8.
         lens: ``lens_vector``.
         box: Of whole pixels.
-        every: Odd: one pixel in so many is taken, on a lattice.
-        to_print: (3, 3) from (x, y, 1), undistorted, to (u, v, 1) over the depth.
+        every: 2 or odd: one pixel in so many is taken, on a lattice.
+        to_print: (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth.
         reach: Pixels beyond ± this (u and v) are not taken.
         pixels: (8, k) out; what finds no room is left out.
     """
-    count = 0
+    h, count, fx, fy, lattice = to_print, 0, 1.0 / lens[FX], 1.0 / lens[FY], 1 if every == 2 else 2
     for py in range(box[1], box[3]):
-        by, first = (py - lens[CY]) / lens[FY], box[0] + (-box[0] - 2 * py) % every
+        by, first = (py - lens[CY]) * fy, box[0] + (-box[0] - lattice * py) % every
         x, y = from_pixel(lens, first, py)
         for px in range(first, box[2], every):
             # One step of Newton's method from a pixel near by is exact to 1e-7.
             tx, ty, xx, xy, yy = distort_point(lens, x, y)
             area = 1.0 / (xx * yy - xy * xy)
-            ex, ey = tx - (px - lens[CX]) / lens[FX], ty - by
-            x, y = x - (yy * ex - xy * ey) * area, y - (xx * ey - xy * ex) * area
-            w = to_print[2, 0] * x + to_print[2, 1] * y + to_print[2, 2]
-            u = (to_print[0, 0] * x + to_print[0, 1] * y + to_print[0, 2]) / w
-            v = (to_print[1, 0] * x + to_print[1, 1] * y + to_print[1, 2]) / w
-            if abs(u) < reach and abs(v) < reach and w > 0.0 and count < pixels.shape[1]:
+            xx, xy, yy = xx * area, xy * area, yy * area
+            ex, ey = tx - (px - lens[CX]) * fx, ty - by
+            x, y = x - (yy * ex - xy * ey), y - (xx * ey - xy * ex)
+            w = h[6] * x + h[7] * y + h[8]
+            u, v = h[0] * x + h[1] * y + h[2], h[3] * x + h[4] * y + h[5]
+            if w > 0.0 and max(abs(u), abs(v)) < reach * w and count < pixels.shape[1]:
                 pixels[0, count], pixels[1, count] = x, y
-                pixels[2, count], pixels[3, count] = yy * area / lens[FX], -xy * area / lens[FY]
-                pixels[4, count], pixels[5, count] = -xy * area / lens[FX], xx * area / lens[FY]
+                pixels[2, count], pixels[3, count] = yy * fx, -xy * fy
+                pixels[4, count], pixels[5, count] = -xy * fx, xx * fy
                 pixels[6, count], pixels[7, count] = gray[py, px], 1.0
                 count += 1
-            x, y = x + every * yy * area / lens[FX], y - every * xy * area / lens[FX]
+            x, y = x + every * yy * fx, y - every * xy * fx
     return count
 
 
+@kernel
+def see_points(lens, normalized, pixels, slopes):
+    """Pixels (n, 2) of undistorted coordinates (n, 2), and their derivative (n, 2, 2)."""
+    for k in range(len(normalized)):
+        x, y, xx, xy, yy = distort_point(lens, normalized[k, 0], normalized[k, 1])
+        pixels[k, 0], pixels[k, 1] = lens[FX] * x + lens[CX], lens[FY] * y + lens[CY]
+        slopes[k, 0, 0], slopes[k, 0, 1] = lens[FX] * xx, lens[FX] * xy
+        slopes[k, 1, 0], slopes[k, 1, 1] = lens[FY] * xy, lens[FY] * yy
+
+
 @outlined
-def print_equations(pixels, count, black, to_print, x, answer, space, misses):
-    """Sums the normal equations of one marker.
+def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal, space, misses):
+    """Sums the normal equations of one marker; how many pixels were used.
 
     Args:
         pixels: (8, k) of ``take_print``.  With TO_DROP those that tell nothing are left out.
         count: How many of them.
         black: (n, n) 1 where the print is black.
         to_print: As in ``take_print``.
-        x: (15,) blur in px, edge shift, halo, then dark and contrast, 6 numbers each.
-        answer: Of the model: TERMS, WITH_HALO, NOISE (0: light alone); one pixel in EVERY is used.  USED is
-            written.
-        space: Work space; its rows ``NORMAL`` take the result: lower triangle, and the right side in the row
-            after the unknowns.
-        misses: (2, k) out: residuals of the pixels that were used.
+        x: (23,) unknowns; the first eight are not read.
+        unknowns: How many the model has.
+        numbers: Of the fit, see NOISE.
+        normal: (24, 24) out: lower triangle, and the right side in the row after the unknowns.
+        space: Work space.
+        misses: (5, k) out: residuals of the pixels that were used, and where on the print these are.
     """
-    rows, normal, along, down = space[0:NORMAL], space[NORMAL:MATRIX], space[ALONG:DOWN], space[DOWN:SHARES]
-    share, tone, wider, paler = space[SHARES], space[SHARES + 1], space[SHARES + 2], space[SHARES + 3]
-    terms, halo, noise, every = int(answer[TERMS]), answer[WITH_HALO] > 0.0, answer[NOISE], int(answer[EVERY])
-    n = LIGHT + 2 * terms
+    n, h, noise, every = unknowns, to_print, numbers[NOISE], int(numbers[EVERY])
+    seen, wider, basis = space[_PRINT], space[_WIDER], space[_BASIS]
     cauchy = 1.0 / (_CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
-    blur2 = math.sqrt(x[0] * x[0] + _HALO_BLUR * _HALO_BLUR)
-    part = x[0] / blur2
-    k, k2, alpha = x[1], x[1] * part, x[2]
+    blur, k, alpha, halo = math.exp(x[BLUR]), x[SHIFT], x[HALO], numbers[HALO_WIDTH]
+    blur2 = math.sqrt(blur * blur + halo * halo)
+    part, dropping, flat = blur / blur2, numbers[TO_DROP] > 0.0, _SLOPE * blur
     for i in range(n + 1):
         for j in range(n + 1):
             normal[i, j] = 0.0
-    used, first = 0, LIGHT if noise == 0.0 else 0
+    used, first = 0, DARK if noise == 0.0 else 0
+    h0, h1, h3, h4, h6, h7 = h[0], h[1], h[3], h[4], h[6], h[7]
     for p in range(0, count, every):
         ix, iy = pixels[0, p], pixels[1, p]
-        w = 1.0 / (to_print[2, 0] * ix + to_print[2, 1] * iy + to_print[2, 2])
-        u = (to_print[0, 0] * ix + to_print[0, 1] * iy + to_print[0, 2]) * w
-        v = (to_print[1, 0] * ix + to_print[1, 1] * iy + to_print[1, 2]) * w
+        xx, xy, yx, yy = pixels[2, p], pixels[3, p], pixels[4, p], pixels[5, p]
+        w = 1.0 / (h6 * ix + h7 * iy + h[8])
+        u, v = (h0 * ix + h1 * iy + h[2]) * w, (h3 * ix + h4 * iy + h[5]) * w
         # (u, v) by undistorted coordinates, then by pixels.
-        ux, uy = (to_print[0, 0] - u * to_print[2, 0]) * w, (to_print[0, 1] - u * to_print[2, 1]) * w
-        vx, vy = (to_print[1, 0] - v * to_print[2, 0]) * w, (to_print[1, 1] - v * to_print[2, 1]) * w
-        gux, guy = ux * pixels[2, p] + uy * pixels[4, p], ux * pixels[3, p] + uy * pixels[5, p]
-        gvx, gvy = vx * pixels[2, p] + vy * pixels[4, p], vx * pixels[3, p] + vy * pixels[5, p]
+        ux, uy, vx, vy = (h0 - u * h6) * w, (h1 - u * h7) * w, (h3 - v * h6) * w, (h4 - v * h7) * w
+        gux, guy, gvx, gvy = ux * xx + uy * yx, ux * xy + uy * yy, vx * xx + vy * yx, vx * xy + vy * yy
         wide, high = math.sqrt(gux * gux + guy * guy), math.sqrt(gvx * gvx + gvy * gvy)
         r = (gux * gvx + guy * gvy) / (wide * high)
-        blurred_print(u, v, wide * x[0], high * x[0], r, black, along, down, share)
-        if answer[TO_DROP] > 0.0:
-            flat = abs(share[1] * gux + share[2] * gvx) + abs(share[1] * guy + share[2] * gvy) < _SLOPE
-            if flat and p % _FLAT:
-                continue
-            for i in range(6 + 1):
+        least = flat if dropping and p % _FLAT else 0.0
+        if not toned_print(u, v, wide * blur, high * blur, r, k, black, least, space, seen):
+            continue
+        if dropping:
+            for i in range(PIXEL_ROWS - 1):
                 pixels[i, used] = pixels[i, p]
-            pixels[7, used] = _FLAT if flat else 1.0
-        toned(share[0], k, tone)
-        white, by_u, by_v = tone[0], tone[1] * share[1], tone[1] * share[2]
-        by_blur, by_shift, by_halo = tone[1] * share[3], tone[2], 0.0
-        if halo:
-            blurred_print(u, v, wide * blur2, high * blur2, r, black, along, down, wider)
-            toned(wider[0], k2, paler)
-            by_halo = white - paler[0]
+            pixels[7, used] = _FLAT if seen[5] < flat else 1.0
+        white, by_u, by_v, by_blur, by_shift, by_halo = seen[0], seen[1], seen[2], seen[3], seen[4], 0.0
+        if halo > 0.0:
+            toned_print(u, v, wide * blur2, high * blur2, r, k * part, black, 0.0, space, wider)
+            by_halo = white - wider[0]
             white += alpha * by_halo
-            by_u += alpha * (by_u - paler[1] * wider[1])
-            by_v += alpha * (by_v - paler[1] * wider[2])
-            by_blur2 = paler[1] * wider[3] * part * part + paler[2] * k2 * (1.0 - part * part)
+            by_u += alpha * (by_u - wider[1])
+            by_v += alpha * (by_v - wider[2])
+            by_blur2 = wider[3] * part * part + wider[4] * k * part * (1.0 - part * part)
             by_blur += alpha * (by_blur - by_blur2)
-            by_shift += alpha * (by_shift - paler[2] * part)
-        dark = x[3] + u * (x[4] + u * x[6] + v * x[7]) + v * (x[5] + v * x[8])
-        contrast = x[9] + u * (x[10] + u * x[12] + v * x[13]) + v * (x[11] + v * x[14])
+            by_shift += alpha * (by_shift - wider[4] * part)
+        basis[0], basis[1], basis[2], basis[3], basis[4], basis[5] = 1.0, u, v, u * u, u * v, v * v
+        dark, contrast = 0.0, 0.0
+        for i in range(3):
+            dark += x[DARK + i] * basis[i]
+            contrast += x[CONTRAST + i] * basis[i]
+        if n > HALOED:
+            for i in range(3):
+                dark += x[CURVED + i] * basis[3 + i]
+                contrast += x[CURVED + 3 + i] * basis[3 + i]
         miss = pixels[6, p] - dark - contrast * white
-        filled = used % _BLOCK
+        at = used % _BLOCK
         root = 1.0 / math.sqrt(1.0 + cauchy * miss * miss)
-        gu, gv, pale = root * contrast * by_u, root * contrast * by_v, root * white
+        light, pale = root * contrast, root * white
+        gu, gv = light * by_u, light * by_v
         along_way = gu * u + gv * v
-        rows[0, filled], rows[1, filled], rows[2, filled] = gu, gu * u, gu * v
-        rows[3, filled], rows[4, filled], rows[5, filled] = gv, gv * u, gv * v
-        rows[6, filled], rows[7, filled] = along_way * u, along_way * v
-        rows[BLUR, filled], rows[SHIFT, filled] = root * contrast * by_blur, root * contrast * by_shift
-        rows[HALO, filled] = root * contrast * by_halo
-        rows[LIGHT, filled], rows[LIGHT + 1, filled], rows[LIGHT + 2, filled] = root, root * u, root * v
-        i = LIGHT + terms
-        rows[i, filled], rows[i + 1, filled], rows[i + 2, filled] = pale, pale * u, pale * v
-        if terms > LINEAR:
-            uu, uv, vv, i, j = u * u, u * v, v * v, LIGHT + LINEAR, LIGHT + terms + LINEAR
-            rows[i, filled], rows[i + 1, filled], rows[i + 2, filled] = root * uu, root * uv, root * vv
-            rows[j, filled], rows[j + 1, filled], rows[j + 2, filled] = pale * uu, pale * uv, pale * vv
-        rows[n, filled] = root * miss
-        misses[0, used] = miss
+        for i in range(3):
+            b = basis[i]
+            space[i, at], space[3 + i, at] = gu * b, gv * b
+            space[DARK + i, at], space[CONTRAST + i, at] = root * b, pale * b
+            if n > HALOED:
+                b = basis[3 + i]
+                space[CURVED + i, at], space[CURVED + 3 + i, at] = root * b, pale * b
+        space[6, at], space[7, at] = along_way * u, along_way * v
+        space[BLUR, at], space[SHIFT, at] = light * by_blur, light * by_shift
+        if n > PLAIN:
+            space[HALO, at] = light * by_halo
+        space[n, at] = root * miss
+        misses[0, used], misses[1, used], misses[2, used] = miss, u, v
         used += 1
         if used % _BLOCK == 0:
-            add_products(rows, first, n, _BLOCK + used - used, normal)
-    add_products(rows, first, n, used % _BLOCK, normal)
-    answer[USED] = used
+            add_products(space, first, n, _BLOCK, normal)
+    add_products(space, first, n, used % _BLOCK, normal)
+    return used
 
 
 @outlined
@@ -366,397 +393,115 @@ def add_products(rows, first, n, length, normal):
 
 
 @outlined
-def print_system(space, x, known, answer, unit):
-    """Solves for the step of the unknowns that are not held, with what is believed beforehand.
-
-    Args:
-        space: Work space with the equations; HELD says 1 where an unknown stays as it is.  The step is in
-            STEP.
-        x: (15,) as there.
-        known: What is believed.
-        answer: Of the model: TERMS, NOISE.
-        unit: A column of the inverse is wanted in place of the step; -1.0: the step.
+def take_step(normal, noise, x, unknowns, trust, expected, by_unknown, to_print, matrix, step):
+    """Moves the unknowns, a corner never far at once.
 
     Returns:
-        The right side times the step: by how much it lessens the sum of squares; NaN where there is none.
+        By how much that lessens the sum of squares, infinity where there is no step; and how far the
+        unknowns moved, in parts of what is hardly any way.
     """
-    normal, matrix, held, step = space[NORMAL:MATRIX], space[MATRIX:ALONG], space[HELD], space[STEP]
-    n, noise = LIGHT + 2 * int(answer[TERMS]), answer[NOISE]
-    right = matrix[n]
+    n, h = unknowns, to_print
     for i in range(n):
-        right[i] = normal[n, i]
-        for j in range(i + 1):
+        weight = noise * noise * trust[i]
+        right = normal[n, i] + weight * (expected[i] - x[i])
+        if i == BLUR and x[i] <= _LEAST_LN_BLUR and right < 0.0:
+            weight = HELD
+        for j in range(i):
             matrix[i, j] = normal[i, j]
-        matrix[i, i] += 1e-10 * matrix[i, i] + 1e-12
-    trust = (noise / _BLUR_SPREAD) ** 2
-    matrix[BLUR, BLUR] += trust
-    right[BLUR] += trust * math.log(known[KNOWN_BLUR] / x[0])
-    trust = (noise / known[KNOWN_SIGMA]) ** 2
-    matrix[SHIFT, SHIFT] += trust
-    right[SHIFT] += trust * (known[KNOWN_SHIFT] - x[1])
+        matrix[i, i] = normal[i, i] * (1.0 + 1e-10) + 1e-12 + weight
+        matrix[n, i], step[i] = right, right
+    if not eliminate(matrix, step, n):
+        return math.inf, math.inf
+    gain, farthest = 0.0, 1e-12
     for i in range(n):
-        if held[i] > 0.0 or (i == BLUR and x[0] <= _LEAST_BLUR and right[BLUR] < 0.0):
-            for j in range(n):
-                matrix[max(i, j), min(i, j)] = 0.0
-            matrix[i, i], right[i] = 1.0, 0.0
-    for i in range(n):
-        if unit >= 0.0:
-            right[i] = 1.0 if i == unit else 0.0
-        step[i] = right[i]
-    if not solve_definite(matrix, step, n):
-        return math.nan
-    gain = 0.0
-    for i in range(n):
-        gain += right[i] * step[i]
-    return gain
-
-
-@outlined
-def take_step(space, answer, to_print, x):
-    """Moves the unknowns, a corner never far at once; how far, in parts of what is hardly any way."""
-    step, by_unknown, terms, farthest = space[STEP], space[SLOPES:], int(answer[TERMS]), 0.0
+        gain += matrix[n, i] * step[i]
     for i in range(8):
         way = 0.0
         for j in range(HOMOGRAPHY):
             way += by_unknown[i, j] * step[j]
         farthest = max(farthest, abs(way))
-    part = min(1.0, _CORNER_STEP / max(farthest, 1e-12))
-    for column in range(3):
-        a, b, c = to_print[0, column], to_print[1, column], to_print[2, column]
-        to_print[0, column] += part * (step[1] * a + step[2] * b + step[0] * c)
-        to_print[1, column] += part * (step[4] * a + step[5] * b + step[3] * c)
-        to_print[2, column] -= part * (step[6] * a + step[7] * b)
-    x[0] = max(x[0] * math.exp(min(max(step[BLUR], -_BLUR_STEP), _BLUR_STEP)), _LEAST_BLUR)
-    x[1] = min(max(x[1] + min(max(step[SHIFT], -_SHIFT_STEP), _SHIFT_STEP), -_MOST_SHIFT), _MOST_SHIFT)
-    x[2] = min(max(x[2] + step[HALO], -0.5), _MOST_HALO) if answer[WITH_HALO] > 0.0 else 0.0
-    for i in range(terms):
-        x[3 + i] += step[LIGHT + i]
-        x[9 + i] += step[LIGHT + terms + i]
-    return max(farthest / _NEAR, max(abs(step[BLUR]), max(abs(step[SHIFT]), abs(step[HALO]))) / _ALIKE)
-
-
-@outlined
-def corner_slopes(lens, to_print, normalized, by_unknown):
-    """Where the corners are, undistorted (4, 2), and (8, 8) how they move in px by the homography's unknowns.
-
-    Returns:
-        False beyond the print's horizon.
-    """
-    h, back = to_print, by_unknown
-    invert(to_print, back)  # in the place of what is filled later
-    for k in range(4):
-        u, v = _CORNERS[k, 0], _CORNERS[k, 1]
-        depth = back[2, 0] * u + back[2, 1] * v + back[2, 2]
-        if not depth > 0.0:
-            return False
-        normalized[k, 0] = (back[0, 0] * u + back[0, 1] * v + back[0, 2]) / depth
-        normalized[k, 1] = (back[1, 0] * u + back[1, 1] * v + back[1, 2]) / depth
-    for k in range(4):
-        u, v, x, y = _CORNERS[k, 0], _CORNERS[k, 1], normalized[k, 0], normalized[k, 1]
-        _, _, xx, xy, yy = distort_point(lens, x, y)
-        # Of (u, v) by (x, y), times the depth; its inverse has it, too.
-        a, b = h[0, 0] - u * h[2, 0], h[0, 1] - u * h[2, 1]
-        c, d = h[1, 0] - v * h[2, 0], h[1, 1] - v * h[2, 1]
-        scale = -(h[2, 0] * x + h[2, 1] * y + h[2, 2]) / (a * d - b * c)
-        for i in range(2):
-            e, f = (lens[FX] * xx, lens[FX] * xy) if i == 0 else (lens[FY] * xy, lens[FY] * yy)
-            by_u, by_v, row = scale * (e * d - f * c), scale * (f * a - e * b), by_unknown[2 * k + i]
-            row[0], row[1], row[2] = by_u, by_u * u, by_u * v
-            row[3], row[4], row[5] = by_v, by_v * u, by_v * v
-            row[6], row[7] = (by_u * u + by_v * v) * u, (by_u * u + by_v * v) * v
-    return True
-
-
-@outlined
-def settle(pixels, count, black, lens, to_print, x, known, answer, space, misses):
-    """Gauss and Newton's steps until they are small; False where they do not become so."""
-    if not corner_slopes(lens, to_print, space[PLACES:SLOPES], space[SLOPES:]):
-        return False
-    for i in range(LIGHT + 2 * int(answer[TERMS])):
-        space[HELD, i] = 1.0 if i == HALO and not answer[WITH_HALO] > 0.0 else 0.0
-    # The first steps need few pixels.
-    answer[EVERY] = _COARSE if answer[NOISE] == _ANY_NOISE and count > _COARSE * _ASKED else 1
-    size = math.inf
-    for turn in range(_STEPS):
-        print_equations(pixels, count, black, to_print, x, answer, space, misses)
-        if answer[TO_DROP] > 0.0:
-            count, answer[TO_DROP] = int(answer[USED]), 0.0
-            if count < _LEAST_PIXELS:
-                return False
-        noise = answer[NOISE]
-        if noise == _ANY_NOISE:
-            answer[AT_START] = explained_part(pixels, answer, misses)
-        if turn < _NOISE_ROUNDS:
-            answer[NOISE] = max(1.4826 * median_size(misses, int(answer[USED])), _LEAST_NOISE)
-        size = math.sqrt(max(print_system(space, x, known, answer, -1.0), 0.0)) / answer[NOISE]
-        if not size < math.inf:
-            return False
-        way = take_step(space, answer, to_print, x)
-        if not x[0] + abs(to_print[0, 0]) < math.inf:
-            return False
-        if size < _DONE or (way < 1.0 and noise < _ANY_NOISE and answer[NOISE] < _GROWN * noise):
-            if answer[EVERY] == 1.0:
-                return True
-            answer[EVERY] = 1.0
-    return size < _RESTLESS
-
-
-@outlined
-def median_size(misses, used):
-    """Median of the sizes of the residuals, by Hoare's selection."""
-    values = misses[1]
-    for p in range(used):
-        values[p] = abs(misses[0, p])
-    return median_of(values, used)
-
-
-@outlined
-def explained_part(pixels, answer, misses):
-    """Part of the variance of the grey values that the model explains."""
-    used, every = int(answer[USED]), int(answer[EVERY])
-    total, mean, spread, left = 0.0, 0.0, 0.0, 0.0
-    for i in range(used):
-        total += pixels[7, i * every]
-        mean += pixels[7, i * every] * pixels[6, i * every]
-    mean /= total
-    for i in range(used):
-        weight, off = pixels[7, i * every], pixels[6, i * every] - mean
-        spread += weight * off * off
-        left += weight * misses[0, i] * misses[0, i]
-    return 1.0 - left / spread if spread > _LEAST_CONTRAST * total else 0.0  # nothing is there
-
-
-@outlined
-def squares_of(misses, answer):
-    """Sum of the squares of the residuals; what is far off counts as four standard deviations."""
-    total, most = 0.0, (_CAUCHY * answer[NOISE]) ** 2
-    for i in range(int(answer[USED])):
-        total += min(misses[0, i] * misses[0, i], most)
-    return total
-
-
-@outlined
-def ask_for_more(pixels, count, black, to_print, x, known, answer, space, misses):
-    """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
-    held, none, light, halo = space[HELD], 0.0, False, False
-    answer[EVERY], answer[TERMS], answer[WITH_HALO] = (count + _ASKED - 1) // _ASKED, QUADRATIC, 1.0
-    print_equations(pixels, count, black, to_print, x, answer, space, misses)
-    squares = squares_of(misses, answer)
-    for model in range(3):  # as it is, with light, with a halo
-        for i in range(LIGHT + 2 * QUADRATIC):
-            curved = i >= LIGHT and (i - LIGHT) % QUADRATIC >= LINEAR
-            held[i] = 1.0 if (curved and model != 1) or (i == HALO and model != 2) else 0.0
-        gain = print_system(space, x, known, answer, -1.0)
-        none = gain if model == 0 else none
-        light = light or (model == 1 and gain - none > _LIGHT_ASKED * squares)
-        halo = halo or (model == 2 and gain - none > _HALO_ASKED * squares)
-    answer[TERMS], answer[WITH_HALO] = QUADRATIC if light else LINEAR, 1.0 if halo else 0.0
-    return light or halo
-
-
-@outlined
-def misread_cells(pixels, n, to_print, contrast, answer, misses, sums):
-    """Cells whose pixels miss the model by half of the contrast and more; ``sums`` (2, n n) is work space."""
-    every = int(answer[EVERY])
-    for i in range(n * n):
-        sums[0, i], sums[1, i] = 0.0, 0.0
-    for p in range(int(answer[USED])):
-        x, y = pixels[0, p * every], pixels[1, p * every]
-        w = to_print[2, 0] * x + to_print[2, 1] * y + to_print[2, 2]
-        column = math.floor(((to_print[0, 0] * x + to_print[0, 1] * y + to_print[0, 2]) / w + 0.5) * n)
-        row = math.floor(((to_print[1, 0] * x + to_print[1, 1] * y + to_print[1, 2]) / w + 0.5) * n)
-        if min(column, row) >= 0 and max(column, row) < n:
-            sums[0, row * n + column] += misses[0, p]
-            sums[1, row * n + column] += 1.0
-    count, cells, total = 0, 0.0, 0.0
-    for i in range(n * n):
-        count += 1 if abs(sums[0, i]) > 0.5 * abs(contrast) * sums[1, i] else 0
-        cells += 1.0 if sums[1, i] > 0.0 else 0.0
-        total += sums[0, i] * sums[0, i] / max(sums[1, i], 1.0)
-    answer[UNEVEN] = total / (max(cells, 1.0) * answer[NOISE] * answer[NOISE])
-    return count
-
-
-@outlined
-def conclude(pixels, lens, to_print, x, known, answer, space, misses, corners, normalized, covariance):
-    """Takes over a fit that can be believed; ``corners`` come in as where it started."""
-    places, by_unknown, unknowns = space[PLACES:SLOPES], space[SLOPES:], space[0:HOMOGRAPHY]
-    explained = explained_part(pixels, answer, misses)
-    if not x[9] > max(_LEAST_CONTRAST, 1.5 * answer[NOISE]) or explained < _EXPLAINED:
-        return
-    if not corner_slopes(lens, to_print, places, by_unknown):
-        return
-    far = 0.0
-    for k in range(4):
-        bx, by, _, _, _ = distort_point(lens, places[k, 0], places[k, 1])
-        places[k, 2], places[k, 3] = lens[FX] * bx + lens[CX], lens[FY] * by + lens[CY]
-        far = max(far, math.hypot(places[k, 2] - corners[k, 0], places[k, 3] - corners[k, 1]))
-    area = 0.5 * abs(
-        (places[2, 2] - places[0, 2]) * (places[3, 3] - places[1, 3])
-        - (places[2, 3] - places[0, 3]) * (places[3, 2] - places[1, 2])
-    )
-    if not far < max(_FARTHEST, _FARTHEST_PART * math.sqrt(area)):
-        return
-    variance = squares_of(misses, answer) / (answer[USED] - LIGHT - 2.0 * answer[TERMS])
-    variance = max(variance, _LEAST_NOISE**2) * (1.0 + _MODEL) ** 2
-    for k in range(HOMOGRAPHY):
-        print_system(space, x, known, answer, float(k))
-        for i in range(8):
-            total = 0.0
-            for j in range(HOMOGRAPHY):
-                total += by_unknown[i, j] * space[STEP, j]
-            unknowns[k, i] = variance * total
-    for i in range(8):
-        for j in range(8):
-            total = 0.0
-            for k in range(HOMOGRAPHY):
-                total += by_unknown[i, k] * unknowns[k, j]
-            covariance[i, j] = total
-    for k in range(4):
-        for i in range(2):
-            normalized[k, i], corners[k, i] = places[k, i], places[k, 2 + i]
-    answer[FOUND], answer[EXPLAINED] = 1.0, explained
-    for i in range(15):
-        known[START + i] = x[i]
-    if answer[WITH_HALO] == 0.0 or answer[PLAIN_BLUR] == 0.0:  # of edges as they seem to be
-        answer[PLAIN_BLUR], answer[PLAIN_SHIFT] = x[0], x[1]
-        answer[SHIFT_SIGMA] = math.sqrt(variance * print_system(space, x, known, answer, float(SHIFT)))
-
-
-@outlined
-def invert(matrix, inverse):
-    """Inverse of a matrix (3, 3) by its cofactors."""
-    m = matrix
+    part = min(1.0, _CORNER_STEP / farthest)
     for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            c, d = (j + 1) % 3, (j + 2) % 3
-            inverse[j, i] = m[a, c] * m[b, d] - m[a, d] * m[b, c]
-    determinant = m[0, 0] * inverse[0, 0] + m[0, 1] * inverse[1, 0] + m[0, 2] * inverse[2, 0]
-    for i in range(3):
-        for j in range(3):
-            inverse[i, j] /= determinant
-
-
-@outlined
-def print_from(lens, normalized, push, back, to_print):
-    """Fills ``to_print`` and its inverse from the corners (Heckbert, 1989).
-
-    Args:
-        lens: ``lens_vector``.
-        normalized: (4, 2) undistorted corners.
-        push: The sides lie so many px farther out.
-        back: (3, 3) out, from the print to the picture.
-        to_print: (3, 3) out.
-    """
-    c = normalized
-    ax, ay, bx, by = c[1, 0] - c[2, 0], c[1, 1] - c[2, 1], c[3, 0] - c[2, 0], c[3, 1] - c[2, 1]
-    sx, sy = c[0, 0] - c[1, 0] + c[2, 0] - c[3, 0], c[0, 1] - c[1, 1] + c[2, 1] - c[3, 1]
-    area = ax * by - ay * bx
-    back[2, 0], back[2, 1] = (sx * by - bx * sy) / area, (ax * sy - sx * ay) / area
-    for i in range(2):
-        back[i, 0] = c[1, i] - c[0, i] + back[2, 0] * c[1, i]
-        back[i, 1] = c[3, i] - c[0, i] + back[2, 1] * c[3, i]
-        back[i, 2] = c[0, i] + 0.5 * (back[i, 0] + back[i, 1])
-    back[2, 2] = 1.0 + 0.5 * (back[2, 0] + back[2, 1])
-    invert(back, to_print)
-    x, y = back[0, 2] / back[2, 2], back[1, 2] / back[2, 2]
-    w = to_print[2, 0] * x + to_print[2, 1] * y + to_print[2, 2]
-    for i in range(2):  # at the middle (u, v) are 0
-        slope = math.hypot(to_print[i, 0] / lens[FX], to_print[i, 1] / lens[FY]) / w
-        for j in range(3):
-            to_print[i, j] /= 1.0 + 2.0 * push * abs(slope)
-
-
-@outlined
-def box_of(gray, lens, back, reach, most, box):
-    """Fills ``box`` (x0, y0, x1, y1) of whole pixels round the print; one pixel in how many is looked at.
-
-    Zero where the print is not in the picture.
-    """
-    x0, y0, x1, y1, area, last_x, last_y = math.inf, math.inf, -math.inf, -math.inf, 0.0, 0.0, 0.0
-    for k in range(-1, 4):
-        u, v = 2.0 * reach * _CORNERS[k, 0], 2.0 * reach * _CORNERS[k, 1]
-        depth = back[2, 0] * u + back[2, 1] * v + back[2, 2]
-        if not depth > 0.0:
-            return 0
-        x, y = back[0, 0] * u + back[0, 1] * v + back[0, 2], back[1, 0] * u + back[1, 1] * v + back[1, 2]
-        bx, by, _, _, _ = distort_point(lens, x / depth, y / depth)
-        px, py = lens[FX] * bx + lens[CX], lens[FY] * by + lens[CY]
-        x0, y0, x1, y1 = min(x0, px), min(y0, py), max(x1, px), max(y1, py)
-        area += last_x * py - last_y * px if k >= 0 else 0.0
-        last_x, last_y = px, py
-    height, width = gray.shape
-    if not (x1 > 0.0 and y1 > 0.0 and x0 < width - 1.0 and y0 < height - 1.0):
-        return 0
-    box[0], box[1] = int(max(math.floor(x0), 0.0)), int(max(math.floor(y0), 0.0))
-    box[2], box[3] = int(min(math.ceil(x1) + 1.0, width)), int(min(math.ceil(y1) + 1.0, height))
-    return 2 * int(0.25 * abs(area) / most) + 1
-
-
-@outlined
-def thin_out(pixels, count, most):
-    """Leaves out pixels, evenly, where there are more than enough; how many are left."""
-    if count <= most:
-        return count
-    for p in range(most):
-        for i in range(PIXEL_ROWS):
-            pixels[i, p] = pixels[i, p * count // most]
-    return most
+        a, b, w = h[i], h[3 + i], h[6 + i]
+        h[i] = a + part * (step[1] * a + step[2] * b + step[0] * w)
+        h[3 + i] = b + part * (step[4] * a + step[5] * b + step[3] * w)
+        h[6 + i] = w - part * (step[6] * a + step[7] * b)
+    far = max(abs(step[BLUR]), abs(step[SHIFT]))
+    if n > PLAIN:
+        far = max(far, abs(step[HALO]))
+    step[BLUR] = min(max(step[BLUR], -_BLUR_STEP), _BLUR_STEP)
+    step[SHIFT] = min(max(step[SHIFT], -_SHIFT_STEP), _SHIFT_STEP)
+    for i in range(BLUR, n):
+        x[i] += step[i]
+    x[BLUR] = max(x[BLUR], _LEAST_LN_BLUR)
+    x[SHIFT] = min(max(x[SHIFT], -_MOST_SHIFT), _MOST_SHIFT)
+    x[HALO] = min(max(x[HALO], -0.5), _MOST_HALO)
+    return gain, max(farthest / _NEAR, far / _ALIKE)
 
 
 @kernel
-def fit_print(gray, lens, black, known, corners, normalized, covariance, answer):
-    """Fits the whole print of one marker.
+def settle(
+    pixels,
+    count,
+    black,
+    to_print,
+    x,
+    unknowns,
+    trust,
+    expected,
+    by_unknown,
+    numbers,
+    normal,
+    space,
+    misses,
+    steps,
+):
+    """Gauss and Newton's steps until they are small: AT_REST says whether they became so.
 
     Args:
-        gray: (h, w) uint8, C-contiguous.
-        lens: ``lens_vector``.
-        black: (n, n) 1 where the print is black.
-        known: (KNOWN_NUMBERS,) what is known beforehand; where the print was found, what is known now.
-        corners: (4, 2) px in, roughly; out where the print was found.
-        normalized: (4, 2) the same, undistorted.
-        covariance: (8, 8) out, px^2, of noise alone.
-        answer: (ANSWER_NUMBERS,) zeros in, out what was found.
+        pixels: As in ``print_equations``, like all that is not named here.
+        count: See ``pixels``.
+        black: See ``pixels``.
+        to_print: In and out.
+        x: In and out.
+        unknowns: See ``pixels``.
+        trust: (23,) one over the variance of what is believed of an unknown beforehand; HELD: it stays.
+        expected: (23,) what is believed.
+        by_unknown: (8, 8) how the corners move, px, by the unknowns of the homography.
+        numbers: In and out.
+        normal: Out: the equations before the last step.
+        space: (58, k) work space.
+        misses: (5, k) out: residuals before the last step, places, residuals before the first one.
+        steps: At most; 0: the equations alone are wanted.
     """
-    n, x = black.shape[0], np.zeros(15)
-    to_print, box = np.empty((3, 3)), np.empty(4, np.int64)
-    space = np.zeros((SPACE_ROWS, max(_BLOCK, n)))
-    back, reach = space[0:3], 0.5 + _ROUND / n
-    print_from(lens, normalized, known[PUSH], back, to_print)
-    every = box_of(gray, lens, back, reach, known[LOOKED_AT], box)
-    if every == 0:
-        return
-    room = ((box[2] - box[0]) // every + 1) * (box[3] - box[1])
-    pixels, misses, sums = np.empty((PIXEL_ROWS, room)), np.empty((2, room)), np.empty((2, n * n))
-    count = take_print(gray, lens, box, every, to_print, reach, pixels)
-    for i in range(15):
-        x[i] = known[START + i]
-    answer[TERMS], answer[TO_DROP] = known[START_TERMS], 1.0
-    answer[WITH_HALO], answer[EVERY] = 1.0 if x[2] != 0.0 else 0.0, 1.0
-    if known[START_NOISE] == _ANY_NOISE:
-        # Dark and contrast alone, which are linear.
-        for i in range(LIGHT):
-            space[HELD, i] = 1.0
-        print_equations(pixels, count, black, to_print, x, answer, space, misses)
-        count = int(answer[USED])
-        if count < _LEAST_PIXELS or not print_system(space, x, known, answer, -1.0) < math.inf:
+    matrix, step, sizes = space[_SYSTEM:_CELLS], space[_STEP], misses[4]
+    for turn in range(steps + 1):
+        used = print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal, space, misses)
+        numbers[USED] = used
+        if turn == steps or used == 0:
             return
-        take_step(space, answer, to_print, x)
-        count, answer[TO_DROP] = thin_out(pixels, count, int(known[FITTED])), 0.0
-    answer[NOISE] = known[START_NOISE]
-    for turn in range(2):  # as it is; with what the residuals ask for
-        if turn > 0 and not ask_for_more(pixels, count, black, to_print, x, known, answer, space, misses):
-            break
-        fine = settle(pixels, count, black, lens, to_print, x, known, answer, space, misses)
-        answer[AT_START] = max(answer[AT_START], explained_part(pixels, answer, misses))
-        answer[MISREAD] = misread_cells(pixels, n, to_print, x[9], answer, misses, sums)
-        if fine:
-            conclude(pixels, lens, to_print, x, known, answer, space, misses, corners, normalized, covariance)
-        if not fine or known[ASK] == 0.0:
-            break
-    if answer[FOUND] == 0.0:
-        answer[EXPLAINED] = answer[AT_START]
+        if numbers[TO_DROP] > 0.0:
+            count, numbers[TO_DROP] = used, 0.0
+        noise = numbers[NOISE]
+        for p in range(used):
+            sizes[p] = abs(misses[0, p])
+            if turn == 0:
+                misses[3, p] = misses[0, p]
+        if turn < _NOISE_ROUNDS:
+            numbers[NOISE] = max(1.4826 * median_of(sizes, used), _LEAST_NOISE)
+        gain, way = take_step(
+            normal, numbers[NOISE], x, unknowns, trust, expected, by_unknown, to_print, matrix, step
+        )
+        size = math.sqrt(max(gain, 0.0)) / numbers[NOISE]
+        if not size + x[BLUR] + abs(to_print[0]) < math.inf:
+            numbers[AT_REST] = 0.0
+            return
+        numbers[AT_REST] = 1.0 if size < _RESTLESS else 0.0
+        if size < _DONE or (way < 1.0 and noise < _ANY_NOISE and numbers[NOISE] < _GROWN * noise):
+            if numbers[EVERY] == 1.0:
+                numbers[AT_REST] = 1.0
+                return
+            numbers[EVERY] = 1.0
 
 
 # ------------------------------------------------------------------------------------------
@@ -791,7 +536,7 @@ class PrintEffort:
     """How many pixels a fit uses.
 
     Attributes:
-        looked_at: Of a print, at most.
+        looked_at: Of a print, about.
         fitted: Of those near an edge, at most.
     """
 
@@ -801,7 +546,299 @@ class PrintEffort:
 
 #: Of a picture alone: more pixels make no marker better than the model is; and in films, which want to be
 #: fast: the next picture comes soon.
-SINGLE, FILM = PrintEffort(), PrintEffort(3000, 1000)
+SINGLE, FILM = PrintEffort(), PrintEffort(2500, 1000)
+
+
+class _PrintFit:
+    """The fit of one print: its unknowns, and what is known of them.
+
+    Attributes:
+        x: (23,) unknowns; the homography is in ``to_print``.
+        unknowns: How many the model has; ``halo`` how wide a halo is among them, px, 0 without.
+        halo: See ``unknowns``.
+        to_print: (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth.
+        pixels: (8, k), of which ``count`` are used.
+        count: See ``pixels``.
+        numbers: Noise and so on, see NOISE.
+        misses: (5, k) residuals and their places on the print.
+    """
+
+    def __init__(self, black: Array, to_print: Array, by_unknown: Array, pixels: Array, count: int) -> None:
+        self.black, self.to_print, self.by_unknown = black, to_print.ravel(), by_unknown
+        self.pixels, self.count = pixels, count
+        self.x, self.trust, self.expected = np.zeros(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
+        self.trust[BLUR] = 1.0 / _BLUR_SPREAD**2
+        self.numbers, self.normal = np.zeros(FIT_NUMBERS), np.zeros((24, 24))
+        self.space = np.zeros((SPACE_ROWS, _BLOCK))
+        self.misses = np.empty((MISS_ROWS, pixels.shape[1]))
+        self.unknowns, self.halo, self._first = PLAIN, 0.0, 0
+
+    def believe(self, blur: float, shift: EdgeShift) -> None:
+        """What is known beforehand."""
+        self.expected[BLUR], self.expected[SHIFT] = math.log(blur), shift.value
+        self.trust[SHIFT] = 1.0 / shift.sigma**2
+
+    def model(self, unknowns: int, halo: float) -> None:
+        """Which unknowns there are; how wide the halo is, px, 0 without."""
+        self.unknowns, self.halo = unknowns, halo
+        self.trust[HALO], self.numbers[HALO_WIDTH] = 0.0 if halo > 0.0 else HELD, halo
+
+    def _sum(self, steps: int) -> None:
+        settle(
+            self.pixels, self.count, self.black, self.to_print, self.x, self.unknowns, self.trust,
+            self.expected, self.by_unknown, self.numbers, self.normal, self.space, self.misses, steps,
+        )  # fmt: skip
+
+    @property
+    def used(self) -> int:
+        """How many pixels the residuals are of."""
+        return int(self.numbers[USED])
+
+    @property
+    def noise(self) -> float:
+        """Grey levels."""
+        return float(self.numbers[NOISE])
+
+    def resume(self, model: tuple[float, ...]) -> None:
+        """Starts from where the fit of the last picture ended."""
+        self.model(int(model[1]), model[2])
+        self.numbers[NOISE], self.numbers[TO_DROP], self.x[BLUR:] = model[0], 1.0, model[3:]
+
+    def light(self, blur: float, shift: float, most: int) -> bool:
+        """Fits dark and contrast, which are linear, and keeps ``most`` of the pixels that tell something."""
+        self.x[BLUR], self.x[SHIFT] = math.log(blur), shift
+        self.numbers[NOISE], self.numbers[EVERY], self.numbers[TO_DROP] = 0.0, 1.0, 1.0
+        self._sum(0)
+        self.count, self.numbers[TO_DROP], self.numbers[NOISE] = self.used, 0.0, _ANY_NOISE
+        if self.count < _LEAST_PIXELS:
+            return False
+        matrix, right = self._system()
+        self.x[DARK:PLAIN] = np.linalg.solve(matrix[DARK:, DARK:], right[DARK:])
+        if self.count > most:
+            self.pixels = np.take(self.pixels, np.arange(most) * self.count // most, axis=1)
+            self.count = most
+        return True
+
+    def settle(self) -> bool:
+        """Gauss and Newton's steps; whether they became small."""
+        # The first steps need few pixels.
+        coarse = self.noise == _ANY_NOISE and self.count > _COARSE * _ASKED
+        self.numbers[EVERY] = _COARSE if coarse else 1
+        self._first = -(-self.count // _COARSE) if coarse else self.count
+        self._sum(_STEPS)
+        if self.numbers[EVERY] == 1.0:
+            self.count = self.used
+        self._first = min(self._first, self.count)
+        return self.used >= _LEAST_PIXELS and bool(self.numbers[AT_REST])
+
+    def _system(self) -> tuple[Array, Array]:
+        """The equations with what is known beforehand: (n, n) and (n,)."""
+        n, x = self.unknowns, self.x[: self.unknowns]
+        matrix = self.normal[:n, :n] + self.normal[:n, :n].T
+        weight = self.noise**2 * self.trust[:n]
+        right = self.normal[n, :n] + weight * (self.expected[:n] - x)
+        if x[BLUR] <= _LEAST_LN_BLUR and right[BLUR] < 0.0:
+            weight[BLUR] = HELD
+        diagonal = matrix.reshape(-1)[:: n + 1]
+        diagonal *= 0.5 * (1.0 + 1e-10)
+        diagonal += weight + 1e-12
+        return matrix, right
+
+    def ask_for_more(self) -> bool:
+        """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
+        self.numbers[EVERY] = (self.count + _ASKED - 1) // _ASKED
+        most, width, curved = 0.0, 0.0, False
+        for halo in _HALO_BLURS:
+            self.model(UNKNOWNS, halo)
+            self._sum(0)
+            matrix, right = self._system()
+            plain, by_light, by_halo = (
+                float(right[some] @ np.linalg.solve(matrix[np.ix_(some, some)], right[some]))
+                for some in _MODELS_ASKED
+            )
+            squares = self.squares()
+            curved = by_light - plain > _LIGHT_ASKED * squares
+            if by_halo - plain > max(most, _HALO_ASKED * squares):
+                most, width = by_halo - plain, halo
+            if width == 0.0:
+                break  # where a narrow one lessens nothing a wide one does not either
+        self.model(UNKNOWNS if curved else HALOED if width else PLAIN, width)
+        return curved or width > 0.0
+
+    def squares(self) -> float:
+        """Sum of the squares of the residuals; what is far off counts as four standard deviations."""
+        squares = self.misses[0, : self.used] ** 2
+        return float(np.minimum(squares, (_CAUCHY * self.noise) ** 2).sum())
+
+    def explained(self, *, before: bool = False) -> float:
+        """Part of the variance of the grey values that the model explains, or did ``before`` the steps."""
+        used = self._first if before else self.used
+        every = -(-self.count // used)
+        weight, value = self.pixels[7, : self.count : every], self.pixels[6, : self.count : every]
+        miss, total = self.misses[3 if before else 0, :used], float(weight.sum())
+        off = value - weight @ value / total
+        spread = float((weight * off) @ off)
+        # Where hardly anything is to be seen nothing is there.
+        return 1.0 - float((weight * miss) @ miss) / spread if spread > _LEAST_CONTRAST * total else 0.0
+
+    def cells(self) -> tuple[int, float]:
+        """How many cells the picture shows otherwise; squares of cells' residuals over those of noise."""
+        n, (miss, u, v) = len(self.black), self.misses[:3, : self.used]
+        # With a row and a column of what is outside on each side.
+        column, row = (
+            np.minimum(np.maximum((n * w + 0.5 * n + 1.0), 0.0), n + 1.0).astype(int) for w in (u, v)
+        )
+        cell, inside = (n + 2) * row + column, (slice(1, -1), slice(1, -1))
+        total = np.bincount(cell, miss, (n + 2) ** 2).reshape(n + 2, n + 2)[inside]
+        count = np.bincount(cell, minlength=(n + 2) ** 2).reshape(n + 2, n + 2)[inside]
+        misread = int(np.count_nonzero(np.abs(total) > 0.5 * abs(self.x[CONTRAST]) * count))
+        seen = max(int(np.count_nonzero(count)), 1)
+        return misread, float((total**2 / np.maximum(count, 1)).sum()) / (seen * self.noise**2)
+
+    def conclude(
+        self,
+        lens: Array,
+        origin: tuple[int, int],
+        start: RefinedCorners,
+        other: RefinedCorners | None,
+    ) -> RefinedCorners | None:
+        """The corners, if they can be believed.
+
+        Args:
+            lens: ``lens_vector`` of the part of the picture that begins at ``origin``.
+            origin: See ``lens``.
+            start: Where the fit began.
+            other: What was found without a halo, or in the last picture.
+        """
+        explained, x, (misread, uneven) = self.explained(), self.x, self.cells()
+        if not x[CONTRAST] > max(_LEAST_CONTRAST, 1.5 * self.noise) or explained < _EXPLAINED:
+            return None
+        back = np.linalg.inv(self.to_print.reshape(3, 3))
+        normalized, depth = _places(back, _CORNERS)
+        if not depth.min() > 0.0:
+            return None
+        corners, by_normalized = np.empty((4, 2)), np.empty((4, 2, 2))
+        see_points(lens, normalized, corners, by_normalized)
+        corners += origin
+        (ax, ay), (bx, by) = (corners[2] - corners[0]).tolist(), (corners[3] - corners[1]).tolist()
+        far = float(np.abs(corners - start.corners).max())
+        if not far < max(_FARTHEST, _FARTHEST_PART * math.sqrt(0.5 * abs(ax * by - ay * bx))):
+            return None
+        covariance, sigma = self._uncertainty(uneven, corners, _corner_slopes(back, by_normalized))
+        edges = math.exp(x[BLUR]), float(x[SHIFT]), sigma
+        if self.halo > 0.0 and other is not None:
+            # With a halo the model's edges are others than those that four sides see.
+            edges = other.blur, other.edge_shift, other.edge_shift_sigma
+        return RefinedCorners(
+            corners, normalized, covariance, math.sqrt(covariance.trace() / 8), True, blur=edges[0],
+            edge_shift=edges[1], edge_shift_sigma=edges[2], explained=explained, misread=misread,
+            by_print=True, model=(self.noise, self.unknowns, self.halo, *x[BLUR:].tolist()),
+        )  # fmt: skip
+
+    def _uncertainty(self, uneven: float, corners: Array, slopes: Array) -> tuple[Array, float]:
+        """Covariance (8, 8) of the corners, px^2; standard deviation of the edge shift."""
+        variance = self.squares() / (self.used - self.unknowns)
+        # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt: usual
+        # pictures give 0.4 to 5 times what noise leaves of a cell's mean, squared; hard shadows 7 to 36.
+        variance = max(variance, _LEAST_NOISE**2) * max(1.0, uneven - 1.0)
+        inverse = variance * np.linalg.inv(self._system()[0])
+        covariance = slopes @ inverse[:HOMOGRAPHY, :HOMOGRAPHY] @ slopes.T
+        way = corners - corners.mean(axis=0)
+        outward = (way / np.hypot(way[:, :1], way[:, 1:])).reshape(8)
+        covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
+        return covariance, math.sqrt(inverse[SHIFT, SHIFT])
+
+
+def _homography(corners: Array) -> Array | None:
+    """(3, 3) from the print to its corners (4, 2) (Heckbert, 1989); None where these are on one line."""
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners.tolist()
+    ax, ay, bx, by = x1 - x2, y1 - y2, x3 - x2, y3 - y2
+    sx, sy, area = x0 - x1 + x2 - x3, y0 - y1 + y2 - y3, (x1 - x2) * (y3 - y2) - (y1 - y2) * (x3 - x2)
+    if not abs(area) > 0.0:
+        return None
+    g, h = (sx * by - bx * sy) / area, (ax * sy - sx * ay) / area
+    a, b, d, e = x1 - x0 + g * x1, x3 - x0 + h * x3, y1 - y0 + g * y1, y3 - y0 + h * y3
+    return np.array([[a, b, x0 + 0.5 * (a + b)], [d, e, y0 + 0.5 * (d + e)], [g, h, 1.0 + 0.5 * (g + h)]])
+
+
+def _places(homography: Array, on_print: Array) -> tuple[Array, Array]:
+    """Where places (n, 3) of the print, as (u, v, 1), are seen (n, 2), and their depth (n,)."""
+    there = on_print @ homography.T
+    return there[:, :2] / there[:, 2:], there[:, 2]
+
+
+def _corner_slopes(homography: Array, lens: Array | None = None) -> Array:
+    """(8, 8) how the corners move by the unknowns of the homography; times ``lens`` (4, 2, 2)."""
+    corners, depth = _places(homography, _CORNERS)
+    slopes = homography[:2, :2] - corners[:, :, None] * homography[2, :2]
+    slopes /= -depth[:, None, None]
+    if lens is not None:
+        slopes = lens @ slopes
+    return (slopes @ _BY_UNKNOWN).reshape(8, 8)
+
+
+def _box(seen: Array, shape: tuple[int, ...], reach: float, most: int) -> tuple[Array, int] | None:
+    """Whole pixels (x0, y0, x1, y1) round a print, and one in how many is looked at.
+
+    Args:
+        seen: (3, 3) from the print to pixels.
+        shape: Of the picture.
+        reach: Of the print, u and v to each side.
+        most: About so many pixels are enough.
+
+    Returns:
+        None where the print is not in the picture.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = seen.tolist()
+    xs, ys, least = [], [], math.inf
+    for u, v in ((-reach, -reach), (reach, -reach), (reach, reach), (-reach, reach)):
+        depth = g * u + h * v + i
+        least = min(least, depth)
+        xs.append((a * u + b * v + c) / depth)
+        ys.append((d * u + e * v + f) / depth)
+    x0, y0, x1, y1 = min(xs), min(ys), max(xs), max(ys)
+    height, width = shape
+    if not (least > 0.0 and x1 > 0.0 and y1 > 0.0 and x0 < width - 1.0 and y0 < height - 1.0):
+        return None
+    area = 0.5 * abs((xs[2] - xs[0]) * (ys[3] - ys[1]) - (ys[2] - ys[0]) * (xs[3] - xs[1]))
+    box = [
+        max(math.floor(x0), 0),
+        max(math.floor(y0), 0),
+        min(math.ceil(x1) + 1, width),
+        min(math.ceil(y1) + 1, height),
+    ]
+    share = area / most
+    return np.array(box), max(int(share + 0.5), 1) if share < 2.5 else 2 * int(0.5 * share) + 1
+
+
+def _begin(
+    gray: Image,
+    lens: Array,
+    black: Array,
+    corners: Array,
+    normalized: Array,
+    push: float,
+    effort: PrintEffort,
+) -> _PrintFit | None:
+    """The pixels of a print whose sides lie ``push`` px outside of what was found; None where it is not."""
+    back, seen = _homography(normalized), _homography(corners)
+    if back is None or seen is None:
+        return None
+    reach = 0.5 + _ROUND / len(black)
+    found = _box(seen, gray.shape, reach, effort.looked_at)
+    if found is None:
+        return None
+    box, every = found
+    try:
+        to_print = np.linalg.inv(back)
+    except np.linalg.LinAlgError:
+        return None
+    # At the middle (u, v) are 0, and the depth is back[2, 2].
+    slopes = np.hypot(to_print[:2, 0] / lens[FX], to_print[:2, 1] / lens[FY]) * abs(back[2, 2])
+    to_print[:2] /= (1.0 + 2.0 * push * slopes)[:, None]
+    pixels = np.empty((PIXEL_ROWS, ((box[2] - box[0]) // every + 1) * (box[3] - box[1])))
+    count = take_print(gray, lens, box, every, to_print.ravel(), reach, pixels)
+    return _PrintFit(black, to_print, _corner_slopes(seen), pixels, count)
 
 
 def refine_prints(
@@ -834,7 +871,7 @@ def refine_prints(
     """
     if not len(sides):
         return []
-    announce(fit_print, "the fit of the markers' prints")
+    announce(settle, "the fit of the markers' prints")
     gray, expected = np.ascontiguousarray(to_gray(image)), expected or EdgeShift.of(intrinsics)
     lens = lens_vector(intrinsics).copy()
     lens[[CX, CY]] -= origin
@@ -900,33 +937,29 @@ def _fitted(
     before: RefinedCorners | None,
 ) -> RefinedCorners:
     """Corners by one print; where that fails those of the sides, with how much the print explains."""
-    known, answer = np.zeros(KNOWN_NUMBERS), np.zeros(ANSWER_NUMBERS)
-    blur = start.blur if start.refined else _BLUR
-    known[:PUSH] = expected.value, expected.sigma, blur
-    known[PUSH:LOOKED_AT] = blur * expected.value, _ANY_NOISE, LINEAR
-    known[LOOKED_AT:START] = effort.looked_at, effort.fitted, before is None
-    known[START : START + 2] = blur, expected.value
+    blur, push = (start.blur, start.blur * expected.value) if start.refined else (_BLUR, 0.0)
+    if before is not None and start.refined:
+        push = before.blur * before.edge_shift
+    fit = _begin(gray, lens, black, start.corners - origin, start.normalized, push, effort)
+    if fit is None:
+        return replace(start, explained=math.nan, misread=0)
+    fit.believe(blur, expected)
     if before is not None and before.model is not None:
-        known[PUSH], known[START_NOISE:LOOKED_AT] = before.blur * before.edge_shift, before.model[:2]
-        known[START:] = before.model[2:]
-    if not start.refined:
-        known[PUSH] = 0.0
-    corners, normalized, covariance = start.corners - origin, start.normalized.copy(), np.empty((8, 8))
-    answer[EXPLAINED] = math.nan
-    fit_print(gray, lens, black, known, corners, normalized, covariance, answer)
-    misread = int(answer[MISREAD])
-    if not answer[FOUND]:
-        return replace(start, explained=float(answer[EXPLAINED]), misread=misread)
-    covariance *= max(1.0, float(answer[UNEVEN]) / _UNEVEN)
-    way = corners - corners.mean(axis=0)
-    outward = (way / np.linalg.norm(way, axis=1, keepdims=True)).reshape(8)
-    covariance += _LEAST_SIGMA**2 * (0.5 * np.eye(8) + np.outer(outward, outward))
-    # With a halo the model's edges are others than those that four sides see.
-    seen = answer[PLAIN_BLUR:EXPLAINED].tolist()
-    if before is not None and answer[WITH_HALO]:
-        seen = [before.blur, before.edge_shift, before.edge_shift_sigma]
-    return RefinedCorners(
-        corners + origin, normalized, covariance, math.sqrt(covariance.trace() / 8), True,
-        blur=seen[0], edge_shift=seen[1], edge_shift_sigma=seen[2], explained=float(answer[EXPLAINED]),
-        misread=misread, by_print=True, model=(*answer[NOISE:WITH_HALO].tolist(), *known[START:].tolist()),
-    )  # fmt: skip
+        fit.resume(before.model)
+    elif not fit.light(blur, expected.value, effort.fitted):
+        return replace(start, explained=math.nan, misread=0)
+    found = None
+    for more in (False, True):
+        if more and not fit.ask_for_more():
+            break
+        fine = fit.settle()
+        if fine:
+            found = fit.conclude(lens, origin, start, found or before) or found
+        if not fine or before is not None:
+            break
+    if found is not None:
+        return found
+    if fit.used < _LEAST_PIXELS:
+        return replace(start, explained=math.nan, misread=0)
+    explained = max(fit.explained(before=True), fit.explained())
+    return replace(start, explained=explained, misread=fit.cells()[0])

@@ -99,6 +99,8 @@ def run_camera(options: BenchCameraOptions) -> int:
     rows = chosen_rows(options.rows, options.skip)
     if "photographs" in options.rows and not options.photographs:
         raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
+    if options.photographs and not Path(options.photographs).is_dir():
+        raise wrong("--photographs", f"{options.photographs} is no folder", "a folder of pictures")
     effort, found = Effort(options.quick, options.seed, options.photographs), MeasuredRows()
     file = Path(options.json) if options.json else None
     with claimed(file, overwrite=options.overwrite):

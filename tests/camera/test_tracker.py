@@ -198,7 +198,7 @@ def test_tracking_sees_what_single_pictures_see() -> None:
         assert [o.id for o in a] == [o.id for o in b] == [3, 7]
         for one, two in zip(a, b, strict=True):
             # A film fits a part of the pixels.
-            assert np.abs(one.corners - two.corners).max() < 3.0 * two.sigma
+            assert np.abs(one.corners - two.corners).max() < 2.0 * two.sigma
             assert two.pose.distance(poses[two.id])[1] < np.deg2rad(1.0)
             assert two.time == frame.time
         whole += film._window._since_whole == 0
@@ -275,13 +275,15 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
 
 
 def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:
-    """Cells of 2 px: read at the picture's own size, one in three of these boards lacks a marker."""
+    """Cells of 2 px: read at the picture's own size, one in three of these boards lacks a marker.
+
+    So does the first picture, which has no window yet: it is looked at round the others.
+    """
     source, clock = synthetic_scene(640, 480)
     layout = grid_body(2, 2, 0.05, 0.0125).markers
     sizes = {i: side for i, (side, _) in layout.items()}
     tracker = MarkerTracker(source.scene.intrinsics, "DICT_5X5_50", sizes, window=True)
     whole: list[tuple[int, ...]] = []
-    ids: list[int] = []
     inner = tracker.detector.detect
 
     def spy(image: Any) -> Any:
@@ -291,8 +293,6 @@ def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:
     tracker.detector.detect = spy  # type: ignore[method-assign]
     for k in range(9):
         seen = tracker.observe_body(source.read(), layout)
-        assert seen is not None and len(seen.ids) >= 3, k
-        ids += seen.ids
+        assert seen is not None and len(seen.ids) == 4, k
         clock.ticks += 1
-    # Of 36 one is misread for good, with the tone curve of a webcam: then the whole picture is searched.
-    assert len(ids) >= 35 and len(whole) <= 1
+    assert len(whole) <= 1

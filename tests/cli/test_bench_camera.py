@@ -38,6 +38,8 @@ def test_an_unknown_row_names_the_close_ones(capsys: pytest.CaptureFixture[str])
 def test_the_row_of_real_pictures_asks_for_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "camera", "--rows", "photographs"]) == 2
     assert "--photographs" in capsys.readouterr().err
+    assert main(["bench", "camera", "--rows", "photographs", "--photographs", "not/there"]) == 2
+    assert "not/there is no folder" in capsys.readouterr().err
 
 
 def failing(_: Effort) -> Iterator[Quantity]:
