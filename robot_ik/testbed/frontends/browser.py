@@ -12,6 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -94,7 +95,6 @@ class Page:
         self._scene: BrowserScene | None = None
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
-        self._panel_due = self._table_due = 0.0
         gui = self.server.gui
         self._theme(dark)
         gui.set_panel_label("robot_ik testbed")
@@ -105,6 +105,7 @@ class Page:
         self._readings(gui)
         self._keys(gui)
         self._add_gizmo()
+        self._turns = self._all_turns()
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
         self.draw(self._view)
@@ -256,7 +257,7 @@ class Page:
                 place = np.array(self._gizmo.position) - self._scene.offsets[0]
                 self.session.send(MoveGoal(_floats(place), _four(self._gizmo.wxyz)))
 
-    def _rebuild(self, view: View) -> None:
+    def _rebuild(self, view: View) -> BrowserScene:
         """Robot or number of instances have changed."""
         if self._scene is not None:
             self._scene.remove()
@@ -271,7 +272,9 @@ class Page:
         for client in self.server.get_clients().values():
             # On the server's thread: a browser's own messages have no lock.
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
-        self._panel_due = self._table_due = 0.0
+        for turn in self._turns:
+            turn.show(view, scene)
+        return scene
 
     async def _drag_ball(self, event: Any) -> None:
         if self._scene is not None:
@@ -349,30 +352,56 @@ class Page:
     # -------------------------------------------------------------------------------------- drawing
 
     def draw(self, view: View) -> None:
-        """Shows a view; called by the loop, 30 times a second."""
+        """Shows a view; called by the loop, 30 times a second.
+
+        All of it is one piece for the browsers: viser's thread begins to send when the last message is there,
+        and does not take turns with this one.
+        """
         self._view = view
-        scene = self._scene
-        if scene is None or scene.robot.model is not self.session.robot.model or scene.count != view.count:
-            self._rebuild(view)
+        with self.server.atomic():
             scene = self._scene
-        assert scene is not None
-        scene.draw(view)
-        self._gizmo.position = view.ball.position + scene.stage.offsets[0]
-        if view.motion != "hand":
-            self._gizmo.wxyz = view.ball.wxyz
+            if scene is None or (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
+                scene = self._rebuild(view)
+            scene.draw(view)
+            self._gizmo.position = view.ball.position + scene.stage.offsets[0]
+            if view.motion != "hand":
+                self._gizmo.wxyz = view.ball.wxyz
+            self._show_panels(view, scene)
+
+    def _show_panels(self, view: View, scene: BrowserScene) -> None:
+        """The panels whose turn it is: one at most, so that no frame pays for all of them."""
         now = time.monotonic()
-        if now >= self._panel_due:
-            self._panel_due = now + _PANEL_PERIOD
+        turn = min(self._turns, key=lambda one: one.due)
+        if now >= turn.due:
+            turn.due = now + turn.period
+            turn.show(view, scene)
+
+    def _all_turns(self) -> tuple[_Turn, ...]:
+        def run(view: View, scene: BrowserScene) -> None:
             self._run.show(view)
-            self._methods.show(view)
-            self._goals.show(view)
             self._figure.show(view)
-            self._measured.draw(view, scene.robot)
-        if now >= self._table_due:
-            self._table_due = now + _TABLE_PERIOD
+
+        def tables(view: View, scene: BrowserScene) -> None:
             self._measured.show(view)
             self._arm.show(view)
             scene.name_instances(view)
+
+        return (
+            _Turn(_PANEL_PERIOD, run),
+            _Turn(_PANEL_PERIOD, lambda view, scene: self._methods.show(view)),
+            _Turn(_PANEL_PERIOD, lambda view, scene: self._goals.show(view)),
+            _Turn(_PANEL_PERIOD, lambda view, scene: self._measured.draw(view, scene.robot)),
+            _Turn(_TABLE_PERIOD, tables),
+        )
+
+
+@dataclass
+class _Turn:
+    """Something on the page that is renewed every ``period`` seconds, next when the clock is at ``due``."""
+
+    period: float
+    show: Callable[[View, BrowserScene], None]
+    due: float = 0.0
 
 
 class _CameraThread:

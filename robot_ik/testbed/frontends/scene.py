@@ -15,6 +15,7 @@ import trimesh
 import viser
 from mjviser import conversions
 from numpy.typing import NDArray
+from viser import _messages as vm
 
 from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba
 from robot_ik.ports import Array
@@ -120,7 +121,14 @@ class Ghosts:
             for k, (xpos, xquat) in enumerate(poses[: self._count]):
                 places[k], quaternions[k] = xpos[body] + offset, xquat[body]
             places[len(poses) :] = _NOWHERE
-            handle.batched_positions, handle.batched_wxyzs = places.copy(), quaternions.copy()
+            assign(handle, batched_positions=places.copy(), batched_wxyzs=quaternions.copy())
+
+
+def assign(handle: Any, **arrays: Floats) -> None:
+    """Assigns several arrays of a node in one message, in which viser would send one message each."""
+    for name, array in arrays.items():
+        setattr(handle._impl.props, name, array)
+    handle._impl.api._queue_scene_message(vm.SceneNodeUpdateMessage(handle._impl.name, dict(arrays)))
 
 
 def _poses(count: int) -> tuple[Floats, Floats]:
@@ -140,11 +148,12 @@ class BrowserScene:
         self._cloud: Any = None
         self._axes: Any = None
         self._trails_shown = True
+        self._drawn = np.full((count, robot.model.nbody, 7), np.nan, np.float32)
         with server.atomic():
             self.root = server.scene.add_frame("/robot", show_axes=False)
             self._add_bodies()
             self._add_ball()
-            self._trails = [self._trail(k) for k in range(count)]
+            self._trails = self._add_trails()
             self._labels = [self._label(k) for k in range(count)]
 
     def _add_bodies(self) -> None:
@@ -161,13 +170,14 @@ class BrowserScene:
             batched_colors=linear(GOAL_COLOUR), lod="off", receive_shadow=False,
         )  # fmt: skip
 
-    def _trail(self, k: int) -> Any:
-        # Of a fixed size: colours are checked against the number of points.
-        empty = np.full((SEGMENTS, 2, 3), _NOWHERE, np.float32)
-        colour = INSTANCE_COLOURS[k]
+    def _add_trails(self) -> Any:
+        # One node for all, and of a fixed size: colours are checked against the number of points.
+        empty = np.full((self.count * SEGMENTS, 2, 3), _NOWHERE, np.float32)
+        colours = np.repeat([linear(colour) for colour in INSTANCE_COLOURS[: self.count]], SEGMENTS, axis=0)
         return self._server.scene.add_line_segments(
-            f"/robot/trail_{k}", empty, colour, thickness=3.0, thickness_units="screen"
-        )
+            "/robot/trails", empty, np.stack([colours, colours], axis=1), thickness=3.0,
+            thickness_units="screen",
+        )  # fmt: skip
 
     def _label(self, k: int) -> Any:
         scene, several = self._server.scene, self.count > 1
@@ -200,8 +210,7 @@ class BrowserScene:
     def show_overlay(self, on: bool) -> None:
         """Trails and labels, or none."""
         self._trails_shown = on
-        for line in self._trails:
-            line.visible = on
+        self._trails.visible = on
         for label in self._labels:
             label.visible = on and self.count > 1
 
@@ -232,22 +241,35 @@ class BrowserScene:
             label.text = f"{k + 1}  {one.method}"
 
     def draw(self, view: View) -> None:
-        """One frame, sent as one piece."""
-        xpos = np.stack([one.xpos for one in view.instances]).astype(np.float32) + self.offsets[:, None]
-        xquat = np.stack([one.xquat for one in view.instances]).astype(np.float32)
+        """One frame, sent as one piece; what has not moved is not sent."""
+        now = np.empty_like(self._drawn)
+        now[:, :, :3] = [one.xpos for one in view.instances]
+        now[:, :, :3] += self.offsets[:, None]
+        now[:, :, 3:] = [one.xquat for one in view.instances]
+        moved = (now != self._drawn).any(axis=(0, 2)).tolist()
+        self._drawn = now
+        xpos, xquat = now[:, :, :3], now[:, :, 3:]
         with self._server.atomic():
             for body, handle in self.bodies:
-                handle.batched_positions = xpos[:, body]
-                handle.batched_wxyzs = xquat[:, body]
+                if moved[body]:
+                    assign(
+                        handle, batched_positions=xpos[:, body].copy(), batched_wxyzs=xquat[:, body].copy()
+                    )
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)
-            for k, one in enumerate(view.instances if self._trails_shown else ()):
-                if len(one.trail) > 2:
-                    points = (one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]).astype(np.float32)
-                    points = np.pad(points, ((0, SEGMENTS + 1 - len(points)), (0, 0)), mode="edge")
-                    self._trails[k].points = np.stack([points[:-1], points[1:]], axis=1)
+            if self._trails_shown and any(moved):
+                self._draw_trails(view)
             self._draw_ghosts(view)
+
+    def _draw_trails(self, view: View) -> None:
+        """Every second place of the tools, the newest first; a short trail ends in segments without length."""
+        points = np.full((self.count, SEGMENTS, 2, 3), _NOWHERE, np.float32)
+        for k, one in enumerate(view.instances):
+            places = one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]
+            if n := max(0, len(places) - 1):
+                points[k, :n, 0], points[k, :n, 1], points[k, n:] = places[:-1], places[1:], places[-1]
+        assign(self._trails, points=points.reshape(-1, 2, 3))
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)
