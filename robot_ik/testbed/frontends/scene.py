@@ -6,18 +6,19 @@ run ahead of them in a slow browser.
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 import viser
-from mjviser import conversions
 from numpy.typing import NDArray
 from viser import _messages as vm
 
-from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.session import View
@@ -42,29 +43,58 @@ _ARM_COLOUR: Colour = (250, 204, 21)
 _GHOST_OPACITY = 0.28
 _CLOUD_POINTS = 4000
 _PLATE_RADIUS = 0.21  # of the extent
+_BALL_FACES = 36  # round it
 _NOWHERE = -1e3  # metres: where what is not shown lies
 _GIZMO = 0.22  # of the extent, times 1.5
 
 
-def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
+@dataclass(frozen=True, eq=False)
+class BodyMesh:
+    """What is drawn of a body, in its frame.
+
+    Attributes:
+        vertices: (v, 3) metres.
+        faces: (f, 3) indices into them, counter-clockwise from outside.
+        glb: The same with normals and colours, or textures, as a glTF file.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.uint32]
+    glb: bytes
+
+
+def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, BodyMesh]]:
     """(body, mesh) with what MuJoCo shows by default; a body is one mesh, but for what has a texture."""
     whole = cached_mesh(model)
     for body in range(model.nbody):
         geoms = bodies_shown(model, body)
-        plain = [
-            g
-            for g in geoms
-            if conversions.get_geom_texture_id(model, g) < 0
-            and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_HFIELD
-        ]
-        others = [g for g in geoms if g not in plain]
-        for part in conversions.group_geoms_by_visual_compat(model, others) if others else ():
-            yield body, conversions.merge_geoms(model, part)
+        plain = [g for g in geoms if not _is_patterned(model, g)]
+        if others := [g for g in geoms if g not in plain]:
+            yield from ((body, mesh) for mesh in _patterned_meshes(model, others))
         if plain:
             yield body, _smooth_mesh(model, whole, plain)
 
 
-def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> trimesh.Trimesh:
+def _is_patterned(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom is a height field, or a mesh that may have a texture on it."""
+    kind, mesh = model.geom_type[geom], model.geom_dataid[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+        return True
+    textured = model.ntex > 0 and model.geom_matid[geom] >= 0
+    return bool(textured and kind == mujoco.mjtGeom.mjGEOM_MESH and model.mesh_texcoordnum[mesh] > 0)
+
+
+def _patterned_meshes(model: mujoco.MjModel, geoms: list[int]) -> Iterator[BodyMesh]:
+    """Geoms by mjviser, one mesh a texture."""
+    from mjviser import conversions  # imports trimesh and SciPy: a third of a page's start
+
+    for part in conversions.group_geoms_by_visual_compat(model, geoms):
+        mesh, file = conversions.merge_geoms(model, part), io.BytesIO()
+        mesh.export(file, file_type="glb")
+        yield BodyMesh(np.float32(mesh.vertices), np.uint32(mesh.faces), file.getvalue())
+
+
+def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> BodyMesh:
     """Geoms in their body's frame: round where they are round, with sharp edges where they have edges.
 
     Not by mjviser, whose capsules have 4000 faces: a browser asks each whether the mouse is over it.
@@ -80,16 +110,61 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> t
     colours = np.repeat((255.0 * np.clip(geom_rgba(model)[owner], 0.0, 1.0))[:, None], 4, axis=1)
     rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
     _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
-    index = number.reshape(-1, 4)
-    faces = np.vstack([index[:, :3], index[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
-    kept = rows[first]
-    return trimesh.Trimesh(
-        kept[:, :3],
-        faces,
-        vertex_normals=kept[:, 3:6],
-        vertex_colors=kept[:, 6:].astype(np.uint8),
-        process=False,
+    faces, kept = _triangles(number.reshape(-1, 4)), rows[first]
+    vertices = np.float32(kept[:, :3])
+    return BodyMesh(vertices, faces, _glb(vertices, np.float32(kept[:, 3:6]), np.uint8(kept[:, 6:]), faces))
+
+
+def _triangles(quads: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
+    """(f, 3) of quads (n, 4), of which those that repeat their last corner are triangles already."""
+    return np.uint32(np.vstack([quads[:, :3], quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]]))
+
+
+_FLOAT, _BYTE, _INDEX = 5126, 5121, 5125  # component types of glTF
+
+
+def _glb(
+    vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]
+) -> bytes:
+    """A mesh with a colour at each vertex as a binary glTF 2.0 file (its specification, 3.6 and 4).
+
+    Args:
+        vertices: (v, 3).
+        normals: (v, 3).
+        colours: (v, 4) RGBA.
+        faces: (f, 3).
+    """
+    bounds = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    columns: tuple[tuple[NDArray[Any], dict[str, Any]], ...] = (
+        (vertices, {"type": "VEC3", "componentType": _FLOAT, **bounds}),
+        (normals, {"type": "VEC3", "componentType": _FLOAT}),
+        (colours, {"type": "VEC4", "componentType": _BYTE, "normalized": True}),
+        (faces.reshape(-1), {"type": "SCALAR", "componentType": _INDEX}),
     )
+    ends = np.cumsum([array.nbytes for array, _ in columns]).tolist()
+    head = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3}]}
+        ],
+        "accessors": [
+            {"bufferView": k, "count": len(array), **about} for k, (array, about) in enumerate(columns)
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": end - array.nbytes, "byteLength": array.nbytes}
+            for end, (array, _) in zip(ends, columns, strict=True)
+        ],
+        "buffers": [{"byteLength": ends[-1]}],
+    }  # fmt: skip
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    data = b"".join(array.tobytes() for array, _ in columns)
+
+    def number(value: int) -> bytes:
+        return value.to_bytes(4, "little")
+
+    body = number(len(text)) + b"JSON" + text + number(len(data)) + b"BIN\0" + data
+    return b"glTF" + number(2) + number(12 + len(body)) + body
 
 
 class Ghosts:
@@ -158,15 +233,15 @@ class BrowserScene:
 
     def _add_bodies(self) -> None:
         for n, (body, mesh) in enumerate(body_meshes(self.robot.model)):
-            handle = self._server.scene.add_batched_meshes_trimesh(
-                f"/robot/{body}_{n}", mesh, *_poses(self.count), lod="off", receive_shadow=True
+            handle = self._server.scene.add_batched_glb(
+                f"/robot/{body}_{n}", mesh.glb, *_poses(self.count), lod="off", receive_shadow=True
             )
             self.bodies.append((body, handle))
 
     def _add_ball(self) -> None:
-        ball = trimesh.creation.icosphere(subdivisions=3, radius=BALL_RADIUS * self.stage.extent)
+        ball = sphere(np.array([BALL_RADIUS * self.stage.extent]), _BALL_FACES)
         self.ball = self._server.scene.add_batched_meshes_simple(
-            "/robot/ball", ball.vertices, ball.faces, *_poses(self.count),
+            "/robot/ball", ball.vertices, _triangles(ball.faces), *_poses(self.count),
             batched_colors=linear(GOAL_COLOUR), lod="off", receive_shadow=False,
         )  # fmt: skip
 
