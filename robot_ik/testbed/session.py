@@ -196,10 +196,10 @@ class Session:
         self.robot: Robot
         self.instances: list[Instance]
         self._stand(load_robot(self.name), self.start.count)
-        self._preparer = _Preparer(setup, self.robot, self._queue.put if beside else self._adopt)
-        if beside:
-            self._preparer.begin()
-        self._preparer.ask(None)
+        done = self._queue.put if beside else self._adopt
+        self._preparer = _Preparer(setup, self.robot, done, beside=beside)
+        if not beside:
+            self._preparer.ask(None)
 
     # --------------------------------------------------------------------------------- from any thread
 
@@ -237,7 +237,11 @@ class Session:
         return self._ready is not None
 
     def tick(self) -> None:
-        """Takes what was asked, moves the ball, solves every instance once."""
+        """Takes what was asked, moves the ball, solves every instance once.
+
+        The first one lets preparing begin: a front end has its first picture before a compiler runs.
+        """
+        self._preparer.begin()
         while not self._queue.empty():
             self._take(self._queue.get())
         if self._ready is None:
@@ -480,16 +484,19 @@ class Session:
 
 
 class _Preparer:
-    """Makes setups ready, one after the other: on a thread once ``begin`` was called, else at once.
+    """Makes setups ready, one after the other.
 
     Args:
         setup: What the session begins with.
         robot: That of the setup.
         done: Called with what came of each.
+        beside: On a thread, from ``begin`` on; else at once.
     """
 
-    def __init__(self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None]) -> None:
-        self._setup, self._robot, self._done = setup, robot, done
+    def __init__(
+        self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None], *, beside: bool
+    ) -> None:
+        self._setup, self._robot, self._done, self._beside = setup, robot, done, beside
         self._ready: Ready | None = None
         self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
@@ -504,17 +511,19 @@ class _Preparer:
         return self._text if self._waiting else ""
 
     def begin(self) -> None:
-        """From now on beside the loop."""
-        self._thread = threading.Thread(target=self._work, name="testbed-preparer", daemon=True)
-        self._thread.start()
+        """What the session begins with, beside the loop; once."""
+        if self._beside and self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="testbed-preparer", daemon=True)
+            self._thread.start()
+            self.ask(None)
 
     def ask(self, command: Command | None) -> None:
         """Prepares what the command asks for; None: what the session begins with."""
         self._count(1)
-        if self._thread is None:
-            self._do(command)
-        else:
+        if self._beside:
             self._jobs.put(command)
+        else:
+            self._do(command)
 
     def close(self) -> None:
         """No more; what is being compiled is not waited for."""

@@ -123,9 +123,7 @@ def _triangles(quads: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
 _FLOAT, _BYTE, _INDEX = 5126, 5121, 5125  # component types of glTF
 
 
-def _glb(
-    vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]
-) -> bytes:
+def _glb(vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]) -> bytes:
     """A mesh with a colour at each vertex as a binary glTF 2.0 file (its specification, 3.6 and 4).
 
     Args:
@@ -338,7 +336,7 @@ class BrowserScene:
             self._draw_ghosts(view)
 
     def _draw_trails(self, view: View) -> None:
-        """Every second place of the tools, the newest first; a short trail ends in segments without length."""
+        """Every second place of the tools, newest first; what is missing has no length."""
         points = np.full((self.count, SEGMENTS, 2, 3), _NOWHERE, np.float32)
         for k, one in enumerate(view.instances):
             places = one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]
