@@ -25,9 +25,12 @@ import numpy as np
 
 from robot_ik.errors import RobotIkError
 from robot_ik.geometry import Pose
+from robot_ik.kernels import jit
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers.base import Solver
+from robot_ik.solvers.levenberg_marquardt import lm_levels
 from robot_ik.testbed.commands import (
     Act,
     Command,
@@ -50,9 +53,11 @@ from robot_ik.testbed.commands import (
     checked_command,
     checked_start,
 )
+from robot_ik.testbed.compiling import Compilers, is_compiled
 from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
 from robot_ik.testbed.setup import (
     ExtraGoal,
+    Goals,
     Ready,
     Setup,
     branches_of,
@@ -501,6 +506,7 @@ class _Preparer:
         self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._waiting = 0
+        self._compilers = Compilers()
         self.can_drag = False
         self._lock = threading.Lock()
         self._text = ""
@@ -527,6 +533,7 @@ class _Preparer:
 
     def close(self) -> None:
         """No more; what is being compiled is not waited for."""
+        self._compilers.close()
         self._jobs.put(_Preparer)
 
     def _work(self) -> None:
@@ -545,7 +552,7 @@ class _Preparer:
                 robot = load_robot(wanted.robot)
             else:
                 robot = self._robot
-            ready = prepare(wanted, robot, self._ready, self._say)
+            ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:
             self._done(_Prepared(command, error=str(error).splitlines()[0]))
         except Exception as error:  # on a thread nobody else would see it, and the page would wait for ever
@@ -558,10 +565,25 @@ class _Preparer:
         finally:
             self._count(-1)
 
+    def _compile(self, setup: Setup, robot: Robot, goals: Goals, solvers: Sequence[Solver]) -> None:
+        """In other processes, what takes long: a compiler here would hold up the page."""
+        if not self._beside:
+            return
+        missing = []
+        for solver in solvers:
+            with contextlib.suppress(RobotIkError):  # it cannot serve these goals: ``prepare`` says why
+                if not is_compiled(robot, goals.all(first_ball(robot), solver), solver):
+                    missing.append(solver)
+        if missing:
+            self._say("starting to compile …")
+            self._compilers.setup(setup, missing, self._say)
+
     def _warm_drag(self, robot: Robot) -> None:
         """After the first answer: nobody has to wait for it who drags nothing."""
         if not self.can_drag:
             self._say("preparing to drag parts …")
+            if self._beside and not jit.compiled(lm_levels):
+                self._compilers.drag(self._setup.robot, self._say)
             with contextlib.suppress(RobotIkError):  # a model of which nothing can be dragged
                 warm_drag(robot)
             self.can_drag = True
