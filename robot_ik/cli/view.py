@@ -131,15 +131,15 @@ def _web_is_there() -> bool:
 
 
 def _view(options: ViewOptions, viewer: str) -> int:
-    from robot_ik.testbed.commands import Start
+    from robot_ik.testbed.commands import Start, checked_start
 
     robot = options.robot or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
+    start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]
     with contextlib.ExitStack() as stack:
         door = None
         if viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue():
             door = stack.enter_context(_open_door(options))  # nothing that is asked for can be wrong
-        start = Start(robot, options.count, options.method, options.seed)  # type: ignore[arg-type]
         if viewer == "recorder":
             return _film(start, options)
         return _run(start, options, viewer, door)
