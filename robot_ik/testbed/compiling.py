@@ -39,6 +39,8 @@ from robot_ik.solvers.base import IterativeSolver, Solver
 from robot_ik.testbed.setup import BUDGET, Setup, prepare, warm_drag
 
 _NICE = 5  # of the processes: the page, and the browser that loads it, come first
+ARGUMENTS = types.int64, types.int64, types.int64, types.float64[::1]
+"""What the loop of a method takes, in numba's words: addresses of tree, goals and work; options."""
 _STEP = ("tree", "goal", "work", "options")  # what the step of a method takes, if it needs no more
 
 
@@ -65,7 +67,7 @@ class Compilers:
             say: Called with what is going on, in words.
         """
         names = list(dict.fromkeys(solver.name for solver in missing))
-        steps = [name for name in reversed(names) if _step_of(name) is not None]
+        steps = [name for name in reversed(names) if step_of(name) is not None]
         if steps and (os.cpu_count() or 1) > 1:  # from the other end: they meet in the middle
             self._start("steps", *steps)
         # What a figure can do is found once, and by the session, which says how far that has come.
@@ -80,10 +82,15 @@ class Compilers:
         """Ends them, and starts no more."""
         with self._lock:
             self._over = True
-            for process in self._running:
-                process.kill()
-                process.wait()
-            self._running = []
+            self._end()
+
+    def _end(self) -> None:
+        for process in self._running:
+            process.kill()
+            process.wait()
+            assert process.stdout is not None
+            process.stdout.close()
+        self._running = []
 
     def _start(self, *arguments: str, given: bytes = b"") -> subprocess.Popen[bytes] | None:
         with self._lock, contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
@@ -106,10 +113,7 @@ class Compilers:
             for count, _ in enumerate(process.stdout, start=1):
                 say(f"compiling {what}, once on this machine: {count} functions so far …")
         with self._lock:
-            for other in self._running:
-                other.kill()
-                other.wait()
-            self._running = []
+            self._end()
 
 
 # ---------------------------------------------------------------------------------------- the processes
@@ -130,7 +134,7 @@ class _Reporter(event.Listener):  # type: ignore[misc]
             print(event.data["dispatcher"].py_func.__name__, file=self._out, flush=True)
 
 
-def _step_of(name: str) -> Any:
+def step_of(name: str) -> Any:
     """The compiled step of a method; None where it is none by itself."""
     module = sys.modules[SOLVERS[name].__module__]
     for found in vars(module).values():
@@ -144,12 +148,12 @@ def _step_of(name: str) -> Any:
 
 def compile_step(name: str) -> None:
     """Compiles the step of a method, and with it what lies below: its loop finds that in the cache."""
-    step, open_options = _step_of(name), vars(sys.modules[SOLVERS[name].__module__])["open_options"]
+    step, open_options = step_of(name), vars(sys.modules[SOLVERS[name].__module__])["open_options"]
 
     def take(tree: Any, goal: Any, work: Any, options: Any) -> None:
         step(open_tree(tree), open_goals(goal), open_work(work), open_options(options))
 
-    jit.outlined(take).compile((types.intp, types.intp, types.intp, types.float64[::1]))  # type: ignore[attr-defined]
+    jit.outlined(take).compile(ARGUMENTS)  # type: ignore[attr-defined]
 
 
 def main(arguments: Sequence[str]) -> None:

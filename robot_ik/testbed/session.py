@@ -462,7 +462,7 @@ class Session:
         self.robot = robot
         self.instances = [Instance(robot, None, self.start.rate) for _ in range(count)]
         self._ball = first_ball(robot)
-        self._branches = ()
+        self._branches, self._scratch = (), mujoco.MjData(robot.model)
 
     def _begin_random(self) -> None:
         self._random = RandomSource(self.robot, seed=self.start.seed, period=_RANDOM_PERIOD)
@@ -476,7 +476,7 @@ class Session:
             self._branches = ()
             self._say(str(error).splitlines()[0])
             return
-        data = mujoco.MjData(ready.robot.model)
+        data = self._scratch
         for branch in branches:
             data.qpos[:] = ready.robot.qpos(branch.q)
             mujoco.mj_kinematics(ready.robot.model, data)
@@ -509,7 +509,7 @@ class _Preparer:
         self._compilers = Compilers()
         self.can_drag = False
         self._lock = threading.Lock()
-        self._text = ""
+        self._text = "preparing …"
 
     @property
     def doing(self) -> str:
