@@ -110,8 +110,9 @@ class Compilers:
         """Waits for a process and says how far it is; then the others are not needed either."""
         if process is not None:
             assert process.stdout is not None
-            for count, _ in enumerate(process.stdout, start=1):
-                say(f"compiling {what}, once on this machine: {count} functions so far …")
+            with contextlib.suppress(ValueError):  # closed meanwhile: the session is over
+                for count, _ in enumerate(process.stdout, start=1):
+                    say(f"compiling {what}, once on this machine: {count} functions so far …")
         with self._lock:
             self._end()
 

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.bench.page import PageClient
-from robot_ik.testbed.commands import Command, Start
+from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session
 
@@ -92,3 +92,16 @@ def test_every_key_leads_to_a_command_or_changes_the_page(stage: tuple[Page, Pag
         if not effect(page, client, sent, {"type": "CommandTriggerMessage", "uuid": uuid})
     ]
     assert len(handles) > 10 and dead == []
+
+
+def test_a_model_is_loaded_by_its_path(stage: tuple[Page, PageClient, Sent]) -> None:
+    page, client, sent = stage
+    inputs = page.server.gui._gui_input_handle_from_uuid
+    uuid_of = {getattr(handle, "label", ""): uuid for uuid, handle in inputs.items()}
+    for name, value in (("Path", " arms/mine.xml "), ("Load", True)):
+        client._send({"type": "GuiUpdateMessage", "uuid": uuid_of[name], "updates": {"value": value}})
+    assert sent.get(timeout=5.0) == SetRobot("arms/mine.xml")
+    with Session(Start(), beside=False) as session:
+        session.send(SetRobot("arms/mine.xml"))
+        session.tick()
+        assert session.view().message == "there is no file arms/mine.xml"
