@@ -98,7 +98,7 @@ class Calibration:
         Raises:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
-        found = read_table(_File, path, "the calibration")
+        found = read_table(_CalibrationFile, path, "the calibration")
         joints, twins = (
             tuple(JointCalibration(**row.model_dump()) for row in rows)
             for rows in (found.joints, found.twins)
@@ -114,7 +114,7 @@ def calibration_beside(arm_file: Path) -> Path:
 _Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
 
 
-class _Joint(Table):
+class _CalibratedJoint(Table):
     name: str
     id: Annotated[int, Field(ge=0, le=252)]
     model: str
@@ -130,7 +130,7 @@ class _Joint(Table):
     present_at_save: _Ticks
 
     @model_validator(mode="after")
-    def _some_range(self) -> _Joint:
+    def _some_range(self) -> _CalibratedJoint:
         if self.range_min >= self.range_max:
             raise WrongKey(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
         return self
@@ -140,14 +140,14 @@ class _Bus(Table):
     baud: int
 
 
-class _File(Table):
+class _CalibrationFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     arm: str
     robot: str
     created: str
     bus: _Bus
-    joints: Annotated[Several[_Joint], Field(min_length=1)]
-    twins: Several[_Joint] = ()
+    joints: Annotated[Several[_CalibratedJoint], Field(min_length=1)]
+    twins: Several[_CalibratedJoint] = ()
 
 
 def as_plain(calibration: Calibration) -> dict[str, Any]:

@@ -108,7 +108,7 @@ PHASES = 4
 """Lengths in turn: an answer is known to be late unless it comes just so many questions after its own."""
 
 
-class _Plan(NamedTuple):
+class _ReadPlan(NamedTuple):
     """A question to many servos: in words, as bytes, and what comes back."""
 
     asks: str
@@ -152,7 +152,7 @@ class GroupTraffic:
         self._wire = wire
         self._counters: Counters = wire.counters
         self._retries = retries
-        self._plans: dict[tuple[object, ...], _Plan] = {}
+        self._plans: dict[tuple[object, ...], _ReadPlan] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -248,7 +248,7 @@ class GroupTraffic:
             found.update((id, BusStatus(id, None)) for id in missing)
         return {id: found[id] for id in registers}  # they may have answered in another order
 
-    def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _Plan:
+    def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _ReadPlan:
         fast = not plain and len(registers) > 1 and self.fast and self.fast_ids.issuperset(registers)
         rows = tuple(registers.values())
         key = (fast, *registers, *map(identity, rows))
@@ -260,16 +260,16 @@ class GroupTraffic:
             if len(self._plans) > 1000:  # questions about changing sets of servos
                 self._plans.clear()
             request = read_request(registers, fast=fast)
-            plan = _Plan(_question(registers), request, back, fast, sizes, rows)
+            plan = _ReadPlan(_question(registers), request, back, fast, sizes, rows)
             self._plans[key] = plan
         return plan
 
-    def _patience(self, plan: _Plan, port: QuietPortHandler) -> float:
+    def _patience(self, plan: _ReadPlan, port: QuietPortHandler) -> float:
         """s from sending the question to giving up the answers."""
         wait = self._times.patience(self._wire.answer_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
-    def _once(self, port: QuietPortHandler, plan: _Plan, before: bytes, wanted: _Wanted) -> None:
+    def _once(self, port: QuietPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
         """One request and the answers to it; puts the usable ones into ``wanted.found``."""
         port.clear()
         port.send(before + plan.request)
@@ -301,7 +301,7 @@ class GroupTraffic:
         if plan.fast:
             self._judge_fast(failed=bool(waiting))
 
-    def _take_whole(self, data: bytes, plan: _Plan, wanted: _Wanted) -> bool:
+    def _take_whole(self, data: bytes, plan: _ReadPlan, wanted: _Wanted) -> bool:
         """Takes the answers of a fast read where nothing is wrong with any of them; else takes nothing."""
         registers, asked, found = wanted
         if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:

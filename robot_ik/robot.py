@@ -248,8 +248,11 @@ class Robot:
         return np.asarray(whole[places])
 
     def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
-        """Good until this thread asks again."""
-        data = _scratch_data(self.model)
+        """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
+        own = self.memory.setdefault("kinematics", threading.local())
+        data = getattr(own, "data", None)
+        if data is None:
+            data = own.data = mujoco.MjData(self.model)
         data.qpos[:] = self.qpos(q)
         mujoco.mj_kinematics(self.model, data)
         return data
@@ -347,22 +350,6 @@ class Robot:
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
         return qpos_addresses(self.model, self.tree)
-
-
-_SCRATCH = threading.local()
-
-
-def _scratch_data(model: mujoco.MjModel) -> mujoco.MjData:
-    """A ``MjData`` of each thread, kept while it asks about the same model.
-
-    One takes 14 MB.  Made anew for each question they leave holes in memory: a program that asks all day
-    grows by some 100 MB.
-    """
-    kept = getattr(_SCRATCH, "kept", None)
-    if kept is None or kept[0] is not model:
-        kept = _SCRATCH.kept = model, mujoco.MjData(model)
-    data: mujoco.MjData = kept[1]
-    return data
 
 
 def load_robot(

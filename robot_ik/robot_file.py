@@ -114,7 +114,7 @@ class FigureParts(Table):
     bend: str | None = None
 
 
-class _Motion(Table):
+class _MotionTable(Table):
     velocity_deg: Several[float] | None = None
     acceleration_deg: Several[float] | None = None
 
@@ -131,7 +131,7 @@ class _Provenance(Table):
     sources: Several[str] = ()
 
 
-class _File(Table):
+class _RobotTable(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     title: str
     model: str
@@ -140,7 +140,7 @@ class _File(Table):
     home: str | Several[float] | None = None
     tools: dict[str, Tool] = Field(default={})
     groups: dict[str, Several[str]] = Field(default={})
-    motion: _Motion = _Motion()
+    motion: _MotionTable = _MotionTable()
     speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
     figure: FigureParts | None = None
     stiffness: dict[str, _Positive] = Field(default={})
@@ -196,7 +196,7 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     Raises:
         ConfigError: With file, key and what is allowed.
     """
-    parsed = read_table(_File, path, "robot.toml")
+    parsed = read_table(_RobotTable, path, "robot.toml")
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(
         name=path.parent.name,

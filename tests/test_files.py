@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import json
+import os
 import re
 import shutil
 import sys
@@ -288,10 +289,13 @@ NOT_PEOPLE_S = {
 }
 
 
-def _sources() -> Iterator[tuple[str, ast.Module]]:
-    for top, prefix in ((ROOT, "robot_ik"), (HARDWARE, "hardware")):
-        for file in sorted(top.rglob("*.py")):
-            yield f"{prefix}/{file.relative_to(top).as_posix()}", ast.parse(file.read_text(encoding="utf-8"))
+@cache
+def _sources() -> list[tuple[str, ast.Module]]:
+    return [
+        (f"{prefix}/{file.relative_to(top).as_posix()}", ast.parse(file.read_text(encoding="utf-8")))
+        for top, prefix in ((ROOT, "robot_ik"), (HARDWARE, "hardware"))
+        for file in sorted(top.rglob("*.py"))
+    ]
 
 
 def _calls(tree: ast.AST) -> Iterator[tuple[str, str]]:
@@ -397,7 +401,9 @@ def _file_text(content: dict[str, Any], language: str) -> str:
     return _dump(content, language)
 
 
+@cache
 def _content(text: str, language: str) -> Any:
+    """What a file of that language says; shared: ``_changed`` copies."""
     if language == "yaml":
         return {
             "image_width": 640, "image_height": 480, "camera_name": "c", "distortion_model": "plumb_bob",
@@ -458,7 +464,12 @@ def _survives(row: Row, folder: Path, text: str | bytes) -> RobotIkError | None:
     return None
 
 
-COMMON = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+COMMON = settings(
+    max_examples=100
+    if os.environ.get("ROBOT_IK_EXAMPLES") == "explore"
+    else 15,  # for each row
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 
 
 @pytest.mark.parametrize("name", TREES)

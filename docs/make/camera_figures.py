@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera import Figure
+from robot_ik.bench.camera import Quantity
 from robot_ik.bench.camera.accuracy import remedy_errors
 from robot_ik.bench.camera.arm import compare_filters
 from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
@@ -59,9 +59,9 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
     }
 
 
-def figures(row: Data) -> list[Figure]:
+def figures(row: Data) -> list[Quantity]:
     """Of a row of the data."""
-    return [Figure(**{k: v for k, v in facts.items() if k != "passed"}) for facts in row["figures"]]
+    return [Quantity(**{k: v for k, v in facts.items() if k != "passed"}) for facts in row["figures"]]
 
 
 def camera(data: Data, others: Data) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import Figure, Frames, Rows
+from robot_ik.figure.figure import Figure, FrameRows, Frames
 from robot_ik.figure.gait import Walk
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Peer:
 
 
 @dataclass(frozen=True, eq=False)
-class Goals:
+class FrameGoals:
     """(n, …) goals of the frames (n, nq) of a walk."""
 
     q: Array
@@ -65,21 +65,21 @@ class Goals:
     look: Array
 
 
-def goals_of(figure: Figure, walk: Walk) -> Goals:
+def goals_of(figure: Figure, walk: Walk) -> FrameGoals:
     """Read off the frames of a walk."""
     q = walk.frames.q
     assert figure.gaze is not None
     eyes, turn = figure.poses(q, figure.gaze)
-    return Goals(
+    return FrameGoals(
         q, {foot.frame: figure.poses(q, foot.frame) for foot in figure.feet.values()},
         np.array([figure.center(row) for row in q]), figure.poses(q, figure.pelvis),
         figure.poses(q, figure.trunk)[1], eyes + _AHEAD * turn[:, :, 0],
     )  # fmt: skip
 
 
-def by_figure(figure: Figure, goals: Goals) -> Peer:
+def by_figure(figure: Figure, goals: FrameGoals) -> Peer:
     """The figure's solver: feet and centre of mass are needed, the rest is weighed."""
-    rows = Rows(figure, len(goals.q))
+    rows = FrameRows(figure, len(goals.q))
     for frame, (place, turn) in goals.feet.items():
         rows.position(frame, place)
         rows.turned(frame, turn)
@@ -106,7 +106,7 @@ def has_mink() -> bool:
     return all(importlib.util.find_spec(name) is not None for name in ("mink", SOLVER))
 
 
-def by_mink(figure: Figure, goals: Goals) -> Peer:
+def by_mink(figure: Figure, goals: FrameGoals) -> Peer:
     """mink's tasks with the same goals."""
     mink: Any = importlib.import_module("mink")
     tasks, aims = _tasks(mink, figure, goals)
@@ -128,7 +128,7 @@ def by_mink(figure: Figure, goals: Goals) -> Peer:
     return Peer(seconds, _worst(figure, goals, q), steps / len(q))
 
 
-def _tasks(mink: Any, figure: Figure, goals: Goals) -> tuple[list[Any], list[Any]]:
+def _tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], list[Any]]:
     """Tasks, the needed ones first, and the targets of each, frame by frame."""
     free = np.zeros(3)
 
@@ -156,7 +156,7 @@ def _tasks(mink: Any, figure: Figure, goals: Goals) -> tuple[list[Any], list[Any
     return [task for task, _ in pairs], [targets for _, targets in pairs]
 
 
-def _worst(figure: Figure, goals: Goals, q: Array) -> float:
+def _worst(figure: Figure, goals: FrameGoals, q: Array) -> float:
     """Largest miss of feet and centre of mass, by MuJoCo."""
     worst = 0.0
     for frame, (place, turn) in goals.feet.items():

@@ -274,7 +274,7 @@ class PlacedObservation:
     place: Array | None = None
 
 
-class Choice:
+class FlatMarkerChoice:
     """Chooses between the two poses that a flat marker allows.
 
     Args:
@@ -415,7 +415,7 @@ class MarkerGoalSource:
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
         self.made, self.used = DelayMeter(), DelayMeter()
-        self._choice = Choice(pose_marker_tool, normal)
+        self._choice = FlatMarkerChoice(pose_marker_tool, normal)
         self._filter, self._each_alone = MotionFilter(motion), motion is None
         self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()

@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners, unrefined
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.pose_fit import Branches, CornerData, Fit, fit_pose, square_branches, with_mirror_image
+from robot_ik.camera.pose_fit import (
+    Branches,
+    CornerData,
+    FittedPose,
+    fit_pose,
+    square_branches,
+    with_mirror_image,
+)
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
@@ -295,7 +302,7 @@ def _consensus(data: CornerData, starts: list[Pose]) -> tuple[list[int], Pose]:
     return used, pose
 
 
-def _agreeing(fit: Fit) -> list[int]:
+def _agreeing(fit: FittedPose) -> list[int]:
     """Markers whose corners are where the pose puts them; at least the best one."""
     # Measured against the others too: print and lens are never as good as the picture.
     limit = max(_OUTLIER_PIXELS, 3.0 * float(np.median(fit.pixels)))

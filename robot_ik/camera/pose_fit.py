@@ -229,7 +229,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class FittedPose:
     """How well a pose fits.
 
     Attributes:
@@ -308,10 +308,10 @@ class CornerData:
         z = np.where(p[:, 2:] > 1e-6, p[:, 2:], 1e-6)
         return np.asarray(p[:, :2] / z - self.normalized)
 
-    def fit(self, pose: Pose) -> Fit:
+    def fit(self, pose: Pose) -> FittedPose:
         """How well ``pose`` fits."""
         m, b, _ = self.blocks.shape
-        result = Fit(np.empty(m * b), np.empty((m * b, 6)), np.empty(m), np.empty(m))
+        result = FittedPose(np.empty(m * b), np.empty((m * b, 6)), np.empty(m), np.empty(m))
         evaluate(
             self.points, self.normalized, self.to_pixels, self.blocks, pose_row(pose),
             result.residual, result.jacobian, result.pixels, result.costs,
@@ -407,7 +407,7 @@ class Branches:
         return float(np.sqrt((self.costs[0] + self.expected) / (self.costs[1] + self.expected)))
 
     @cached_property
-    def fits(self) -> tuple[Fit, ...]:
+    def fits(self) -> tuple[FittedPose, ...]:
         """How well each pose fits."""
         return tuple(self.data.fit(pose) for pose in self.poses)
 

@@ -57,7 +57,7 @@ _FORGET_S, _USUAL_S = 0.5, 1.0 / 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class BranchChoice:
     """Which branch, and how sure.
 
     Attributes:
@@ -79,7 +79,7 @@ class BranchMemory:
     _chosen: int = 0
     _time: float = float("nan")
 
-    def choose(self, branches: Branches, time: float) -> Choice:
+    def choose(self, branches: Branches, time: float) -> BranchChoice:
         """Takes in one picture.
 
         Args:
@@ -109,7 +109,7 @@ class BranchMemory:
         odds = [value - max(odds) for value in odds]
         self._poses, self._odds, self._spread = branches.poses, odds, spread
         self._chosen, self._time = index, time
-        return Choice(index, self._ambiguity(branches, alone, odds, index, scale))
+        return BranchChoice(index, self._ambiguity(branches, alone, odds, index, scale))
 
     @staticmethod
     def _stay(odds: list[float], plausible: list[float]) -> int:
@@ -264,11 +264,11 @@ class MarkerTracker:
 
     def _choose(
         self, who: int | frozenset[int], branches: Branches, time: float, *, certain: bool = True
-    ) -> Choice:
+    ) -> BranchChoice:
         """The branch to believe in: what this picture says, or with a memory what the last ones say."""
         if not (self._use_memory and certain):
             self._memories.pop(who, None)
-            return Choice(0, branches.ambiguity)
+            return BranchChoice(0, branches.ambiguity)
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
     def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:

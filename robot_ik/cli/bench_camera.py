@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.bench.camera import ROWS, Effort, Figure, Row
+from robot_ik.bench.camera import ROWS, Effort, Quantity, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
@@ -67,7 +67,7 @@ class MeasuredRows:
         complete: Whether the run came to its end.
     """
 
-    figures: dict[str, list[Figure]] = field(default_factory=dict)
+    figures: dict[str, list[Quantity]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     unmeasured: dict[str, str] = field(default_factory=dict)
     complete: bool = False
@@ -177,20 +177,20 @@ def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
     )
 
 
-def measured(one: Figure) -> str:
+def measured(one: Quantity) -> str:
     """A value with its unit: whole numbers as they are, others with three figures."""
     value = f"{one.value:.0f}" if not one.unit and one.value == round(one.value) else f"{one.value:.3g}"
     return f"{value} {one.unit}".strip()
 
 
-def wanted(one: Figure) -> str:
+def wanted(one: Quantity) -> str:
     """The bound with its sign and unit; empty where there is none."""
     if one.wanted is None:
         return ""
     return f"{'≥' if one.at_least else '≤'} {one.wanted:g} {one.unit}".strip()
 
 
-def _verdict(one: Figure) -> Text:
+def _verdict(one: Quantity) -> Text:
     if one.passed is None:
         return Text("")
     return Text("pass", style="green") if one.passed else Text("FAIL", style="bold red")

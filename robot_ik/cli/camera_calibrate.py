@@ -90,7 +90,7 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
     wanted = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
-    gatherer, shelf = ViewGatherer(wanted.pattern()), _Shelf(options)
+    gatherer, shelf = ViewGatherer(wanted.pattern()), _ViewShelf(options)
     with _kept_on_interrupt(gatherer, shelf):
         for text in options.sources:
             _gather(text, gatherer, shelf, options)
@@ -113,7 +113,7 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     return console.DONE
 
 
-class _Shelf:
+class _ViewShelf:
     """Where the views of live cameras are kept as pictures, so that nothing that was shown is lost."""
 
     def __init__(self, options: CameraCalibrateOptions) -> None:
@@ -155,7 +155,7 @@ class _Shelf:
 
 
 @contextlib.contextmanager
-def _kept_on_interrupt(gatherer: ViewGatherer, shelf: _Shelf) -> Iterator[None]:
+def _kept_on_interrupt(gatherer: ViewGatherer, shelf: _ViewShelf) -> Iterator[None]:
     """Neither Ctrl-C nor a camera that goes away loses the views so far."""
     from robot_ik.errors import FrameTimeoutError
 
@@ -172,7 +172,7 @@ def _kept_on_interrupt(gatherer: ViewGatherer, shelf: _Shelf) -> Iterator[None]:
     console.say(f"{why}; {len(gatherer.views)} views are kept{where}", "yellow")
 
 
-def _gather(text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCalibrateOptions) -> None:
+def _gather(text: str, gatherer: ViewGatherer, shelf: _ViewShelf, options: CameraCalibrateOptions) -> None:
     from robot_ik.camera.sources import FolderSource, ImageSource, open_source
     from robot_ik.errors import CameraNotFoundError
 
@@ -192,7 +192,7 @@ def _gather(text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCal
 
 
 def _gather_moving(
-    source: FrameSource, text: str, gatherer: ViewGatherer, shelf: _Shelf, options: CameraCalibrateOptions
+    source: FrameSource, text: str, gatherer: ViewGatherer, shelf: _ViewShelf, options: CameraCalibrateOptions
 ) -> None:
     from robot_ik.camera.boards.patterns import describe
     from robot_ik.camera.calibration.views import missing_words

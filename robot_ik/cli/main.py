@@ -21,7 +21,7 @@ from robot_ik.errors import OutputError, close_matches, unknown_name_text
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandRow:
     """One row of ``COMMANDS``.
 
     Attributes:
@@ -38,17 +38,17 @@ class Command:
     about: str
     run: str = "run"
     mujoco: bool = True
-    subcommands: Mapping[str, Command] = field(default_factory=dict)
+    subcommands: Mapping[str, CommandRow] = field(default_factory=dict)
 
 
-def _servo(module: str, name: str, about: str) -> Command:
+def _servo(module: str, name: str, about: str) -> CommandRow:
     """``run_reset_fault(options: ResetFaultOptions)`` for ``reset-fault``, and so on."""
     options = "".join(word.title() for word in name.split("-")) + "Options"
-    return Command(module, options, about, "run_" + name.replace("-", "_"), mujoco=False)
+    return CommandRow(module, options, about, "run_" + name.replace("-", "_"), mujoco=False)
 
 
-def _camera(module: str, name: str, about: str, run: str = "run") -> Command:
-    return Command(module, f"Camera{name.title()}Options", about, run, mujoco=False)
+def _camera(module: str, name: str, about: str, run: str = "run") -> CommandRow:
+    return CommandRow(module, f"Camera{name.title()}Options", about, run, mujoco=False)
 
 
 _SERVO = {
@@ -94,7 +94,7 @@ _CAMERA = {
 }
 
 _POSES = {
-    word: Command("robot_ik.cli.key_poses", f"Poses{word.title()}Options", about, f"run_{word}")
+    word: CommandRow("robot_ik.cli.key_poses", f"Poses{word.title()}Options", about, f"run_{word}")
     for word, about in {
         "list": "the poses and motions of a file",
         "record": "a pose into a file: from joints, from a recorded frame, by reaching",
@@ -104,87 +104,89 @@ _POSES = {
     }.items()
 }
 
-COMMANDS: dict[str, Command] = {
-    "view": Command(
+COMMANDS: dict[str, CommandRow] = {
+    "view": CommandRow(
         "robot_ik.cli.view", "ViewOptions", "the interactive testbed, in the browser or in MuJoCo's window"
     ),
-    "reach": Command(
+    "reach": CommandRow(
         "robot_ik.cli.reach",
         "ReachOptions",
         "see a marker, reach it, and let a camera judge: the whole product",
     ),
-    "solve": Command("robot_ik.cli.solve", "SolveOptions", "a goal in, joint angles out (JSON on stdout)"),
-    "robots": Command(
+    "solve": CommandRow("robot_ik.cli.solve", "SolveOptions", "a goal in, joint angles out (JSON on stdout)"),
+    "robots": CommandRow(
         "robot_ik.cli.listing", "RobotsOptions", "the robots that come along, or one in detail", "run_robots"
     ),
-    "solvers": Command(
+    "solvers": CommandRow(
         "robot_ik.cli.listing", "SolversOptions", "the methods and their options", "run_solvers"
     ),
-    "experiments": Command(
+    "experiments": CommandRow(
         "robot_ik.cli.experiments",
         "ExperimentsOptions",
         "repeat the experiments of the theses: a00 or s12",
     ),
-    "bench": Command(
+    "bench": CommandRow(
         "robot_ik.cli.bench",
         "BenchOptions",
         "methods on seeded problems: success, time, plots",
         subcommands={
-            "camera": Command(
+            "camera": CommandRow(
                 "robot_ik.cli.bench_camera",
                 "BenchCameraOptions",
                 "the camera instead of the methods: errors on pictures whose truth is known",
                 "run_camera",
             ),
-            "figure": Command(
+            "figure": CommandRow(
                 "robot_ik.cli.bench_figure",
                 "BenchFigureOptions",
                 "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo",
             ),
-            "page": Command(
+            "page": CommandRow(
                 "robot_ik.cli.bench_page",
                 "BenchPageOptions",
                 "the testbed's page instead of the methods: its loop, its drawing, its start",
             ),
         },
     ),
-    "run": Command(
+    "run": CommandRow(
         "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
     ),
-    "poses": Command("", "", "key poses and motions: record, list, play, export, import", subcommands=_POSES),
-    "sim-bus": Command(
+    "poses": CommandRow(
+        "", "", "key poses and motions: record, list, play, export, import", subcommands=_POSES
+    ),
+    "sim-bus": CommandRow(
         "robot_ik.cli.sim_bus",
         "SimBusOptions",
         "serve simulated servos on a port that any client can open",
         mujoco=False,
     ),
-    "servo": Command(
+    "servo": CommandRow(
         "", "", "servos by hand: find, set up, calibrate, watch, move, record, save", subcommands=_SERVO
     ),
-    "teleop": Command(
+    "teleop": CommandRow(
         "robot_ik.cli.teleop", "TeleopOptions", "lead an arm by another one, or by the keys of this terminal"
     ),
-    "stop": Command(
+    "stop": CommandRow(
         "robot_ik.cli.stop",
         "StopOptions",
         "make an arm that another program drives stop and hold",
         mujoco=False,
     ),
-    "ar": Command(
+    "ar": CommandRow(
         "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, on a printed board"
     ),
-    "figure": Command(
+    "figure": CommandRow(
         "robot_ik.cli.figure",
         "FigureOptions",
         "a humanoid sees a ball, decides, and reaches, bends, jumps or walks",
     ),
-    "camera": Command(
+    "camera": CommandRow(
         "", "", "the camera by hand: find, print markers, calibrate, detect, locate", subcommands=_CAMERA
     ),
-    "video": Command(
+    "video": CommandRow(
         "robot_ik.cli.video", "VideoOptions", "a film of the testbed without a screen, from its command log"
     ),
-    "doctor": Command(
+    "doctor": CommandRow(
         "robot_ik.cli.doctor",
         "DoctorOptions",
         "what this machine can do, and what to do about the rest",
@@ -193,7 +195,7 @@ COMMANDS: dict[str, Command] = {
 }
 
 
-def find_command(words: Sequence[str]) -> tuple[str, Command, list[str]]:
+def find_command(words: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
     """The row that a command line means, as deep as its words lead.
 
     Args:
@@ -278,11 +280,11 @@ def _dispatch(arguments: list[str], *, debug: bool) -> int:
     return _group(name, command, rest)
 
 
-def _meant_as_subcommand(command: Command, rest: list[str]) -> bool:
+def _meant_as_subcommand(command: CommandRow, rest: list[str]) -> bool:
     return bool(command.subcommands and rest and not rest[0].startswith("-"))
 
 
-def _group(name: str, command: Command, rest: list[str]) -> int:
+def _group(name: str, command: CommandRow, rest: list[str]) -> int:
     """A command that is only the name of its subcommands: its help, or which of them was meant."""
     if any(word in _HELP_FLAGS for word in rest):
         _print_group(name, command)
@@ -299,7 +301,7 @@ def _group(name: str, command: Command, rest: list[str]) -> int:
     return _report_wrong(text, f"robot-ik {name} --help")
 
 
-def _run(name: str, command: Command, arguments: list[str], *, debug: bool) -> int:
+def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
     from robot_ik.cli import console
     from robot_ik.cli.arguments import parse
 
@@ -358,7 +360,7 @@ def _report_wrong(text: str, see: str) -> int:
     return console.WRONG_INPUT
 
 
-def _print_group(name: str, command: Command) -> None:
+def _print_group(name: str, command: CommandRow) -> None:
     from robot_ik.cli import console
 
     screen = console.out()

@@ -18,9 +18,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import GRAVITY, Figure, Rows
+from robot_ik.figure.figure import GRAVITY, Figure, FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
-from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, Pose, best_pose, find_pose
+from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
 from robot_ik.kernels.jit import cache_folder
 from robot_ik.motion.pose_prior import mirrored
 
@@ -132,7 +132,7 @@ class Abilities:
         """(2,) where a ball is highest that a jump reaches: over the shoulder at take-off."""
         return np.asarray(self.raised[arm][0][:2] + np.array([self.ahead, 0.0]))
 
-    def can(self, kind: str, ball: Array, arm: str) -> Pose | None:
+    def can(self, kind: str, ball: Array, arm: str) -> FigurePose | None:
         """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
         found = self.maps[kind, arm]
         if found.surely_out(ball):
@@ -140,7 +140,7 @@ class Abilities:
         pose = best_pose(self.figure, ball, arm, kind, found.nearby(ball), quick=True)
         return None if pose is None or pose.flaw else pose
 
-    def pose(self, kind: str, ball: Array, arm: str) -> Pose:
+    def pose(self, kind: str, ball: Array, arm: str) -> FigurePose:
         """The natural pose at a ball, or the one that comes nearest."""
         return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
 
@@ -232,7 +232,7 @@ def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, aside: float =
     steps = 10
     s = np.minimum(1.0, np.arange(1, steps + 1) / (0.7 * steps))[:, None]
     start = figure.posture({f"{arm}_shoulder_pitch": 2.0, f"{arm}_elbow_pitch": 0.4})
-    rows, center = Rows(figure, steps), figure.center(start)
+    rows, center = FrameRows(figure, steps), figure.center(start)
     hand = figure.pose(start, figure.hands[arm])[0]
     goal = center + np.array([xy[0], xy[1], 1.6 if z is None else z])
     rows.position(figure.hands[arm], hand + (goal - hand) * s, 1e3 * aside, axes="xy")
@@ -381,7 +381,7 @@ def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> t
     return _graded(pose), pose.q
 
 
-def _graded(pose: Pose) -> float:
+def _graded(pose: FigurePose) -> float:
     return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
 
 

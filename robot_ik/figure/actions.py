@@ -18,8 +18,8 @@ from robot_ik.figure.figure import (
     GRAVITY,
     RATE,
     Figure,
+    FrameRows,
     Frames,
-    Rows,
     Slices,
     finished,
     minimum_jerk,
@@ -113,7 +113,7 @@ def _standing(action: str, frames: Frames, center: Array, **more: object) -> Mot
     )  # fmt: skip
 
 
-def _look(figure: Figure, rows: Rows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
+def _look(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
     """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
     if figure.gaze is None:
         return
@@ -171,7 +171,7 @@ def rest_slices(
         s = minimum_jerk(t / duration)
 
         def solve(center: Array) -> Slices[Frames]:
-            rows = Rows(figure, len(t))
+            rows = FrameRows(figure, len(t))
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
             rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
@@ -331,7 +331,7 @@ def take_slices(
         s = minimum_jerk(t / duration)
 
         def solve(center: Array) -> Slices[Frames]:
-            rows = Rows(figure, len(t))
+            rows = FrameRows(figure, len(t))
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
             rows.turned(figure.trunk, _turned(*turns, s), 20.0 if upright else 3.0)
@@ -404,7 +404,7 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     wanted = np.array(
         [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
     )
-    rows = Rows(figure, n)
+    rows = FrameRows(figure, n)
     feet = {s: figure.poses(motion.q[:n], f.frame) for s, f in figure.feet.items()}
     rows.feet({s: p for s, (p, _) in feet.items()}, {s: r for s, (_, r) in feet.items()})
     center = np.array([figure.center(row) for row in motion.q[:n]])

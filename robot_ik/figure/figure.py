@@ -405,7 +405,7 @@ def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, turn: Arr
     return Sole(_PITCHES, height, rolled - rolled[flat], front=ends[1], rear=ends[0])
 
 
-class Rows:
+class FrameRows:
     """What a run of frames shall do: rows of ``kernels.whole_body``, frame by frame."""
 
     def __init__(self, figure: Figure, frames: int) -> None:
@@ -516,11 +516,11 @@ class Rows:
     def prepare(
         self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
         speeds: str | None = "daily", dt: float = 1.0 / RATE,
-    ) -> Prepared:  # fmt: skip
+    ) -> PreparedRows:  # fmt: skip
         """The rows with their tables, for many solves; arguments as those of ``solve``."""
         robot = self.figure.robot
         stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
-        ready = Prepared(
+        ready = PreparedRows(
             robot.tree.handle,
             np.ascontiguousarray(np.stack(self._target, axis=1)),
             np.ascontiguousarray(np.stack(self._weight, axis=1)),
@@ -563,7 +563,7 @@ class Rows:
 
 
 @dataclass(eq=False)
-class Prepared:
+class PreparedRows:
     """Rows with their tables.  All but the tables may change between solves, in place.
 
     Attributes:
@@ -593,7 +593,7 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Frames:
-    """What ``Rows.solve`` found.
+    """What ``FrameRows.solve`` found.
 
     Attributes:
         q: (n, nq).

@@ -30,8 +30,8 @@ from robot_ik.figure.figure import (
     RATE,
     SIDES,
     Figure,
+    FrameRows,
     Frames,
-    Rows,
     Slices,
     finished,
     minimum_jerk,
@@ -493,7 +493,7 @@ def _solve(
     plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, look: Array | None, dt: float
 ) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
-    rows = Rows(figure, len(plan.times))
+    rows = FrameRows(figure, len(plan.times))
     rows.feet(
         {name: plan.place[side] for side, name in enumerate(SIDES)},
         {s: rotation("z", plan.yaw[k]) @ rotation("y", plan.pitch[k]) for k, s in enumerate(SIDES)},

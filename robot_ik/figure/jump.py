@@ -20,8 +20,8 @@ from robot_ik.figure.figure import (
     RATE,
     SIDES,
     Figure,
+    FrameRows,
     Frames,
-    Rows,
     Slices,
     finished,
     minimum_jerk,
@@ -158,7 +158,7 @@ def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
 
 def _ready(figure: Figure) -> Array:
     """Standing with slightly bent knees."""
-    rows = Rows(figure, 12)
+    rows = FrameRows(figure, 12)
     home = figure.home
     poses = {side: figure.pose(home, foot.frame) for side, foot in figure.feet.items()}
     rows.feet({s: p[0] for s, p in poses.items()}, {s: p[1] for s, p in poses.items()})
@@ -302,7 +302,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
     q = figure.home
     raised = {f"{arm}_shoulder_pitch": 2.75, f"{arm}_elbow_pitch": 0.3, f"{arm}_clavicle_roll": 0.5}
     for _ in range(3):
-        rows = Rows(figure, 8)
+        rows = FrameRows(figure, 8)
         hand, goal = figure.pose(q, figure.hands[arm])[0], figure.center(q) + palm
         rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
         rows.turned(figure.trunk, np.eye(3))
@@ -320,7 +320,7 @@ def _frames(
     figure, T = plan.figure, plan.ends
     n = len(t)
     pitch, lift, contact = _feet(plan, t)
-    rows = Rows(figure, n)
+    rows = FrameRows(figure, n)
     sole = figure.feet["left"].sole
     ahead, height = sole.stand(pitch)
     air = contact == AIR

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, Frames, Rows, lowest_points, rotation, shape_points
+from robot_ik.figure.figure import Figure, FrameRows, Frames, lowest_points, rotation, shape_points
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ NEARLY = 0.02
 _FRESH = 6
 
 
-def pinned(figure: Figure, q: Array, rows: Rows) -> None:
+def pinned(figure: Figure, q: Array, rows: FrameRows) -> None:
     """Both feet stay where they are at q."""
     poses = {side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()}
     rows.feet(
@@ -93,7 +93,7 @@ def depth(figure: Figure, ball: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class FigurePose:
     """How a figure would take a ball.
 
     Attributes:
@@ -107,7 +107,7 @@ class Pose:
     flaw: str
 
 
-def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> Pose:
+def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> FigurePose:
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
 
     Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``).
@@ -132,13 +132,13 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
 
 def best_pose(
     figure: Figure, ball: Array, arm: str, kind: str, starts: Array, *, quick: bool = False
-) -> Pose | None:
+) -> FigurePose | None:
     """The first admissible pose by short steps from ``starts`` (n, nq), or the nearest; None without starts.
 
     Starts nearby agree on what is out of reach: ``quick``, a ball that is missed by far is not tried again,
     nor is it told by how much.
     """
-    best: Pose | None = None
+    best: FigurePose | None = None
     for k, start in enumerate(starts):
         pose = _polish(figure, arm, kind)(start, ball, _QUICK if quick else _MOST)
         best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
@@ -147,22 +147,22 @@ def best_pose(
     return best
 
 
-def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: Pose) -> Pose:
+def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: FigurePose) -> FigurePose:
     """The first admissible pose from the natural one and from others, or the nearest of all."""
     polish, natural = _polish(figure, arm, kind), best
 
-    def stretched() -> Iterator[Pose]:
+    def stretched() -> Iterator[FigurePose]:
         yield polish(natural.q, ball)
         for share in (1.0, 0.3) if kind == BEND else (1.0,):
             yield polish(_attempt(figure, ball, arm, kind, upright=0.5, share=share).q, ball)
 
-    def swivelled() -> Iterator[Pose]:
+    def swivelled() -> Iterator[FigurePose]:
         flat = best.flaw.endswith("floor")
         for aside in (0.0,) if flat else (0.7, 1.2):
             pose = _attempt(figure, ball, arm, kind, aside=aside, flat=flat)
             yield polish(pose.q, ball) if pose.flaw and pose.miss < _HOPELESS else pose
 
-    def scattered() -> Iterator[Pose]:
+    def scattered() -> Iterator[FigurePose]:
         rng = np.random.default_rng(0)
         for _ in range(_FRESH):
             yield polish(_scattered(figure, kind, rng), ball)
@@ -201,7 +201,7 @@ class _Polish:
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
         self.figure, self.arm = figure, arm
-        rows = Rows(figure, 1)
+        rows = FrameRows(figure, 1)
         for side, (place, turn) in figure.feet_at_home.items():
             rows.position(figure.feet[side].frame, place, _STAND)
             rows.turned(figure.feet[side].frame, turn, _STAND)
@@ -217,7 +217,7 @@ class _Polish:
         ]
         self.hand = figure.robot.frame(figure.hands[arm])
 
-    def __call__(self, start: Array, ball: Array, patience: int = _MOST) -> Pose:
+    def __call__(self, start: Array, ball: Array, patience: int = _MOST) -> FigurePose:
         """The pose that comes nearest to a ball (3,) from ``start`` (nq,)."""
         ready, center_row = self.ready, 2 * len(self.feet) + 1
         ready.target[0, center_row - 1, :3] = ball
@@ -278,18 +278,18 @@ def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
     return made
 
 
-def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> Pose:
+def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> FigurePose:
     miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-    return Pose(q, miss, flaw_of(figure, q, ball, arm, hard))
+    return FigurePose(q, miss, flaw_of(figure, q, ball, arm, hard))
 
 
 def _attempt(
     figure: Figure, ball: Array, arm: str, kind: str, *, aside: float = 0.0, flat: bool = False,
     upright: float = 30.0, share: float = 1.0,
-) -> Pose:  # fmt: skip
+) -> FigurePose:  # fmt: skip
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
     deep = 0.0 if kind == REACH else share * depth(figure, ball)
-    rows = Rows(figure, _STEPS)
+    rows = FrameRows(figure, _STEPS)
     feet = figure.feet_at_home
     rows.feet({s: pose[0] for s, pose in feet.items()}, {s: pose[1] for s, pose in feet.items()})
     here = figure.center_at_home[:2]

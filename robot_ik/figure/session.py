@@ -4,8 +4,9 @@
     session.send(SetBall((1.5, 0.4, 1.2)))
     frame = session.step()            # 60 times a second
 
-*Active*: it follows the ball while it moves.  *Passive*: ``Start`` freezes the ball and the figure acts; the
-ball stays frozen until passive mode is left or ``Reset`` (Pađen 2011).  ``send`` only queues; ``step`` acts.
+*Active*: it follows the ball while it moves.  *Passive*: ``StartPassive`` freezes the ball and the figure
+acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađen 2011).  ``send`` only queues;
+``step`` acts.
 """
 
 from __future__ import annotations
@@ -63,12 +64,12 @@ class SetMode:
 
 
 @dataclass(frozen=True)
-class Start:
+class StartPassive:
     """Passive mode: freezes the ball where it is, and acts."""
 
 
 @dataclass(frozen=True)
-class Reset:
+class ResetFigure:
     """Back to where the figure began, at rest, without a ball."""
 
 
@@ -88,7 +89,7 @@ class SetObstacles:
     obstacles: tuple[Obstacle, ...]
 
 
-Command = SetBall | SetMode | Start | Reset | Place | SetObstacles
+Command = SetBall | SetMode | StartPassive | ResetFigure | Place | SetObstacles
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +187,7 @@ class FigureSession:
 
     @property
     def ball(self) -> Array | None:
-        """(3,) the ball that counts: in passive mode the frozen one, or none before ``Start``."""
+        """(3,) the ball that counts: in passive mode the frozen one, or none before ``StartPassive``."""
         return self._ball if self.mode == "active" else self._frozen
 
     @property
@@ -260,10 +261,10 @@ class FigureSession:
             case SetMode(mode):
                 if mode != self.mode:
                     self.mode, self._frozen = mode, None
-            case Start():
+            case StartPassive():
                 self._frozen = None if self._ball is None else self._ball.copy()
                 self._served = None
-            case Reset():
+            case ResetFigure():
                 self._reset(self._began)
             case Place(x, y, heading):
                 self._began = (x, y, heading)

@@ -27,7 +27,7 @@ from robot_ik.figure.decide import Box, Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
-from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, Start
+from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
 from robot_ik.files import read_csv, shown, write_atomically
 from robot_ik.jobs.ar.job import (
     ArReport,
@@ -155,7 +155,7 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
         for k in range(int(request.seconds * RATE)):
             session.send(SetBall(moving_ball(request.path, k / RATE, request.seed, request.place)))
             if k == 0 and request.mode == "passive":
-                session.send(Start())
+                session.send(StartPassive())
             yield session.step()
         return
     for ball in request.balls:
@@ -164,7 +164,7 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
             session.send(SetMode("passive"))
         session.send(SetBall(ball))
         if request.mode == "passive":
-            session.send(Start())
+            session.send(StartPassive())
         idle = 0
         for _ in range(int(_LONGEST * RATE)):
             yield session.step()
@@ -203,7 +203,7 @@ class MarkerFigure:
             self._shown = place
             self._session.send(SetBall((float(place[0]), float(place[1]), float(place[2]))))
             if self._session.mode == "passive" and self._session.ball is None:
-                self._session.send(Start())
+                self._session.send(StartPassive())
 
     def until(self, t: float) -> Iterator[FigureFrame]:
         """Frames up to a time, s."""

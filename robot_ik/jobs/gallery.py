@@ -20,7 +20,7 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.photograph import (
     Quality,
     RobotRenderer,
-    View,
+    SyntheticView,
     enlarged,
     lattice,
     softened,
@@ -137,7 +137,7 @@ def photograph(
     lights = Lights(
         lights.lamp, lights.lamp_radius, lights.ceiling, lights.ceiling_radius, lights.window, _STRENGTH
     )
-    view = View(field, camera, lights, Caster(model), _seamless(field, camera, floor))
+    view = SyntheticView(field, camera, lights, Caster(model), _seamless(field, camera, floor))
     view.robot.place(qpos)
     lit = _floor_light(view)
     picture = view.still.ambient + view.still.lamp * lit[..., :1] + view.still.ceiling * lit[..., 1:]
@@ -164,7 +164,7 @@ def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
     return StillPicture(tone * rest, tone * _LAMP_SHARE, tone * _CEILING_SHARE, depth)
 
 
-def _floor_light(view: View) -> NDArray[np.float32]:
+def _floor_light(view: SyntheticView) -> NDArray[np.float32]:
     """Part (h, w, 2) of lamp and ceiling that the robot leaves to the floor."""
     w, h = view.field.intrinsics.size
     stride = _QUALITY.ground_stride

@@ -157,7 +157,7 @@ class KeyPoses:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        content = read_table(_File, file, "the key poses", "robot-ik poses record makes one")
+        content = read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
         book = cls(robot)
         for name, joints in content.poses.items():
             q = _pose_of(robot, joints, file, name)
@@ -175,7 +175,7 @@ class _Motion(Table):
     loop: bool = False
 
 
-class _File(Table):
+class _KeyPosesFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     robot: str = ""
     poses: dict[str, dict[str, float | Several[float]]] = Field(default={})

@@ -14,7 +14,7 @@ import numpy as np
 
 from robot_ik.errors import RobotIkError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.session import FigureSession, Reset, SetBall, Start
+from robot_ik.figure.session import FigureSession, ResetFigure, SetBall, StartPassive
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, Tolerance
 from robot_ik.motion.drag import Drag
@@ -24,7 +24,7 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import DragLink
-from robot_ik.testbed.setup import BUDGET, Goals, gaze_axis, retarget
+from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, retarget
 from robot_ik.testbed.statistics import History, Statistics, Window
 
 TRAIL = 120
@@ -133,7 +133,7 @@ class Instance:
         turned = self.data.xmat[self._body].reshape(3, 3)
         return turned @ self._local.rotation, self.data.xpos[self._body] + turned @ self._local.position
 
-    def solve(self, goals: Goals, ball: Pose) -> None:
+    def solve(self, goals: RobotGoals, ball: Pose) -> None:
         """Goes to what the ball asks for."""
         self._drag = None
         if self.solver is None:
@@ -151,13 +151,13 @@ class Instance:
             return
         self._measure(goals, ball)
 
-    def stand(self, q: Array, doing: str, goals: Goals, ball: Pose) -> None:
+    def stand(self, q: Array, doing: str, goals: RobotGoals, ball: Pose) -> None:
         """Stands at ``q`` (nq,), as a figure that decides by itself does; nothing is solved."""
         self._drag, self._status, self._iterations = None, doing, 0
         self.move_to(q)
         self._measure(goals, ball)
 
-    def drag(self, drag: DragLink, goals: Goals, ball: Pose) -> None:
+    def drag(self, drag: DragLink, goals: RobotGoals, ball: Pose) -> None:
         """Brings a grabbed point to where the mouse is; what the goals keep stays where it is.
 
         Args:
@@ -194,7 +194,7 @@ class Instance:
             self.move_to(solution.q)
         return solution
 
-    def _measure(self, goals: Goals, ball: Pose) -> None:
+    def _measure(self, goals: RobotGoals, ball: Pose) -> None:
         """Miss, trail and histories."""
         rotation, position = self._tool()
         self.miss, self.angle = off(goals, rotation, position, ball)
@@ -209,7 +209,7 @@ class Instance:
         values = np.linalg.svd(self.robot.jacobian(self.q), compute_uv=False)
         self.manipulability = float(np.prod(values[: min(6, self.robot.nv)]))
 
-    def measure_statistics(self, goals: Goals, ball: Pose) -> None:
+    def measure_statistics(self, goals: RobotGoals, ball: Pose) -> None:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
         self._statistics = self._window.statistics()
         self._goals = tuple(
@@ -240,7 +240,7 @@ class Instance:
         )
 
 
-def off(goals: Goals, rotation: Array, position: Array, ball: Pose) -> tuple[float, float]:
+def off(goals: RobotGoals, rotation: Array, position: Array, ball: Pose) -> tuple[float, float]:
     """Metres and radians that the tool is off what the ball asks.
 
     As ``Goal.off``, which costs 50 µs; this 5: it is asked 240 times a second.
@@ -315,11 +315,11 @@ class ActingFigure:
 
     def act(self) -> None:
         """Passive: now, on the ball where it is."""
-        self._session.send(Start())
+        self._session.send(StartPassive())
 
     def reset(self) -> None:
         """Back to where it began, at rest."""
-        self._session.send(Reset())
+        self._session.send(ResetFigure())
 
     def step(self, ball: Array) -> Array:
         """(nq,) of the next frame, with the ball at (3,), metres."""

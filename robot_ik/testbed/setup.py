@@ -71,7 +71,7 @@ _GAZE = "gaze"
 
 
 @dataclass(frozen=True)
-class Choice:
+class MethodChoice:
     """A method and those of its options that are not its own defaults."""
 
     method: str
@@ -118,7 +118,7 @@ class Setup:
 
     robot: str
     count: Count = 1
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[MethodChoice, ...] = ()
     kind: GoalKind | None = None
     extras: tuple[ExtraGoal, ...] | None = None
     limits: bool = True
@@ -128,7 +128,7 @@ class Setup:
     @classmethod
     def of(cls, start: Start) -> Setup:
         """What a session begins with."""
-        return cls(start.robot, start.count, tuple(Choice(method) for method in start.methods))
+        return cls(start.robot, start.count, tuple(MethodChoice(method) for method in start.methods))
 
     def after(self, command: Command) -> Setup:
         """What is solved after a command that rebuilds.
@@ -142,11 +142,11 @@ class Setup:
             case SetCount(count):
                 return replace(self, count=count)
             case SetMethod(k, method):
-                return self._with_choice(k, Choice(method))
+                return self._with_choice(k, MethodChoice(method))
             case SetOption(k, name, value):
                 old = self.choices[k]
                 options = tuple(sorted((dict(old.options) | {name: value}).items()))
-                return self._with_choice(k, Choice(old.method, options))
+                return self._with_choice(k, MethodChoice(old.method, options))
             case SetGoalKind(kind):
                 return replace(self, kind=kind)
             case SetLimits(on):
@@ -159,7 +159,7 @@ class Setup:
                 return replace(self, figure=mode)
         raise TypeError(f"{command!r} rebuilds nothing")
 
-    def _with_choice(self, k: int, choice: Choice) -> Setup:
+    def _with_choice(self, k: int, choice: MethodChoice) -> Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
 
     def _with_extra(self, command: SetExtraGoal) -> Setup:
@@ -181,7 +181,7 @@ class Setup:
         )
 
 
-class Goals:
+class RobotGoals:
     """The goals of one robot, made for each tick from the ball's pose.
 
     Attributes:
@@ -312,7 +312,7 @@ class Ready:
 
     setup: Setup
     robot: Robot
-    goals: Goals
+    goals: RobotGoals
     solvers: tuple[Solver, ...]
     loaded: Robot
     curve: CurveSource
@@ -323,7 +323,7 @@ class Ready:
 def completed(setup: Setup, robot: Robot) -> Setup:
     """The setup with what suits the robot where nothing was chosen."""
     usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
-    choices = setup.choices + tuple(Choice(method) for method in usual[len(setup.choices) :])
+    choices = setup.choices + tuple(MethodChoice(method) for method in usual[len(setup.choices) :])
     return replace(
         setup,
         choices=choices,
@@ -357,7 +357,7 @@ def prepare(
     assert setup.kind is not None and setup.extras is not None
     same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
     used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
-    goals = Goals(used, setup.kind, setup.extras)
+    goals = RobotGoals(used, setup.kind, setup.extras)
     home, refused = first_ball(loaded), []
     solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
     first(setup, used, goals, solvers)
@@ -371,7 +371,7 @@ def prepare(
         curve = before.curve
     else:
         able = [solver for solver, why in zip(solvers, refused, strict=True) if not why]
-        curve = reachable_curve(used, goals, able[0] if able else Choice(_CURVE_METHOD).solver())
+        curve = reachable_curve(used, goals, able[0] if able else MethodChoice(_CURVE_METHOD).solver())
     abilities = None
     if setup.figure != "off":
         kept = before is not None and before.loaded is loaded
@@ -400,7 +400,7 @@ def warm_drag(robot: Robot) -> None:
     Drag(robot, robot.tool).step()
 
 
-def _tried(robot: Robot, goals: Goals, solver: Solver, ball: Pose) -> str:
+def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
     """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
     try:
         _try(robot, goals.all(ball, solver), solver)
@@ -452,7 +452,7 @@ def first_ball(robot: Robot) -> Pose:
     return Pose(values[:3], values[3:] if len(values) == 7 else home.wxyz)
 
 
-def reachable_curve(robot: Robot, goals: Goals, solver: Solver) -> CurveSource:
+def reachable_curve(robot: Robot, goals: RobotGoals, solver: Solver) -> CurveSource:
     """A figure of eight round the first ball, as large as the tool can follow it."""
     ball, extent = first_ball(robot), float(robot.model.stat.extent)
     middle, radius = np.array(ball.position), _CURVE_RADIUS * extent
@@ -468,7 +468,7 @@ def reachable_curve(robot: Robot, goals: Goals, solver: Solver) -> CurveSource:
     return CurveSource(robot.tool, curve.curve)
 
 
-def _follows(robot: Robot, goals: Goals, solver: Solver, curve: CurveSource) -> bool:
+def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource) -> bool:
     """Whether the tool gets to all of a curve, from home on."""
     q, problem = robot.home, None
     for t in np.linspace(0.0, CURVE_PERIOD, _CURVE_STEPS):

@@ -20,7 +20,7 @@ from robot_ik.bench.camera.photographs import (
     photographs,
 )
 from robot_ik.camera.boards.tone import measure_tone
-from robot_ik.camera.calibration.intrinsic import View, calibrate
+from robot_ik.camera.calibration.intrinsic import CalibrationView, calibrate
 from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import read_image
@@ -45,25 +45,27 @@ def test_no_dictionary_has_a_marker_on_a_chessboard() -> None:
 
 
 @pytest.fixture(scope="module")
-def chessboards() -> list[View]:
+def chessboards() -> list[CalibrationView]:
     views = []
     for file in sorted(FOLDER.glob("left*.jpg")):
         gray = gray_of(file.name)
         found = CHESSBOARD.find(gray)
         assert found is not None, file.name
         tone = measure_tone(gray, found.pixels, found.ids, 9, CHESSBOARD.plain)
-        views.append(View(file.name, found, tone))
+        views.append(CalibrationView(file.name, found, tone))
     return views
 
 
-def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[View]) -> None:
+def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[CalibrationView]) -> None:
     theirs = opencv_rms([(gray_of(view.name), view.found) for view in chessboards])
     mine = calibrate(chessboards, (640, 480))
     assert mine.rms < 0.2 and mine.rms < 0.6 * theirs
     assert mine.intrinsics.fx == pytest.approx(535.9, rel=0.01)  # left_intrinsics.yml
 
 
-def test_one_camera_shifts_edges_differently_from_picture_to_picture(chessboards: list[View]) -> None:
+def test_one_camera_shifts_edges_differently_from_picture_to_picture(
+    chessboards: list[CalibrationView],
+) -> None:
     """Why a stored curve would not do, and why the camera file holds a spread."""
     shifts = np.array([view.tone.pixels for view in chessboards if view.tone is not None])
     assert len(shifts) >= 10

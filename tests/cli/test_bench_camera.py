@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench.camera import Effort, Figure, Row
+from robot_ik.bench.camera import Effort, Quantity, Row
 from robot_ik.cli import bench_camera
 from robot_ik.cli.main import main
 from robot_ik.errors import CameraError
@@ -40,16 +40,16 @@ def test_the_row_of_real_pictures_asks_for_them(capsys: pytest.CaptureFixture[st
     assert "--photographs" in capsys.readouterr().err
 
 
-def failing(_: Effort) -> Iterator[Figure]:
-    yield Figure("depth", 3.0, "mm", 2.0)
+def failing(_: Effort) -> Iterator[Quantity]:
+    yield Quantity("depth", 3.0, "mm", 2.0)
 
 
-def empty(_: Effort) -> Iterator[Figure]:
+def empty(_: Effort) -> Iterator[Quantity]:
     yield from ()
 
 
-def impossible(_: Effort) -> Iterator[Figure]:
-    yield Figure("first", 1.0, "mm", 2.0)
+def impossible(_: Effort) -> Iterator[Quantity]:
+    yield Quantity("first", 1.0, "mm", 2.0)
     raise CameraError("no camera here")
 
 
@@ -79,8 +79,8 @@ def test_what_failed_or_was_not_measured_says_so_and_fails(
     assert main(["bench", "camera", *quick, "--skip", "mine"]) == 0
 
 
-def fine(_: Effort) -> Iterator[Figure]:
-    yield Figure("fine", 1.0, "mm", 2.0)
+def fine(_: Effort) -> Iterator[Quantity]:
+    yield Quantity("fine", 1.0, "mm", 2.0)
 
 
 def test_real_pictures_that_are_not_there_are_not_left_out_in_silence(
@@ -94,8 +94,8 @@ def test_real_pictures_that_are_not_there_are_not_left_out_in_silence(
     assert "no row is left" in capsys.readouterr().err
 
 
-def interrupted(_: Effort) -> Iterator[Figure]:
-    yield Figure("first", 1.0, "mm", 2.0)
+def interrupted(_: Effort) -> Iterator[Quantity]:
+    yield Quantity("first", 1.0, "mm", 2.0)
     raise KeyboardInterrupt
 
 

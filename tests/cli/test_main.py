@@ -17,7 +17,7 @@ import pytest
 
 from robot_ik import errors
 from robot_ik.cli import main as main_module
-from robot_ik.cli.main import COMMANDS, Command, find_command
+from robot_ik.cli.main import COMMANDS, CommandRow, find_command
 
 #: All that has options of its own: "reach", "servo scan" …
 LEAVES = [name for name, command in COMMANDS.items() if command.options] + [
@@ -41,7 +41,7 @@ def run_trial(options: TrialOptions) -> int:
 def trial(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> Any:
     """``trial(function) -> Run`` of a command that calls ``function``."""
     monkeypatch.setitem(sys.modules, "trial_command", sys.modules[__name__])
-    row = Command("trial_command", "TrialOptions", "for tests", "run_trial", mujoco=False)
+    row = CommandRow("trial_command", "TrialOptions", "for tests", "run_trial", mujoco=False)
     monkeypatch.setitem(main_module.COMMANDS, "trial", row)
 
     def run(call: Any, *arguments: str) -> Any:

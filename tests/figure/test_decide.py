@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
 from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
-from robot_ik.figure.figure import Figure, Frames, Prepared, load_figure, rotation
+from robot_ik.figure.figure import Figure, Frames, PreparedRows, load_figure, rotation
 from robot_ik.figure.poses import BEND, REACH, best_pose
 from robot_ik.robot import load_robot
 
@@ -195,13 +195,13 @@ def test_a_decision_takes_few_steps_at_the_edge_of_reach_too(
 ) -> None:
     """Frames that are solved, counted: a tenth of a millisecond each at most.  Random starts took 1300."""
     solved: list[int] = []
-    solve = Prepared.solve
+    solve = PreparedRows.solve
 
-    def counted(self: Prepared, found: Frames, a: int, b: int, *rest: Any) -> None:
+    def counted(self: PreparedRows, found: Frames, a: int, b: int, *rest: Any) -> None:
         solve(self, found, a, b, *rest)
         solved[-1] += int(found.steps[a:b].sum())
 
-    monkeypatch.setattr(Prepared, "solve", counted)
+    monkeypatch.setattr(PreparedRows, "solve", counted)
     for ball, _ in judged()[1]:
         solved.append(0)
         decider.decide(ball)

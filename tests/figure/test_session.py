@@ -16,7 +16,15 @@ from robot_ik.bench.figure import measure_motion
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.session import FigureFrame, FigureSession, Place, Reset, SetBall, SetMode, Start
+from robot_ik.figure.session import (
+    FigureFrame,
+    FigureSession,
+    Place,
+    ResetFigure,
+    SetBall,
+    SetMode,
+    StartPassive,
+)
 from robot_ik.jobs.figure import Painter, frames_table, read_balls, record
 
 
@@ -77,14 +85,14 @@ def test_passive_mode_acts_on_the_ball_as_it_was(abilities: Abilities) -> None:
     session = FigureSession(abilities, mode="passive")
     session.send(SetBall((0.45, -0.25, 1.2)))
     assert all(f.action == "stand" for f in play(session, 0.3))  # nothing before Start
-    session.send(Start())
+    session.send(StartPassive())
     session.send(SetBall((0.45, 0.25, 0.8)))  # moved while it acts: frozen
     frame = play(session, 1.5)[-1]
     assert frame.ball == pytest.approx([0.45, -0.25, 1.2]) and hand_miss(session, frame) <= 0.005
     session.send(SetMode("active"))
     frame = play(session, 2.0)[-1]
     assert frame.ball == pytest.approx([0.45, 0.25, 0.8]) and hand_miss(session, frame) <= 0.005
-    session.send(Reset())
+    session.send(ResetFigure())
     frame = play(session, 0.1)[-1]
     assert np.isnan(frame.ball).all() and frame.q == pytest.approx(session.figure.home)
     session.send(Place(2.0, 1.0, 1.5))

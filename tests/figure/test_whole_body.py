@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import RATE, Figure, Rows, minimum_jerk
+from robot_ik.figure.figure import RATE, Figure, FrameRows, minimum_jerk
 from robot_ik.figure.poses import STIFF, pinned
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 def solved(figure: Figure, hand: Array, frames: int = 40, speeds: str | None = "daily") -> Array:
     """A hand moved by ``hand`` (3,), feet pinned, the centre of mass kept."""
-    rows = Rows(figure, frames)
+    rows = FrameRows(figure, frames)
     pinned(figure, figure.home, rows)
     rows.center(figure.center(figure.home), axes="xy")
     start = figure.pose(figure.home, "right_hand")[0]
@@ -44,7 +44,7 @@ def test_hard_rows_hold_by_mujoco(figure: Figure) -> None:
 def test_a_momentum_row_keeps_the_angular_momentum(figure: Figure) -> None:
     """An arm that swings in the air turns the rest the other way: by MuJoCo's own momentum matrix."""
     frames = 20
-    rows = Rows(figure, frames)
+    rows = FrameRows(figure, frames)
     rows.center(figure.center(figure.home))
     rows.momentum()
     goal = figure.posture({"right_shoulder_pitch": 1.5, "left_shoulder_pitch": -0.5})
@@ -75,7 +75,7 @@ def test_no_joint_is_faster_than_its_limit(figure: Figure) -> None:
 def test_rows_that_contradict_each_other_are_missed_not_fled(figure: Figure) -> None:
     """A hand that is to be five metres away: the body stays where it can be, and says by how much it
     misses."""
-    rows = Rows(figure, 10)
+    rows = FrameRows(figure, 10)
     pinned(figure, figure.home, rows)
     rows.position("right_hand", np.array([5.0, 0.0, 1.0]))
     found = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)

@@ -41,7 +41,7 @@ def check_against_mujoco(robot, q, data, columns):
         np.testing.assert_allclose(jacobian[3:], angular[:, columns], atol=EXACT)
 
 
-@settings(max_examples=120)
+@settings(max_examples=50)
 @given(data=st.data(), seed=st.integers(0, 2**32))
 def test_random_trees_move_as_in_mujoco(any_model, load_xml, mujoco_at, dof_addresses, roam, data, seed):
     drawn = data.draw(any_model)
@@ -64,7 +64,7 @@ def test_random_trees_move_as_in_mujoco(any_model, load_xml, mujoco_at, dof_addr
     assert np.array_equal(robot.qpos(q)[frozen], robot.frozen_qpos[frozen])
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(data=st.data(), seed=st.integers(0, 2**32))
 def test_clip_gives_the_nearest_inside(any_model, load_xml, roam, data, seed):
     drawn = data.draw(any_model)

@@ -50,7 +50,7 @@ def best(matrix, gradient, low, high):
     return some, lsq_linear(upper[:, some], wanted, (low[some], high[some]), method="bvls", tol=1e-14).x
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(problems())
 def test_a_step_is_feasible_and_never_uphill(problem):
     matrix, gradient, low, high = problem
@@ -66,7 +66,7 @@ def test_a_step_is_feasible_and_never_uphill(problem):
         assert stuck.all()
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(problems())
 def test_a_step_is_the_minimiser_inside_the_box(problem):
     matrix, gradient, low, high = problem
@@ -148,7 +148,7 @@ def among_rows(jacobian, residual, damping, low, high, hits, counts, step, side,
     )  # fmt: skip
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(
     m=st.integers(1, 8), more=st.integers(0, 5), seed=st.integers(0, 2**32),
     size=st.floats(-6, 1), damping=st.floats(-6, 0), room=st.sampled_from([0.01, 0.3, 3.0]),

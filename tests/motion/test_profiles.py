@@ -13,7 +13,7 @@ positive = st.floats(0.01, 100.0)
 
 
 @given(name=st.sampled_from(sorted(PROFILES)), velocity=positive, acceleration=positive)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 def test_profiles_rest_at_both_ends_and_keep_their_bounds(name, velocity, acceleration):
     profile = PROFILES[name](velocity, acceleration)
     phase = np.linspace(0.0, 1.0, 2001)

@@ -14,7 +14,7 @@ SLACK = 1.0 + 1e-9  # rounding of differences of samples, relative
 
 angle = st.floats(-3.0, 3.0)
 limit = st.floats(0.3, 50.0)
-law = settings(deadline=None, max_examples=60)
+law = settings(deadline=None, max_examples=40)
 
 
 @st.composite

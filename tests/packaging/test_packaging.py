@@ -136,7 +136,7 @@ def test_hardware_refuses_its_bare_name() -> None:
     assert "robot_ik.hardware" in bare.stderr
 
 
-def test_a_type_checker_sees_the_editable_install(tmp_path: Path) -> None:
+def test_a_type_checker_sees_the_editable_install(tmp_path: Path, pytestconfig: pytest.Config) -> None:
     if not Path(sysconfig.get_path("purelib"), "robot_ik_stubs.pth").is_file():
         pytest.skip("this environment was not made by `make`, which links the stubs")
     script = tmp_path / "mine.py"
@@ -144,7 +144,8 @@ def test_a_type_checker_sees_the_editable_install(tmp_path: Path) -> None:
         "import robot_ik as rik\nfrom robot_ik.hardware.config import ArmConfig\n"
         'number: int = rik.load_robot("puma560")\nreveal_type(ArmConfig.load("arm.toml"))\n'
     )
-    command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "mine.py"]
+    cache = pytestconfig.cache.mkdir("mypy")  # numpy's types are read once
+    command = [sys.executable, "-m", "mypy", "--cache-dir", str(cache), "mine.py"]
     said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
     assert 'expression has type "Robot"' in said and "config.ArmConfig" in said, said
     assert "import-not-found" not in said

@@ -92,7 +92,8 @@ def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_u
         found = solver.solve(problem, q)
         q = found.q
         assert found.status is Status.CONVERGED
-        assert found.miss.position <= 1e-4 and found.miss.angle <= 1e-3
+        miss = found.miss
+        assert miss.position <= 1e-4 and miss.angle <= 1e-3
         assert not figure.outside(q)
         near.append(unease(figure, q) <= 1.05 * unease(figure, best) + 1e-6)
     assert np.mean(near) >= 0.95

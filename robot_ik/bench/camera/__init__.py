@@ -11,7 +11,7 @@ from robot_ik.errors import RobotIkError
 
 
 @dataclass(frozen=True)
-class Figure:
+class Quantity:
     """One measured number.
 
     Attributes:
@@ -65,7 +65,7 @@ class NotMeasuredError(RobotIkError):
     """A row cannot be measured here; the message says why."""
 
 
-Measure = Callable[[Effort], Iterator[Figure]]
+Measure = Callable[[Effort], Iterator[Quantity]]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Row:
     about: str
     function: str
 
-    def measure(self, effort: Effort) -> Iterator[Figure]:
+    def measure(self, effort: Effort) -> Iterator[Quantity]:
         """Measures; figures come as they are ready.
 
         Raises:

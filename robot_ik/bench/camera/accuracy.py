@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.bench.camera import Effort, Figure, NotMeasuredError
+from robot_ik.bench.camera import Effort, NotMeasuredError, Quantity
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body
@@ -76,7 +76,7 @@ def _seen(
         yield view, seen[0] if len(seen) == 1 else None
 
 
-def corners(effort: Effort) -> Iterator[Figure]:
+def corners(effort: Effort) -> Iterator[Quantity]:
     """RMS error and bias of the corners, all distances together; the bias outwards is what becomes depth."""
     errors, outward = [], []
     for distance in STANDARD_DISTANCES:
@@ -89,11 +89,11 @@ def corners(effort: Effort) -> Iterator[Figure]:
             outward.append((error * way).sum(axis=1) / np.linalg.norm(way, axis=1))
     every = np.array(errors)
     bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outward))))
-    yield Figure("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
-    yield Figure("corner bias (x, y or outwards)", bias, "px", 0.03)
+    yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
+    yield Quantity("corner bias (x, y or outwards)", bias, "px", 0.03)
 
 
-def marker(effort: Effort) -> Iterator[Figure]:
+def marker(effort: Effort) -> Iterator[Quantity]:
     """Position, orientation and flips of one 50 mm marker at three distances."""
     flips = missed = 0
     for distance in STANDARD_DISTANCES:
@@ -105,10 +105,10 @@ def marker(effort: Effort) -> Iterator[Figure]:
         flips += sum(angle > _FLIPPED for _, angle in off)
         metres, radians = np.array(off).T
         wanted = _MARKER_WANTED[distance]
-        yield Figure(f"position at {distance} m, RMS", 1e3 * rms(metres), "mm", wanted[0])
-        yield Figure(f"orientation at {distance} m, RMS", float(np.degrees(rms(radians))), "°", wanted[1])
-    yield Figure("wrong branch (more than 5° off), up to 1 m", flips, "", 0)
-    yield Figure("not found, up to 1 m", missed, "", 0)
+        yield Quantity(f"position at {distance} m, RMS", 1e3 * rms(metres), "mm", wanted[0])
+        yield Quantity(f"orientation at {distance} m, RMS", float(np.degrees(rms(radians))), "°", wanted[1])
+    yield Quantity("wrong branch (more than 5° off), up to 1 m", flips, "", 0)
+    yield Quantity("not found, up to 1 m", missed, "", 0)
 
 
 def _boards(
@@ -147,20 +147,20 @@ def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
 
 def _board_figures(
     pairs: list[tuple[Pose, BodyObservation | None]], wanted: tuple[float, float, float | None], where: str
-) -> Iterator[Figure]:
+) -> Iterator[Quantity]:
     off = np.array([seen.pose_camera_body.distance(pose) for pose, seen in pairs if seen is not None])
-    yield Figure(f"position {where}, RMS", 1e3 * rms(off[:, 0]), "mm", wanted[0])
-    yield Figure(f"orientation {where}, RMS", float(np.degrees(rms(off[:, 1]))), "°", wanted[1])
-    yield Figure(f"orientation {where}, worst", float(np.degrees(off[:, 1].max())), "°", wanted[2])
-    yield Figure(f"not found {where}", sum(seen is None for _, seen in pairs), "", 0)
+    yield Quantity(f"position {where}, RMS", 1e3 * rms(off[:, 0]), "mm", wanted[0])
+    yield Quantity(f"orientation {where}, RMS", float(np.degrees(rms(off[:, 1]))), "°", wanted[1])
+    yield Quantity(f"orientation {where}, worst", float(np.degrees(off[:, 1].max())), "°", wanted[2])
+    yield Quantity(f"not found {where}", sum(seen is None for _, seen in pairs), "", 0)
 
 
-def board(effort: Effort) -> Iterator[Figure]:
+def board(effort: Effort) -> Iterator[Quantity]:
     """A board of 2×2 markers, 112 mm, at 1 m."""
     yield from _board_figures(list(_boards(effort, 2, _BOARD_DISTANCE, 100)), (0.3, 0.2, 1.0), "at 1 m")
 
 
-def occlusion(effort: Effort) -> Iterator[Figure]:
+def occlusion(effort: Effort) -> Iterator[Quantity]:
     """A board of 3×3 markers at 0.6 m, half of its area hidden."""
     pairs = list(_boards(effort, 3, _COVERED_DISTANCE, 60, hidden=True))
     yield from _board_figures(pairs, (1.0, 0.3, None), "at 0.6 m, half hidden")
@@ -190,7 +190,7 @@ class _Clutter(ClosingSource):
         return frame_of(image, self._number, 0.05 * self._number)
 
 
-def clutter(effort: Effort) -> Iterator[Figure]:
+def clutter(effort: Effort) -> Iterator[Quantity]:
     """Goals, and finds of any id, in 150 cluttered pictures without a marker."""
     tracker, source = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE), _Clutter(effort.seed)
     finds, false, count = 0, 0, effort.count(_CLUTTERED)
@@ -201,8 +201,8 @@ def clutter(effort: Effort) -> Iterator[Figure]:
         for marker_id in {observation.id for observation in seen}:
             one = MarkerGoalSource(_One(frame), tracker, Pose(), marker_id, Pose())
             false += one.poll(0.05 * number) is not None
-    yield Figure(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
-    yield Figure("false finds in them (DICT_5X5_50)", finds, "", 0)
+    yield Quantity(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
+    yield Quantity("false finds in them (DICT_5X5_50)", finds, "", 0)
 
 
 class _One(ClosingSource):
@@ -460,13 +460,13 @@ _VIEWS, _SETS = 20, 3
 _POSES, _SPREAD = 15, 25.0
 
 
-def projection(effort: Effort) -> Iterator[Figure]:
+def projection(effort: Effort) -> Iterator[Quantity]:
     """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
     for name in ("painter", "ray"):
         yield from _identity(make_artist(name)[0], effort)
 
 
-def gl_projection(effort: Effort) -> Iterator[Figure]:
+def gl_projection(effort: Effort) -> Iterator[Quantity]:
     """The same by MuJoCo's renderer.
 
     Raises:
@@ -478,24 +478,24 @@ def gl_projection(effort: Effort) -> Iterator[Figure]:
     yield from _identity(artist, effort)
 
 
-def _identity(artist: Artist, effort: Effort) -> Iterator[Figure]:
+def _identity(artist: Artist, effort: Effort) -> Iterator[Quantity]:
     for kind, (lens, wanted, worst) in _WANTED.items():
         misses = projection_identity(artist, lens, seed=effort.seed)
         what = f"{artist.name} against projectPoints, {kind}"
-        yield Figure(f"{what}, RMS", misses.rms, "px", wanted)
-        yield Figure(f"{what}, worst", misses.worst, "px", worst)
+        yield Quantity(f"{what}, RMS", misses.rms, "px", wanted)
+        yield Quantity(f"{what}, worst", misses.worst, "px", worst)
 
 
-def overlay(effort: Effort) -> Iterator[Figure]:
+def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
     for distance in (0.7, 1.0):
         misses = overlay_error(distance, effort.count(60), seed=effort.seed)
         what = f"overlay on a 2×2 board at {distance} m"
-        yield Figure(f"{what}, RMS", misses.rms, "px", 0.3)
-        yield Figure(f"{what}, worst", misses.worst, "px", 1.0)
+        yield Quantity(f"{what}, RMS", misses.rms, "px", 0.3)
+        yield Quantity(f"{what}, worst", misses.worst, "px", 1.0)
 
 
-def calibration(effort: Effort) -> Iterator[Figure]:
+def calibration(effort: Effort) -> Iterator[Quantity]:
     """Intrinsics from 20 pictures of a board; worst of the sets tried."""
     for name, pattern in _PATTERNS.items():
         focal, centre, error, counted = [], [], [], []
@@ -510,13 +510,13 @@ def calibration(effort: Effort) -> Iterator[Figure]:
             centre.append(float(np.hypot(lens.cx - true.cx, lens.cy - true.cy)))
             error.append(result.rms)
             counted.append(len(found))
-        yield Figure(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
-        yield Figure(f"{name}: optical centre, off by", max(centre), "px", 2.0)
-        yield Figure(f"{name}: reprojection error, RMS", max(error), "px", 0.2)
-        yield Figure(f"{name}: views in which the board was found", min(counted), "", _VIEWS, at_least=True)
+        yield Quantity(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
+        yield Quantity(f"{name}: optical centre, off by", max(centre), "px", 2.0)
+        yield Quantity(f"{name}: reprojection error, RMS", max(error), "px", 0.2)
+        yield Quantity(f"{name}: views in which the board was found", min(counted), "", _VIEWS, at_least=True)
 
 
-def handeye(effort: Effort) -> Iterator[Figure]:
+def handeye(effort: Effort) -> Iterator[Quantity]:
     """Camera on the hand: true error and stated uncertainty, from 15 poses and a single 50 mm marker."""
     off, stated = [], []
     for trial in range(effort.count(40)):
@@ -525,8 +525,8 @@ def handeye(effort: Effort) -> Iterator[Figure]:
         off.append(found.pose_parent_camera.distance(truth.pose_parent_camera))
         stated.append((found.sigma_position, found.sigma_angle))
     error, sigma = np.array(off), np.array(stated)
-    yield Figure("camera on the hand, position, RMS", 1e3 * rms(error[:, 0]), "mm", 1.5)
-    yield Figure("camera on the hand, orientation, RMS", float(np.degrees(rms(error[:, 1]))), "°", 0.25)
+    yield Quantity("camera on the hand, position, RMS", 1e3 * rms(error[:, 0]), "mm", 1.5)
+    yield Quantity("camera on the hand, orientation, RMS", float(np.degrees(rms(error[:, 1]))), "°", 0.25)
     for k, what in enumerate(("position", "orientation")):
         ratio = rms(error[:, k]) / rms(sigma[:, k])
-        yield Figure(f"stated {what} off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)
+        yield Quantity(f"stated {what} off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)

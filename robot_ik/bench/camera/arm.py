@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, Figure
+from robot_ik.bench.camera import Effort, Quantity
 from robot_ik.bench.camera.accuracy import frame_of, rms
 from robot_ik.camera.boards.board import BoardView, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEyeSample, moved, solve_handeye
-from robot_ik.camera.calibration.kinematic import ArmView, KnownPose, fit_zero_offsets
+from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose, fit_zero_offsets
 from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
@@ -75,7 +75,7 @@ _CASES = (
 )
 
 
-def offsets(effort: Effort) -> Iterator[Figure]:
+def offsets(effort: Effort) -> Iterator[Quantity]:
     """Zero offsets of six joints from 30 pictures of a 2×2 board in the hand, by a camera that stands."""
     robot = load_robot(_ROBOT)
     seen = robot.forward(robot.home).compose(_DRAWN)
@@ -90,11 +90,11 @@ def offsets(effort: Effort) -> Iterator[Figure]:
             counted.append(len(error))
             ratios.append(error / sigma)
         every = np.degrees(np.concatenate(off))
-        yield Figure(f"{case.words}: joint zeros, RMS", rms(every), "°", 0.1)
-        yield Figure(f"{case.words}: joint zeros, worst", float(every.max()), "°", 0.1)
-        yield Figure(f"{case.words}: joints of 6 told", min(counted), "", case.joints, at_least=True)
+        yield Quantity(f"{case.words}: joint zeros, RMS", rms(every), "°", 0.1)
+        yield Quantity(f"{case.words}: joint zeros, worst", float(every.max()), "°", 0.1)
+        yield Quantity(f"{case.words}: joints of 6 told", min(counted), "", case.joints, at_least=True)
     ratio = rms(np.concatenate(ratios))
-    yield Figure("stated uncertainty of joint zeros off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)
+    yield Quantity("stated uncertainty of joint zeros off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)
 
 
 def _trial(robot: Robot, eye: Pose, case: _Case, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -139,7 +139,7 @@ _Look = Callable[[Pose, Layout, np.random.Generator], BoardView | None]
 
 def _view(
     robot: Robot, eye: Pose, board: Pose, hidden: Array, rng: np.random.Generator, look: _Look = _look
-) -> ArmView:
+) -> CalibrationStation:
     """What the servos say and the camera sees, at a random pose that shows the board."""
     while True:
         q = robot.clip(robot.home + rng.uniform(-_BEND, _BEND, robot.nq))
@@ -153,7 +153,7 @@ def _view(
         if (pixels > _EDGE).all() and (pixels < np.array(STANDARD_CAMERA.size) - _EDGE - 1).all():
             seen = look(there, _CARRIED, rng)
             if seen is not None:
-                return ArmView(q, seen)
+                return CalibrationStation(q, seen)
 
 
 # ------------------------------------------------------------------------------------------
@@ -220,7 +220,7 @@ def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
     return float(off @ np.linalg.solve(covariance, off)) / 6.0
 
 
-def honesty(effort: Effort) -> Iterator[Figure]:
+def honesty(effort: Effort) -> Iterator[Quantity]:
     """Locate, hand-eye and ``verify --fit`` by the pictures of a webcam: is each as near as it says?"""
     robot, result = load_robot(_ROBOT), _Honesty()
     seen = robot.forward(robot.home).compose(_DRAWN)
@@ -232,11 +232,11 @@ def honesty(effort: Effort) -> Iterator[Figure]:
         ("joint zeros", result.zeros),
     ):  # fmt: skip
         nees = float(np.mean(values))
-        yield Figure(f"{what}, squared error over the stated", nees, "", _HONEST[1])
-        yield Figure(f"{what}, the same, at least", nees, "", _HONEST[0], at_least=True)
+        yield Quantity(f"{what}, squared error over the stated", nees, "", _HONEST[1])
+        yield Quantity(f"{what}, the same, at least", nees, "", _HONEST[0], at_least=True)
     off = np.degrees(result.offsets)
-    yield Figure("joint zeros, RMS", rms(off), "°", 0.1)
-    yield Figure("joint zeros, worst", float(off.max()), "°")
+    yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
+    yield Quantity("joint zeros, worst", float(off.max()), "°")
 
 
 # ------------------------------------------------------------------------------------------
@@ -327,19 +327,19 @@ def _lags(errors: Array) -> list[Lag]:
     return [Lag(delay, *(float(value) for value in row)) for delay, row in zip(DELAYS, squares, strict=True)]
 
 
-def prediction(effort: Effort) -> Iterator[Figure]:
+def prediction(effort: Effort) -> Iterator[Quantity]:
     """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
     hands = 1 if effort.quick else 6
     moving, resting = compare_filters(hands, 10.0 if effort.quick else 20.0, effort.seed)
     late = next(row for row in moving if row.delay == 0.066)
-    yield Figure("hand seen 66 ms ago, taken as it is, RMS", 1e3 * late.hold, "mm")
-    yield Figure("hand seen 66 ms ago, predicted, RMS", 1e3 * late.predicted, "mm", 6.5)
-    yield Figure("what prediction leaves of the error", late.predicted / late.hold, "", 0.5)
+    yield Quantity("hand seen 66 ms ago, taken as it is, RMS", 1e3 * late.hold, "mm")
+    yield Quantity("hand seen 66 ms ago, predicted, RMS", 1e3 * late.predicted, "mm", 6.5)
+    yield Quantity("what prediction leaves of the error", late.predicted / late.hold, "", 0.5)
     worst = max(resting, key=lambda row: row.predicted)
-    yield Figure(
+    yield Quantity(
         "hand at rest: noise of a prediction over that of a picture", worst.predicted / worst.hold, "", 1.0
     )
-    yield Figure("hand at rest, calmed: the same", worst.calmed / worst.hold, "")
+    yield Quantity("hand at rest, calmed: the same", worst.calmed / worst.hold, "")
 
 
 # ------------------------------------------------------------------------------------------
@@ -357,7 +357,7 @@ _VERIFY_MOUNTED = (1e-4, float(np.deg2rad(0.03)))
 _SPOILT = 4
 
 
-def joint_zero_offsets(effort: Effort) -> Iterator[Figure]:
+def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
     """The whole job on the simulated arm, then the same views with the noise of metal added."""
     worst, largest, ratio, spoilt = [], [], [], []
     robot = load_robot(_VERIFIED_ROBOT, joints=[f"joint{k}" for k in range(1, 7)])
@@ -381,11 +381,13 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Figure]:
             off, sigma = _spoilt(report, rng)
             spoilt.append(off)
             ratio.append(off / sigma)
-    yield Figure("zero offsets, worst joint off by", float(np.degrees(max(worst))), "°", 0.1)
-    yield Figure("board after that, worst pose off by", 1e3 * max(largest), "mm")
-    yield Figure("the same with noise, worst joint off by", float(np.degrees(np.abs(spoilt).max())), "°", 0.1)
+    yield Quantity("zero offsets, worst joint off by", float(np.degrees(max(worst))), "°", 0.1)
+    yield Quantity("board after that, worst pose off by", 1e3 * max(largest), "mm")
+    yield Quantity(
+        "the same with noise, worst joint off by", float(np.degrees(np.abs(spoilt).max())), "°", 0.1
+    )
     size = float(np.sqrt(np.mean(np.square(ratio))))
-    yield Figure("stated uncertainty off by a factor of", max(size, 1.0 / size), "", 2.0)
+    yield Quantity("stated uncertainty off by a factor of", max(size, 1.0 / size), "", 2.0)
 
 
 def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -399,10 +401,12 @@ def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Arra
     return fit.offsets - report.true_offsets, fit.sigma
 
 
-def _noisy(q: Sequence[Array], views: Sequence[BoardView], rng: np.random.Generator) -> list[ArmView]:
+def _noisy(
+    q: Sequence[Array], views: Sequence[BoardView], rng: np.random.Generator
+) -> list[CalibrationStation]:
     found = []
     for one, view in zip(q, views, strict=True):
         pixels = view.pixels + rng.normal(0, _PIXEL, view.pixels.shape)
         said = one + rng.normal(0, _JOINT, one.shape)
-        found.append(ArmView(said, BoardView(view.points, pixels, view.pose_camera_board, _PIXEL)))
+        found.append(CalibrationStation(said, BoardView(view.points, pixels, view.pose_camera_board, _PIXEL)))
     return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, Figure
+from robot_ik.bench.camera import Effort, Quantity
 from robot_ik.bench.camera.accuracy import frame_of, rms
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.observations import marker_points
@@ -153,7 +153,7 @@ def _see(
     errors.outward.append(float(np.mean(np.sum((seen[0].corners - true) * way, axis=1))))
 
 
-def cameras(effort: Effort) -> Iterator[Figure]:
+def cameras(effort: Effort) -> Iterator[Quantity]:
     """Single markers and boards of four, by every camera at three distances."""
     for board, count in ((False, _SINGLES), (True, _BOARDS)):
         chosen = tuple(c for c in CONDITIONS if c.board or not board)
@@ -162,17 +162,17 @@ def cameras(effort: Effort) -> Iterator[Figure]:
             yield from _figures(condition, found[condition.name], board)
 
 
-def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Figure]:
+def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Quantity]:
     what = f"{condition.name}, {'2×2 board' if board else 'marker'}"
     wanted = condition.board if board else condition.single
     for distance, most in zip(STANDARD_DISTANCES, wanted, strict=True):
         off = errors.metres.get(distance, [float("nan")])
-        yield Figure(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
+        yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
     nees = float(np.mean(errors.nees))
-    yield Figure(f"{what}, squared error over the stated", nees, "", condition.nees)
-    yield Figure(f"{what}, the same, at least", nees, "", _NEES[0], at_least=True)
-    yield Figure(f"{what}, not found", errors.missed, "", 0)
+    yield Quantity(f"{what}, squared error over the stated", nees, "", condition.nees)
+    yield Quantity(f"{what}, the same, at least", nees, "", _NEES[0], at_least=True)
+    yield Quantity(f"{what}, not found", errors.missed, "", 0)
     if errors.outward:
-        yield Figure(
+        yield Quantity(
             f"{what}, corner bias outwards", abs(float(np.mean(errors.outward))), "px", condition.bias
         )

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, Figure, NotMeasuredError
+from robot_ik.bench.camera import Effort, NotMeasuredError, Quantity
 from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate
@@ -42,7 +42,7 @@ _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
 _FIRST_SECONDS, _PATIENCE = 20.0, 300.0
 
 
-def photographs(effort: Effort) -> Iterator[Figure]:
+def photographs(effort: Effort) -> Iterator[Quantity]:
     """What the tests ask of OpenCV's samples, of a user's folder: false finds, calibration, markers' places.
 
     Raises:
@@ -58,11 +58,11 @@ def photographs(effort: Effort) -> Iterator[Figure]:
     boards = [(one, view) for one in pictures if (view := CHESSBOARD.find(one)) is not None]
     if boards:
         finds = sum(any_finds(one) for one, _ in boards[:_ASKED])
-        yield Figure(f"finds of any dictionary on {min(len(boards), _ASKED)} chessboards", finds, "", 0)
+        yield Quantity(f"finds of any dictionary on {min(len(boards), _ASKED)} chessboards", finds, "", 0)
     plain = [one for one in pictures if all(one is not other for other, _ in boards)]
     finder = MarkerFinder("DICT_5X5_50")
     finds = sum(len(finder.look(frame_of(one)).ids) for one in plain)
-    yield Figure(f"finds in {len(plain)} photographs without markers (DICT_5X5_50)", finds, "", 0)
+    yield Quantity(f"finds in {len(plain)} photographs without markers (DICT_5X5_50)", finds, "", 0)
     yield from _of_chessboards(boards)
     yield from _of_charuco(plain, folder)
 
@@ -72,7 +72,7 @@ def any_finds(picture: Image) -> int:
     return sum(len(MarkerFinder(name).look(frame_of(picture)).ids) for name in largest_dictionaries())
 
 
-def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Figure]:
+def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Quantity]:
     """Reprojection beside OpenCV's; and the miss at every other corner, the lens by all other pictures."""
     size = max((one.shape for one, _ in boards), key=[one.shape for one, _ in boards].count, default=(0, 0))
     boards = [(one, view) for one, view in boards if one.shape == size]
@@ -80,11 +80,11 @@ def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Figure
     if len(views) < _LEAST_BOARDS:
         return
     mine = calibrate(views, (size[1], size[0])).rms
-    yield Figure(f"calibration by {len(views)} chessboards, RMS", mine, "px")
-    yield Figure("the same, beside OpenCV's corners", mine / opencv_rms(boards), "", 1.0)
+    yield Quantity(f"calibration by {len(views)} chessboards, RMS", mine, "px")
+    yield Quantity("the same, beside OpenCV's corners", mine / opencv_rms(boards), "", 1.0)
     squares = [_unseen(view, views[:k] + views[k + 1 :], (size[1], size[0])) for k, view in enumerate(views)]
     error = float(np.sqrt(np.mean(np.concatenate(squares))))
-    yield Figure(f"overlay on real corners of {len(views)} chessboards, RMS", error, "px", 1.0)
+    yield Quantity(f"overlay on real corners of {len(views)} chessboards, RMS", error, "px", 1.0)
 
 
 def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
@@ -99,7 +99,7 @@ def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
     return float(cv2.calibrateCamera(points, pixels, boards[0][0].shape[::-1], None, None)[0])
 
 
-def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Figure]:
+def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Quantity]:
     """Markers against the saddles of their board; where a camera file of that size lies in the folder."""
     lenses = {}
     for file in sorted((*folder.glob("*.yml"), *folder.glob("*.yaml"))):
@@ -118,8 +118,8 @@ def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Figure]:
             off += outward_of_saddles(picture, lens, board, seen)
     if off:
         words = f"{len(off)} markers, outwards of where the saddles of their board say"
-        yield Figure(f"{words}, mean", abs(float(np.mean(off))), "px", 0.15)
-        yield Figure(f"{words}, scatter", float(np.std(off)), "px", 0.12)
+        yield Quantity(f"{words}, mean", abs(float(np.mean(off))), "px", 0.15)
+        yield Quantity(f"{words}, scatter", float(np.std(off)), "px", 0.12)
 
 
 def outward_of_saddles(
@@ -163,7 +163,7 @@ def _unseen(view: FoundPattern, others: list[FoundPattern], size: tuple[int, int
     return np.asarray((off**2).sum(axis=1), dtype=float)
 
 
-def first_command(effort: Effort) -> Iterator[Figure]:
+def first_command(effort: Effort) -> Iterator[Quantity]:
     """A picture of a robot on a board, by a new process: nothing compiled before, no display, no camera."""
     with tempfile.TemporaryDirectory() as folder:
         bare = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")}
@@ -175,7 +175,7 @@ def first_command(effort: Effort) -> Iterator[Figure]:
             env=bare, cwd=folder, capture_output=True, check=False, timeout=_PATIENCE,
         )  # fmt: skip
         took = time.monotonic() - began
-    yield Figure(
+    yield Quantity(
         "first command (robot-ik ar), nothing compiled before", took, "s", _FIRST_SECONDS, timed=True
     )
-    yield Figure("its exit code", done.returncode, "", 0)
+    yield Quantity("its exit code", done.returncode, "", 0)

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, Figure
+from robot_ik.bench.camera import Effort, Quantity
 from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.renderers import DrawnRobot as Robot
@@ -73,10 +73,10 @@ class Took:
     processor: float
     clock: float
 
-    def figures(self, what: str, wanted: float | None) -> Iterator[Figure]:
+    def figures(self, what: str, wanted: float | None) -> Iterator[Quantity]:
         """Both; the bound is for the processor's."""
-        yield Figure(what, self.processor, "ms", wanted, timed=True)
-        yield Figure(f"{what}, by the clock", self.clock, "ms", timed=True)
+        yield Quantity(what, self.processor, "ms", wanted, timed=True)
+        yield Quantity(f"{what}, by the clock", self.clock, "ms", timed=True)
 
 
 def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> Took:
@@ -102,7 +102,7 @@ def _best(work: Callable[[Any], object], items: Sequence[Any], clock: Callable[[
     return 1e3 * float(np.median(best))
 
 
-def times(effort: Effort) -> Iterator[Figure]:
+def times(effort: Effort) -> Iterator[Quantity]:
     """Detecting, refining and posing one marker: in the window of the last find, and in the whole frame.
 
     In the whole frame it is found among all ids of its dictionary, and as goals ask for it: by its own.
@@ -126,7 +126,7 @@ def _view_of(robot: Arm) -> Pose:
     return look_at(centre + 1.6 * extent * np.array([0.7, -0.6, 0.4]), centre)
 
 
-def drawing(effort: Effort) -> Iterator[Figure]:
+def drawing(effort: Effort) -> Iterator[Quantity]:
     """Painting a robot over a picture of 1280×720, without its shadow, which is told apart."""
     from robot_ik.robot import load_robot
 
@@ -147,7 +147,7 @@ def drawing(effort: Effort) -> Iterator[Figure]:
             yield from milliseconds(draw, spots).figures(what, None if shadow else wanted)
 
 
-class _Prepared(ClosingSource):
+class _PreparedPictures(ClosingSource):
     """Pictures made before, one after the other; their times go on as a camera's do."""
 
     live = True
@@ -171,7 +171,7 @@ def _goals(source: ClosingSource, camera: CameraIntrinsics, robot: Arm, **option
     return MarkerGoalSource(source, tracker, world_camera, _MARKER, flip, robot.tool, **options)
 
 
-def loop(effort: Effort) -> Iterator[Figure]:
+def loop(effort: Effort) -> Iterator[Quantity]:
     """A picture in; marker, filter, goal, joint angles, and the robot drawn over the picture."""
     from robot_ik.goals import PoseGoal
     from robot_ik.problem import Problem
@@ -183,7 +183,7 @@ def loop(effort: Effort) -> Iterator[Figure]:
     problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
     for camera in CAMERAS:
         frames = moving_frames(camera, effort.count(60), effort.seed)
-        goals = _goals(_Prepared(frames), camera, robot)
+        goals = _goals(_PreparedPictures(frames), camera, robot)
         state = _State(robot.home)
 
         def step(
@@ -202,8 +202,8 @@ def loop(effort: Effort) -> Iterator[Figure]:
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
         wanted = _LOOP_WANTED[camera.width]
-        yield Figure(what, 1e3 / took.processor, "frames/s", wanted, at_least=True, timed=True)
-        yield Figure(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
+        yield Quantity(what, 1e3 / took.processor, "frames/s", wanted, at_least=True, timed=True)
+        yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
 
 
 @dataclass
@@ -242,7 +242,7 @@ class _Camera:
         """Nothing to let go of."""
 
 
-def delay(effort: Effort) -> Iterator[Figure]:
+def delay(effort: Effort) -> Iterator[Quantity]:
     """A camera of 30 Hz with its thread, a thread that looks, and a loop of 100 Hz that asks for goals."""
     from robot_ik.robot import load_robot
 
@@ -259,6 +259,8 @@ def delay(effort: Effort) -> Iterator[Figure]:
         made, used = goals.made.figures(), goals.used.figures()
         size = f"{camera.width}×{camera.height}"
         wanted = _DELAY_WANTED_MS
-        yield Figure(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted, timed=True)
-        yield Figure(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms", timed=True)
-        yield Figure(f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms", timed=True)
+        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted, timed=True)
+        yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms", timed=True)
+        yield Quantity(
+            f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms", timed=True
+        )

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _MARGIN = 0.9
 
 
-class Auto(Library):
+class OursAuto(Library):
     """The default: the closed form where the arm has one, else Levenberg-Marquardt."""
 
     needs = ("robot_ik", "mujoco", "numba")
@@ -48,13 +48,13 @@ class Auto(Library):
         return self._robot.forward(q, self._sites[0]).matrix if len(self._sites) == 1 else None
 
 
-class Numeric(Auto):
+class Numeric(OursAuto):
     """Levenberg-Marquardt inside the limits, numeric only."""
 
     solver = "lm"
 
 
-class ClosedForm(Auto):
+class ClosedForm(OursAuto):
     """The closed form alone: out of reach it proves that, and looks for nothing nearest."""
 
     solver = "analytic"

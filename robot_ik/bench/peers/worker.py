@@ -310,7 +310,7 @@ class IkPy(Library):
 
 #: Name -> class here, or module:class that needs robot_ik.
 LIBRARIES: dict[str, type[Library] | str] = {
-    "robot_ik": "robot_ik.bench.peers.ours:Auto",
+    "robot_ik": "robot_ik.bench.peers.ours:OursAuto",
     "robot_ik_lm": "robot_ik.bench.peers.ours:Numeric",
     "robot_ik_analytic": "robot_ik.bench.peers.ours:ClosedForm",
     "rtb_lm": RoboticsToolbox,

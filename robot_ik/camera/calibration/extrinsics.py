@@ -121,7 +121,7 @@ class CameraExtrinsics:
         """
         made_by = "such files are made by: robot-ik camera locate, robot-ik camera handeye"
         try:
-            place = read_table(_File, Path(path), "the place of the camera", made_by).extrinsics()
+            place = read_table(_ExtrinsicsFile, Path(path), "the place of the camera", made_by).extrinsics()
         except ConfigError as error:
             raise CalibrationError(error.args[0], hint=error.hint or made_by) from error
         if intrinsics is not None:
@@ -275,7 +275,7 @@ def _text(place: CameraExtrinsics) -> str:
 _Six = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 
 
-class _File(Table):
+class _ExtrinsicsFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")] = 1
     parent: str
     position: Place

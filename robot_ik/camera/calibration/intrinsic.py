@@ -116,7 +116,7 @@ _WORTHLESS = 1.03
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class CalibrationView:
     """One picture's corners, what the picture is called, and how its edges look."""
 
     name: str
@@ -171,7 +171,7 @@ class CalibrationResult:
 
 
 def calibrate(
-    views: Sequence[View | FoundPattern],
+    views: Sequence[CalibrationView | FoundPattern],
     size: tuple[int, int],
     *,
     coefficients: Literal[5, 8] = 5,
@@ -188,7 +188,10 @@ def calibrate(
     Raises:
         CalibrationError: Too few views, no tilt among them, or a fit worse than 1 px.
     """
-    named = [v if isinstance(v, View) else View(f"view {k + 1}", v) for k, v in enumerate(views)]
+    named = [
+        v if isinstance(v, CalibrationView) else CalibrationView(f"view {k + 1}", v)
+        for k, v in enumerate(views)
+    ]
     left_out = _blurred(named)
     used = [k for k in range(len(named)) if k not in left_out]
     _require_views(len(used), len(named))
@@ -345,7 +348,7 @@ def _view_error(view: FoundPattern, numbers: Array) -> Array:
     return np.asarray(seen, dtype=float).reshape(-1, 2) - view.pixels
 
 
-def _blurred(views: Sequence[View]) -> dict[int, str]:
+def _blurred(views: Sequence[CalibrationView]) -> dict[int, str]:
     widths = np.array([v.found.blur for v in views])
     usual = float(np.median(widths)) if len(widths) else 0.0
     return {
@@ -376,7 +379,7 @@ def _require_tilt(tilts: Array) -> None:
 
 
 def _reports(
-    views: Sequence[View], used: Sequence[int], fit: _Fit, left_out: dict[int, str]
+    views: Sequence[CalibrationView], used: Sequence[int], fit: _Fit, left_out: dict[int, str]
 ) -> tuple[ViewReport, ...]:
     errors = dict(zip(used, fit.per_view, strict=True))
     return tuple(

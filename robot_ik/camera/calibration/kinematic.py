@@ -86,7 +86,7 @@ class KnownPose:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmView:
+class CalibrationStation:
     """The arm stood still, its joints were read, a picture was taken.
 
     Attributes:
@@ -158,7 +158,7 @@ class ArmModel:
     robot: Robot
     frame: str
     intrinsics: CameraIntrinsics
-    views: Sequence[ArmView]
+    views: Sequence[CalibrationStation]
     camera: KnownPose
     board: KnownPose
     mounting: Mounting
@@ -168,7 +168,7 @@ class ArmModel:
         mount = Mount(self.camera.pose, self.board.pose, self.mounting)
         return ArmEstimate(np.zeros(self.robot.nv), mount)
 
-    def hand(self, state: ArmEstimate, view: ArmView) -> Pose:
+    def hand(self, state: ArmEstimate, view: CalibrationStation) -> Pose:
         """``pose_world_hand`` with the offsets."""
         return self.robot.forward(view.q + state.offsets, self.frame)
 
@@ -191,14 +191,14 @@ class ArmModel:
         arm = by_joint @ by_joint.transpose(0, 2, 1)
         return Linear(data.pseudo_measurement, data.covariance, rows, arm, prior, off, data)
 
-    def _hand_jacobian(self, state: ArmEstimate, view: ArmView) -> Array:
+    def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
         q = view.q + state.offsets
         turn = self.robot.forward(q, self.frame).rotation.T
         jacobian = self.robot.jacobian(q, self.frame)
         return np.concatenate([turn @ jacobian[:3], turn @ jacobian[3:]])
 
-    def apart(self, state: ArmEstimate, view: ArmView) -> tuple[Array, float]:
+    def apart(self, state: ArmEstimate, view: CalibrationStation) -> tuple[Array, float]:
         """Where the picture shows the carried thing less where the joints put it: world, metres (3,), rad.
 
         Eye to hand it is the board; eye in hand, the camera.
@@ -275,7 +275,7 @@ def pose_error(
 
 
 def measure_errors(
-    views: Sequence[ArmView],
+    views: Sequence[CalibrationStation],
     robot: Robot,
     frame: str,
     intrinsics: CameraIntrinsics,
@@ -307,7 +307,7 @@ def measure_errors(
     return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(views)))
 
 
-def _seen_hand(one: ArmView, pose_world_camera: Pose, pose_hand_board: Pose) -> Pose:
+def _seen_hand(one: CalibrationStation, pose_world_camera: Pose, pose_hand_board: Pose) -> Pose:
     return pose_world_camera.compose(one.view.pose_camera_board).compose(pose_hand_board.inverse())
 
 
@@ -380,7 +380,7 @@ class ZeroOffsets:
 
 
 def fit_zero_offsets(
-    views: Sequence[ArmView],
+    views: Sequence[CalibrationStation],
     robot: Robot,
     frame: str,
     intrinsics: CameraIntrinsics,
@@ -428,7 +428,7 @@ def fit_zero_offsets(
         state = model.start()
 
 
-def _check(views: Sequence[ArmView], robot: Robot, mounting: str, hold: Sequence[str]) -> None:
+def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hold: Sequence[str]) -> None:
     if mounting not in MOUNTINGS:
         raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
     if len(views) < LEAST_VIEWS:

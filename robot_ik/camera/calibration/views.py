@@ -20,7 +20,7 @@ from robot_ik.camera.boards.patterns import (
 )
 from robot_ik.camera.boards.tone import measure_tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
-from robot_ik.camera.calibration.intrinsic import View
+from robot_ik.camera.calibration.intrinsic import CalibrationView
 from robot_ik.camera.detection import guess_dictionary, to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
@@ -57,7 +57,7 @@ class ViewGatherer:
 
     def __init__(self, pattern: Pattern) -> None:
         self.pattern = pattern
-        self.views: list[View] = []
+        self.views: list[CalibrationView] = []
         self.notices: list[str] = []
         self.size: tuple[int, int] | None = None
         self._before: FoundPattern | None = None
@@ -102,7 +102,7 @@ class ViewGatherer:
         tone = measure_tone(
             to_gray(frame.image), found.pixels, found.ids, self.pattern.corners[0], self.pattern.plain
         )
-        self.views.append(View(name, found, tone))
+        self.views.append(CalibrationView(name, found, tone))
         if len(self._first) < _ASKED:
             self._first.append(frame.image)
         return True

@@ -21,7 +21,7 @@ from robot_ik.camera.drawing.painter import (
     NEAR,
     Array,
     Faces,
-    Samples,
+    SurfaceSamples,
     base_colours,
     bounding_box,
     faces_in_picture,
@@ -89,7 +89,7 @@ _LINE_SLACK = 0.01
 _LINE_STEP, _LINE_PIECES = 2.0, 1000
 
 
-def visible_lines(faces: Faces, samples: Samples) -> Array:
+def visible_lines(faces: Faces, samples: SurfaceSamples) -> Array:
     """Silhouettes of each geom and sharp edges, (n, 2, 2) pixels, where nothing in ``samples`` hides them."""
     mesh = faces.mesh
     corners = faces.pixels[mesh.faces]
@@ -180,7 +180,7 @@ def draw_robot(
     box = bounding_box(faces, width, height, margin=3 + line_width)
     if box == EMPTY:
         return result
-    samples = Samples(box)
+    samples = SurfaceSamples(box)
     samples.fill(faces)
     if style != "outline":
         samples.layer(base_colours(model, tint)).over(result, alpha)

@@ -271,7 +271,7 @@ def _cells(count: int, width: int) -> tuple[Float32, Float32, int, int, tuple[fl
     return across.astype(np.float32), np.tile(down, width).astype(np.float32), tall, tall * count, reach
 
 
-class Samples:
+class SurfaceSamples:
     """The nearest surface at each sample of the pixels of ``box``; fill it with things, then look.
 
     Attributes:
@@ -353,6 +353,6 @@ def paint_mask(
     shape: tuple[int, int], faces: Faces, corner: tuple[int, int] = (0, 0), count: int = 4
 ) -> Image:
     """Silhouette (h, w), 255 inside, smooth; its pixel (0, 0) is ``corner`` of the picture."""
-    samples = Samples((corner[0], corner[1], corner[0] + shape[1], corner[1] + shape[0]), count)
+    samples = SurfaceSamples((corner[0], corner[1], corner[0] + shape[1], corner[1] + shape[0]), count)
     samples.fill(faces)
     return np.rint((samples.depth > 0).mean(axis=2) * 255).astype(np.uint8)

@@ -143,14 +143,14 @@ def shadow_sheet(
     box = painter.bounding_box(flat, width // _COARSE, height // _COARSE, margin=3 + round(3 * soft))
     if box == EMPTY:
         return Layer.empty(), 0.0
-    samples = painter.Samples(box, 1)
+    samples = painter.SurfaceSamples(box, 1)
     samples.fill(flat)
     dark = (samples.depth[..., 0] > 0).astype(np.uint8) * 255
     dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
     dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = (_COARSE * v for v in box)
     if occluders is not None:
-        behind = painter.Samples((x0, y0, x1, y1), 1)
+        behind = painter.SurfaceSamples((x0, y0, x1, y1), 1)
         behind.fill(occluders)
         # what stands on the plane does not hide the plane where it stands
         hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
@@ -187,7 +187,7 @@ class PainterArtist:
         faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()
-        samples = painter.Samples(box, self._samples)
+        samples = painter.SurfaceSamples(box, self._samples)
         if occluders is not None:
             samples.fill(occluders, occluders=True)
         samples.fill(faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)

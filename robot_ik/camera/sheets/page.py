@@ -45,7 +45,7 @@ class Words:
 
 
 @dataclass(frozen=True, eq=False)
-class Page:
+class PrintedPage:
     """What is printed.
 
     Attributes:
@@ -64,7 +64,7 @@ class Page:
     lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
-def write_sheet(page: Page, path: Path, *, dpi: int = 300) -> None:
+def write_sheet(page: PrintedPage, path: Path, *, dpi: int = 300) -> None:
     """Writes the page, whole or not at all; the suffix says how.
 
     Args:
@@ -94,7 +94,7 @@ def _number(value: float) -> str:
     return "0" if text in ("", "-0") else text
 
 
-def pdf_bytes(page: Page) -> bytes:
+def pdf_bytes(page: PrintedPage) -> bytes:
     """A PDF 1.4 of one page; its drawing is in millimetres and its viewer is asked not to scale."""
     lines = [f"{_POINTS_PER_MM:.9f} 0 0 -{_POINTS_PER_MM:.9f} 0 {page.height * _POINTS_PER_MM:.6f} cm"]
     for ink in np.unique(page.boxes[:, 4]):
@@ -139,7 +139,7 @@ def _pdf_file(objects: list[bytes]) -> bytes:
 # ---------------------------------------------------------------------------------------- PNG
 
 
-def rasterize(page: Page, dpi: float) -> Image:
+def rasterize(page: PrintedPage, dpi: float) -> Image:
     """The page as grey pixels, each the exact mean of what is printed on it (text aside)."""
     scale = dpi / MM_PER_INCH
     width, height = round(page.width * scale), round(page.height * scale)
@@ -167,7 +167,7 @@ def _draw_words(image: Image, word: Words, scale: float) -> None:
     cv2.putText(image, word.text, place, font, ratio, 0, thickness, cv2.LINE_AA)
 
 
-def png_bytes(page: Page, dpi: int) -> bytes:
+def png_bytes(page: PrintedPage, dpi: int) -> bytes:
     """A grey PNG that knows its resolution (chunk pHYs, pixels per metre)."""
     good, data = cv2.imencode(".png", rasterize(page, dpi), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert good

@@ -13,7 +13,7 @@ from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequ
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
-from robot_ik.camera.sheets.page import LETTER_WIDTH, Page, Words
+from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, Words
 from robot_ik.errors import CameraError
 
 # ------------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ _TEXT, _LINE = 2.1, 2.8
 _NAMED = ("size_mm", "columns", "rows", "ids", "dictionary", "gap_mm", "edge_mm", "marker_mm", "page")
 
 
-def make_sheet_page(request: SheetRequest) -> Page:
+def make_sheet_page(request: SheetRequest) -> PrintedPage:
     """Lays the sheet out.
 
     Raises:
@@ -311,7 +311,7 @@ def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
     )
 
 
-def _on_page(block: Block, paper: Room, request: SheetRequest) -> Page:
+def _on_page(block: Block, paper: Room, request: SheetRequest) -> PrintedPage:
     """The block in the middle of the room, the bars and the words at the rim."""
     room = _room(paper)
     x, y = _MARGIN + (room[0] - block.width) / 2, _MARGIN + (room[1] - block.height) / 2
@@ -326,7 +326,7 @@ def _on_page(block: Block, paper: Room, request: SheetRequest) -> Page:
         words.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
     lines = block.lines + np.array([x, y, x, y])
     about = f"{block.about} on {request.page}"
-    return Page(paper[0], paper[1], np.concatenate(boxes), tuple(words), about, lines)
+    return PrintedPage(paper[0], paper[1], np.concatenate(boxes), tuple(words), about, lines)
 
 
 def _line(x: float, y: float, room: float, text: str) -> Words:

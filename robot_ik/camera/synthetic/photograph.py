@@ -54,7 +54,7 @@ QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1, same
 
 
 @dataclass(frozen=True)
-class View:
+class SyntheticView:
     """What the parts of a picture have in common.
 
     Attributes:
@@ -152,7 +152,7 @@ class RobotLayer:
 class RobotRenderer:
     """Renders one model in one view."""
 
-    def __init__(self, view: View, model: mujoco.MjModel) -> None:
+    def __init__(self, view: SyntheticView, model: mujoco.MjModel) -> None:
         self._view, self._model = view, model
         # planes and height fields are not bounded by the painter's faces: then look everywhere
         endless = [int(k) for k in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)]
@@ -306,7 +306,7 @@ class Photographer:
         subject: Point,
     ) -> None:
         still = still_picture(intrinsics, pose_world_camera, table, lights, subject)
-        self._view = View(ray_field(intrinsics), pose_world_camera, lights, Caster(model), still)
+        self._view = SyntheticView(ray_field(intrinsics), pose_world_camera, lights, Caster(model), still)
         self._renderer = RobotRenderer(self._view, model)
 
     def expose(

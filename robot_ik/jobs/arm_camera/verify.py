@@ -19,7 +19,7 @@ from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_came
 from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.calibration.kinematic import (
     LEAST_VIEWS,
-    ArmView,
+    CalibrationStation,
     KnownPose,
     PoseError,
     ZeroOffsets,
@@ -307,7 +307,7 @@ def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
             f"{LEAST_VIEWS} are the least",
             hint="check board, dictionary and light, and where camera and board are said to be",
         )
-    views = [ArmView(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+    views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
     lens, frame = samples.intrinsics, report.frame
     fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=report.camera, board=report.board)
     if report.by_arm:

@@ -164,7 +164,7 @@ class Gate:
 
     # ------------------------------------------------------------------------------------- messages
 
-    def passes(self, connection: Any, raw: object, budget: Budget) -> bool:
+    def passes(self, connection: Any, raw: object, budget: MessageBudget) -> bool:
         """Whether viser may see a message.
 
         Raises:
@@ -197,7 +197,7 @@ class Gate:
 
     async def guard(self, handler: Callable[[Any], Any], connection: Any) -> None:
         """viser's handler with a filtered ``recv``; nothing that it raises gets out."""
-        receive, budget, bad = connection.recv, Budget(), 0
+        receive, budget, bad = connection.recv, MessageBudget(), 0
 
         async def recv() -> object:
             nonlocal bad
@@ -227,7 +227,7 @@ class Gate:
                 self.hand_over()
 
 
-class Budget:
+class MessageBudget:
     """How many messages a browser may still send: ``BURST`` at once, ``RATE`` a second."""
 
     def __init__(self) -> None:

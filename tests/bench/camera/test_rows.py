@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from robot_ik.bench.camera import Effort, Figure, accuracy
+from robot_ik.bench.camera import Effort, Quantity, accuracy
 from robot_ik.bench.camera.accuracy import STRAIGHT
 from robot_ik.camera.drawing.renderers import PainterArtist
 from robot_ik.cli.bench_camera import ALL_ROWS
 
 
-def figures(of: object, **effort: object) -> dict[str, Figure]:
+def figures(of: object, **effort: object) -> dict[str, Quantity]:
     return {one.quantity: one for one in of(Effort(quick=True, **effort))}  # type: ignore[operator]
 
 
@@ -29,8 +29,8 @@ def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
     [(1.0, 1.0, False, True), (1.1, 1.0, False, False), (1.1, 1.0, True, True), (0.9, 1.0, True, False)],
 )
 def test_a_figure_passes_on_the_right_side(value: float, wanted: float, at_least: bool, passed: bool) -> None:
-    assert Figure("x", value, "mm", wanted, at_least).passed is passed
-    assert Figure("x", value, "mm").passed is None
+    assert Quantity("x", value, "mm", wanted, at_least).passed is passed
+    assert Quantity("x", value, "mm").passed is None
 
 
 def test_clutter_gives_no_goal_and_a_source_that_believes_all_is_caught(

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.coverage import LEANS, coverage_picture
-from robot_ik.camera.calibration.intrinsic import CalibrationResult, View, calibrate
+from robot_ik.camera.calibration.intrinsic import CalibrationResult, CalibrationView, calibrate
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, pattern_pose, pattern_set
 from robot_ik.errors import CalibrationError
@@ -134,7 +134,7 @@ def test_a_view_that_does_not_fit_is_named_and_left_out() -> None:
     distorted = good[4].pixels + 0.004 * (good[4].pixels - good[4].pixels.mean(axis=0)) ** 2 / 20.0
     wrong = dataclasses.replace(good[4], pixels=distorted)
     moved = dataclasses.replace(good[7], blur=3.1)
-    named = [View(f"photo{k}.png", {4: wrong, 7: moved}.get(k, v)) for k, v in enumerate(good)]
+    named = [CalibrationView(f"photo{k}.png", {4: wrong, 7: moved}.get(k, v)) for k, v in enumerate(good)]
     result = calibrate(named, SIZE)
     left_out = {r.name: r.left_out for r in result.per_view if r.left_out}
     assert set(left_out) == {"photo4.png", "photo7.png"}

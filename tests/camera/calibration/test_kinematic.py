@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import moved
-from robot_ik.camera.calibration.kinematic import ArmView, KnownPose, fit_zero_offsets, measure_errors
+from robot_ik.camera.calibration.kinematic import (
+    CalibrationStation,
+    KnownPose,
+    fit_zero_offsets,
+    measure_errors,
+)
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
@@ -35,7 +40,7 @@ def robot() -> Robot:
 
 def views_of(
     robot: Robot, offsets: Array, count: int, seed: int, *, pixel: float = 0.0, joint: float = 0.0
-) -> list[ArmView]:
+) -> list[CalibrationStation]:
     """What camera and servos say; ``offsets`` (nv,) rad, ``pixel`` px and ``joint`` rad of noise."""
     rng, views = np.random.default_rng(seed), []
     while len(views) < count:
@@ -44,11 +49,11 @@ def views_of(
         pixels = STANDARD_CAMERA.project(seen.apply(POINTS)) + rng.normal(0, 1, (8, 2)) * pixel
         if seen.position[2] > 0.2 and (np.abs(pixels - 300) < 400).all():
             view = BoardView(POINTS, pixels, seen, max(pixel, 0.01))
-            views.append(ArmView(q + rng.normal(0, 1, robot.nv) * joint, view))
+            views.append(CalibrationStation(q + rng.normal(0, 1, robot.nv) * joint, view))
     return views
 
 
-def fit(views: list[ArmView], robot: Robot, **changes: Any) -> Any:
+def fit(views: list[CalibrationStation], robot: Robot, **changes: Any) -> Any:
     known = {"camera": KnownPose.within(CAMERA, *EXACT), "board": KnownPose.within(BOARD, *EXACT)}
     return fit_zero_offsets(views, robot, FRAME, STANDARD_CAMERA, **(known | changes))
 
@@ -74,7 +79,7 @@ def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
         seen = robot.forward(q + offsets, FRAME).compose(camera).inverse().compose(board)
         if seen.position[2] > 0.1 and (np.abs(seen.position[:2]) < seen.position[2]).all():
             pixels = STANDARD_CAMERA.project(seen.apply(POINTS))
-            views.append(ArmView(q, BoardView(POINTS, pixels, seen, 0.01)))
+            views.append(CalibrationStation(q, BoardView(POINTS, pixels, seen, 0.01)))
     known = {"camera": KnownPose.within(camera, *EXACT), "board": KnownPose.within(board, *EXACT)}
     found = fit(views, robot, mounting="eye_in_hand", **known)
     np.testing.assert_allclose(found.offsets, offsets, atol=1e-5)
@@ -127,9 +132,11 @@ def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
 
 
 def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
-    def seen_from_link5(one: ArmView) -> ArmView:
+    def seen_from_link5(one: CalibrationStation) -> CalibrationStation:
         seen = CAMERA.inverse().compose(robot.forward(one.q, "link5")).compose(BOARD)
-        return ArmView(one.q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.01))
+        return CalibrationStation(
+            one.q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.01)
+        )
 
     views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
     known = KnownPose.within(CAMERA, *EXACT), KnownPose.within(BOARD, *EXACT)
@@ -147,7 +154,7 @@ def test_a_pose_that_contradicts_the_others_is_named_and_not_believed(robot: Rob
     offsets = np.deg2rad([1.0, 2.0, -1.0, 2.0, -2.0, 1.0])
     views = views_of(robot, offsets, 12, 4, pixel=0.1, joint=2e-4)
     wrong = views[7].q + np.deg2rad([0, 0, 4.0, 0, 0, 0])
-    views[7] = ArmView(wrong, views[7].view)
+    views[7] = CalibrationStation(wrong, views[7].view)
     found = fit(views, robot)
     assert found.outliers == (7,)
     np.testing.assert_allclose(found.offsets, offsets, atol=np.deg2rad(0.1))
@@ -183,7 +190,7 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
         view = views[k]
         others = fit([*views[:k], *views[k + 1 :]], robot, camera=camera, board=board)
         (one,) = measure_errors(
-            [ArmView(view.q + others.offsets, view.view)], robot, FRAME, STANDARD_CAMERA,
+            [CalibrationStation(view.q + others.offsets, view.view)], robot, FRAME, STANDARD_CAMERA,
             camera=KnownPose.within(others.pose_parent_camera, *EXACT),
             board=KnownPose.within(others.pose_other_board, *EXACT),
         )  # fmt: skip

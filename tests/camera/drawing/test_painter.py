@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.drawing import overlay
 from robot_ik.camera.drawing.meshes import ROUND_PX, build_mesh, triangulate
-from robot_ik.camera.drawing.painter import Faces, Samples, bounding_box, faces_in_picture, paint_mask
+from robot_ik.camera.drawing.painter import Faces, SurfaceSamples, bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose, rotation_exp
@@ -183,7 +183,7 @@ def test_of_surfaces_that_lie_in_each_other_the_first_is_seen(
     boxes = [f"<geom type='box' size='{size}' pos='.1 .1 .9' euler='40 30 0'/>" for size in sizes]
     painted = []
     for geoms in (boxes[:1], boxes[1:], boxes):
-        painted.append(Samples((0, 0, 640, 480)))
+        painted.append(SurfaceSamples((0, 0, 640, 480)))
         painted[-1].fill(faces_in_picture(model_of("".join(geoms)), [], PINHOLE, Pose()))
     covered = np.minimum(painted[0].depth, painted[1].depth).min(axis=2) > 0
     both = cv2.erode(covered.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
@@ -213,7 +213,7 @@ def test_the_arm_is_painted_where_rays_see_it_and_nearer_parts_hide_farther_ones
         mask = paint_mask((720, 1280), faces) > 127
         assert overlap(geom >= 0, mask) > 0.985
         assert farthest(geom >= 0, mask) <= 1.5
-        samples = Samples((0, 0, 1280, 720), 1)
+        samples = SurfaceSamples((0, 0, 1280, 720), 1)
         samples.fill(faces)
         both = cv2.erode(((geom >= 0) & mask).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         assert (samples.geoms()[..., 0][both] == geom[both]).mean() > 0.985

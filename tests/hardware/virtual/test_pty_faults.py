@@ -45,7 +45,7 @@ def test_the_port_is_pulled_and_comes_back_under_its_link(arm_bus: VirtualBus, t
     with PtyPort(arm_bus, link) as pty:
         before = pty.path
         with opened(str(link)) as port:
-            assert SDK.ping(port, 1)[1] == COMM_SUCCESS
+            until(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)  # a busy machine may be late once
             arm_bus.inject(Fault("port_unplugged"))  # while the port sleeps
             until(lambda: not os.path.lexists(link))
             with pytest.raises((serial.SerialException, OSError, termios.error)):
@@ -55,7 +55,7 @@ def test_the_port_is_pulled_and_comes_back_under_its_link(arm_bus: VirtualBus, t
         arm_bus.unplugged = False
         until(lambda: os.path.lexists(link))
         with opened(str(link)) as port:
-            assert SDK.ping(port, 1)[1] == COMM_SUCCESS
+            until(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)
         assert before  # the name of the new one may be another; the link is the same
     assert not os.path.lexists(link)
 

@@ -204,7 +204,7 @@ def toml(value: object) -> str:
     return json.dumps(value)
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(do=st.sampled_from(sorted(STEPS)), rest=st.dictionaries(st.sampled_from(WORDS), VALUES, max_size=6))
 def test_whatever_is_written_is_taken_or_reported_in_one_sentence(do: str, rest: dict[str, object]) -> None:
     rows = [f"{key} = {toml(value)}" for key, value in ({"do": do} | rest).items()]

@@ -64,7 +64,7 @@ def edge_cases(robot, rng):
 def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(name, tolerance, tmp_path):
     robot, rng = arm(name, tmp_path), np.random.default_rng(1)
     poses = []
-    for k in range(1500):
+    for k in range(700):
         pose = robot.forward(edge_cases(robot, rng))
         share = 0.9999 if k % 2 else rng.random()
         poses.append(
@@ -83,11 +83,11 @@ def test_most_of_what_has_no_solution_is_proven(name, tmp_path):
     robot, rng = arm(name, tmp_path), np.random.default_rng(2)
     centre, radius = robot.reach()
     if name == "two links":
-        goals = [PositionGoal(None, centre + radius * unit(rng) * rng.random()) for _ in range(300)]
+        goals = [PositionGoal(None, centre + radius * unit(rng) * rng.random()) for _ in range(120)]
     else:
         goals = [
             PoseGoal(None, centre + radius * unit(rng) * rng.random() ** (1 / 3), rng.normal(size=4))
-            for _ in range(300)
+            for _ in range(120)
         ]
     proven = called_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
     solver, missed = make_solver("analytic"), 0
