@@ -465,9 +465,7 @@ def _survives(row: Row, folder: Path, text: str | bytes) -> RobotIkError | None:
 
 
 COMMON = settings(
-    max_examples=100
-    if os.environ.get("ROBOT_IK_EXAMPLES") == "explore"
-    else 15,  # for each row
+    max_examples=100 if os.environ.get("ROBOT_IK_EXAMPLES") == "explore" else 15,  # for each row
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 

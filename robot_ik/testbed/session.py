@@ -57,8 +57,8 @@ from robot_ik.testbed.compiling import Compilers, is_compiled
 from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
 from robot_ik.testbed.setup import (
     ExtraGoal,
-    Goals,
     Ready,
+    RobotGoals,
     Setup,
     branches_of,
     first_ball,
@@ -565,7 +565,7 @@ class _Preparer:
         finally:
             self._count(-1)
 
-    def _compile(self, setup: Setup, robot: Robot, goals: Goals, solvers: Sequence[Solver]) -> None:
+    def _compile(self, setup: Setup, robot: Robot, goals: RobotGoals, solvers: Sequence[Solver]) -> None:
         """In other processes, what takes long: a compiler here would hold up the page."""
         if not self._beside:
             return

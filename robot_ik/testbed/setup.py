@@ -337,7 +337,7 @@ def prepare(
     loaded: Robot,
     before: Ready | None,
     say: Callable[[str], None],
-    first: Callable[[Setup, Robot, Goals, Sequence[Solver]], None] = lambda *given: None,
+    first: Callable[[Setup, Robot, RobotGoals, Sequence[Solver]], None] = lambda *given: None,
 ) -> Ready:
     """Compiles and tries all that the setup needs.
 
