@@ -120,7 +120,7 @@ class Compilers:
 # ---------------------------------------------------------------------------------------- the processes
 
 
-class _Reporter(event.Listener):  # type: ignore[misc]
+class _Reporter(event.Listener):
     """Writes a line for every function that was compiled."""
 
     def __init__(self, out: IO[str]) -> None:

@@ -91,7 +91,7 @@ def _patterned_meshes(model: mujoco.MjModel, geoms: list[int]) -> Iterator[BodyM
     for part in conversions.group_geoms_by_visual_compat(model, geoms):
         mesh, file = conversions.merge_geoms(model, part), io.BytesIO()
         mesh.export(file, file_type="glb")
-        yield BodyMesh(np.float32(mesh.vertices), np.uint32(mesh.faces), file.getvalue())
+        yield BodyMesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32), file.getvalue())
 
 
 def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> BodyMesh:
@@ -111,13 +111,14 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> B
     rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
     _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
     faces, kept = _triangles(number.reshape(-1, 4)), rows[first]
-    vertices = np.float32(kept[:, :3])
-    return BodyMesh(vertices, faces, _glb(vertices, np.float32(kept[:, 3:6]), np.uint8(kept[:, 6:]), faces))
+    vertices, normals = kept[:, :3].astype(np.float32), kept[:, 3:6].astype(np.float32)
+    return BodyMesh(vertices, faces, _glb(vertices, normals, kept[:, 6:].astype(np.uint8), faces))
 
 
 def _triangles(quads: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
     """(f, 3) of quads (n, 4), of which those that repeat their last corner are triangles already."""
-    return np.uint32(np.vstack([quads[:, :3], quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]]))
+    others = quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]
+    return np.vstack([quads[:, :3], others]).astype(np.uint32)
 
 
 _FLOAT, _BYTE, _INDEX = 5126, 5121, 5125  # component types of glTF
