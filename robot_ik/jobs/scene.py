@@ -188,7 +188,7 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
     """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
     rng = np.random.default_rng(0)
     best, best_score = None, 0.0
-    home = robot.forward(robot.home, frame)
+    home, at_home = robot.forward(robot.home, frame), _posed(robot, robot.home)
     for attempt in range(_TRIES):
         # From a quarter of the range towards all of it, should nothing near home do.
         share = 0.25 + 0.75 * attempt / _TRIES
@@ -200,10 +200,11 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
         placed = replace(scene, pose_world_marker=marker)
         placed = replace(placed, table=_ground(robot, placed, q, reach))
         ground = 0.0 if placed.table is None else placed.table.height
+        at_goal = _posed(robot, q)
         for pose in _cameras(marker.position, tool.position, reach):
             if pose.position[2] < ground + 0.1 * reach:
                 continue
-            score = _visibility(robot, replace(placed, pose_world_camera=pose), q)
+            score = _visibility(robot, replace(placed, pose_world_camera=pose), q, at_home, at_goal)
             if score > best_score:
                 best, best_score = replace(placed, pose_world_camera=pose), score
         enough = _GOOD_VIEW if attempt < _PATIENCE else _ONE_ON_THE_OTHER * _GOOD_VIEW
@@ -251,16 +252,26 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
     return found
 
 
-def _visibility(robot: Robot, scene: Scene, q_goal: Array) -> float:
+def _posed(robot: Robot, q: Array) -> mujoco.MjData:
+    """The model at ``q`` (nq,), for rays."""
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = robot.qpos(q)
+    mujoco.mj_kinematics(robot.model, data)
+    return data
+
+
+def _visibility(
+    robot: Robot, scene: Scene, q_goal: Array, at_home: mujoco.MjData, at_goal: mujoco.MjData
+) -> float:
     """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
-    at_home = _facing(robot, scene, robot.home, [scene.pose_world_marker], [scene.marker_size])
-    if not at_home or not _apart(robot, scene, robot.home):
+    marker = _facing(robot, scene, at_home, [scene.pose_world_marker], [scene.marker_size])
+    if not marker or not _apart(robot, scene, robot.home):
         return 0.0
     cube = _cube_pose(robot, scene, q_goal)
     sides = [cube.compose(pose) for _, pose in scene.cube.values()]
-    seen = _facing(robot, scene, q_goal, sides, [side for side, _ in scene.cube.values()])
+    seen = _facing(robot, scene, at_goal, sides, [side for side, _ in scene.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
-    score = min(at_home[0], float(sum(seen[:2]) / np.sqrt(2.0)))
+    score = min(marker[0], float(sum(seen[:2]) / np.sqrt(2.0)))
     return score if not score or _apart(robot, scene, q_goal) else _ONE_ON_THE_OTHER * score
 
 
@@ -285,11 +296,10 @@ def _apart(robot: Robot, scene: Scene, q: Array) -> bool:
     return not cv2.intersectConvexConvex(target, cube)[0] > 0.0
 
 
-def _facing(robot: Robot, scene: Scene, q: Array, markers: list[Pose], sides: list[float]) -> list[float]:
+def _facing(
+    robot: Robot, scene: Scene, data: mujoco.MjData, markers: list[Pose], sides: list[float]
+) -> list[float]:
     """Cosines between view and paper of the markers that are seen whole, the best first."""
-    data = mujoco.MjData(robot.model)
-    data.qpos[:] = robot.qpos(q)
-    mujoco.mj_kinematics(robot.model, data)
     eye = scene.pose_world_camera.position
     width, height = scene.intrinsics.size
     found = []

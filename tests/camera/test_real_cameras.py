@@ -50,28 +50,35 @@ LINEAR = Camera("linear", sharpen=0.0, jpeg=100, bayer=False)
 WEBCAM = Camera()
 
 
+def paper_box(side: float, at: Pose) -> NDArray[np.int64]:
+    """Pixels (left, top, right, bottom), half open, outside of which there is nothing of a marker's paper."""
+    paper = CAMERA.project(at.apply(1.26 * marker_points(side)))
+    low, high = np.floor(paper.min(axis=0)), np.ceil(paper.max(axis=0)) + 1
+    return np.concatenate([low, high]).astype(np.int64)
+
+
 def light_of(layout: dict[int, tuple[float, Pose]], pose: Pose, blur: float) -> Array:
     """(480, 640) light, paper 0.85, ink 0.08, before a grey wall."""
     placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
-    paper = np.concatenate(
-        [CAMERA.project(at.apply(1.24 * marker_points(side))) for side, at in placed.values()]
-    )
-    x0, y0 = np.floor(paper.min(axis=0)).astype(int) - 8
-    x1, y1 = np.ceil(paper.max(axis=0)).astype(int) + 9
-    x = ((np.arange(x0 * FINE, x1 * FINE) + 0.5) / FINE - 0.5 - 319.5) / 800.0
-    y = ((np.arange(y0 * FINE, y1 * FINE) + 0.5) / FINE - 0.5 - 239.5) / 800.0
-    rays = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1)
-    fine = np.full(rays.shape[:2], 0.4, dtype=np.float32)
+    boxes = {i: paper_box(side, at) for i, (side, at) in placed.items()}
+    x0, y0 = np.min([box[:2] for box in boxes.values()], axis=0) - 8
+    x1, y1 = np.max([box[2:] for box in boxes.values()], axis=0) + 8
+    fine = np.full(((y1 - y0) * FINE, (x1 - x0) * FINE), 0.4, dtype=np.float32)
     for i, (side, at) in placed.items():
+        left, top, right, bottom = boxes[i]
+        x = ((np.arange(left * FINE, right * FINE) + 0.5) / FINE - 0.5 - 319.5) / 800.0
+        y = ((np.arange(top * FINE, bottom * FINE) + 0.5) / FINE - 0.5 - 239.5) / 800.0
+        rays = np.stack([*np.meshgrid(x, y), np.ones((len(y), len(x)))], axis=-1)
         normal = at.rotation[:, 2]
         points = rays * ((normal @ at.position) / (rays @ normal))[..., None] - at.position
         u, v = points @ at.rotation[:, 0] / side, -(points @ at.rotation[:, 1]) / side
         bits = marker_bits(DICTIONARY, i)
         n = len(bits)
         column, row = np.floor((u + 0.5) * n).astype(int), np.floor((v + 0.5) * n).astype(int)
-        fine[np.maximum(np.abs(u), np.abs(v)) < 0.62] = 0.85
+        seen = fine[(top - y0) * FINE : (bottom - y0) * FINE, (left - x0) * FINE : (right - x0) * FINE]
+        seen[np.maximum(np.abs(u), np.abs(v)) < 0.62] = 0.85
         ink = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < n)
-        fine[ink] = np.where(bits[row[ink], column[ink]] > 0, 0.85, 0.08)
+        seen[ink] = np.where(bits[row[ink], column[ink]] > 0, 0.85, 0.08)
     # Blurred at this resolution, then the mean of each pixel's area.
     soft = cv2.GaussianBlur(fine, (0, 0), blur * FINE)
     whole = np.full((480, 640), 0.4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from robot_ik.jobs import vision
 from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
+from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.script import ScriptReport, ScriptRequest, parse_script, run_script
 
 UR = """
@@ -88,12 +90,26 @@ SEVEN = [(Y, 0.117), (Z, 0.06), (Z, 0.253), (Y, 0.278), (Y, 0.232), (Y, 0.186), 
 THREE = [(Z, 0.175), (X, 0.2), (Z, 0.087)]
 
 
+def seen_smaller(*of: Any, **rest: Any) -> Scene:
+    """The scene before a camera with half as many pixels a side: its pictures take a third of the time."""
+    scene = scene_for(*of, **rest)
+    width, height = scene.intrinsics.size
+    return replace(scene, intrinsics=scene.intrinsics.scaled(width // 2, height // 2))
+
+
 @pytest.fixture(scope="session", autouse=True)
-def _coarse_robots() -> Iterator[None]:
-    """The markers are as exact as in a full picture, only the robot is coarse."""
+def _light_pictures() -> Iterator[None]:
+    """Small ones with a coarse robot; the markers in them are exact."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(vision, "SyntheticSource", partial(vision.SyntheticSource, quality="fast"))
+        patch.setattr(vision, "scene_for", seen_smaller)
         yield
+
+
+@pytest.fixture
+def full_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As large as users see them: for claims of how exact they are, and to compare with ``healthy``."""
+    monkeypatch.setattr(vision, "scene_for", scene_for)
 
 
 @pytest.fixture
@@ -109,8 +125,10 @@ def reach() -> Callable[..., ReachReport]:
 
 @pytest.fixture(scope="session")
 def healthy() -> ReachReport:
-    """One run with nothing wrong; not to be changed."""
-    return run_reach(ReachRequest(bus="sim"))
+    """One run with nothing wrong, in full pictures; not to be changed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vision, "scene_for", scene_for)
+        return run_reach(ReachRequest(bus="sim"))
 
 
 @pytest.fixture(scope="session")

@@ -101,6 +101,7 @@ def test_a_blank_marker_moves_nothing(reach: Any) -> None:
     np.testing.assert_allclose(report.setup.true_q(), report.robot.home, atol=1e-2)
 
 
+@pytest.mark.usefixtures("full_pictures")
 def test_goal_arm_and_verdict_move_with_the_rendered_marker(healthy: ReachReport, reach: Any) -> None:
     home = healthy.vision.scene.pose_world_marker  # type: ignore[union-attr]
     shift, yaw = np.array([0.03, 0.04, 0.0]), -80.0
@@ -183,6 +184,7 @@ def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any
     assert report.by_camera.allowed.position <= LARGEST_MISS
 
 
+@pytest.mark.usefixtures("full_pictures")
 def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: Any) -> None:
     report = reach(bus="none", robot=str(arms["planar"]))
     assert report.reached and report.execution.measured is None and report.counters == {}
@@ -190,6 +192,7 @@ def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: 
     assert report.read_back.position < report.read_back.allowed.position < 1e-3
 
 
+@pytest.mark.usefixtures("full_pictures")
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.soak)])
 def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
     report = reach(bus="none", follow=1.2, seed=seed)
@@ -230,6 +233,7 @@ def test_every_method_does_the_job(solver: str, reach: Any) -> None:
     assert report.reached, report.problem
 
 
+@pytest.mark.usefixtures("full_pictures")
 def test_the_same_seed_gives_the_same_run(healthy: ReachReport, reach: Any) -> None:
     again = reach()
     np.testing.assert_array_equal(again.execution.commanded, healthy.execution.commanded)  # type: ignore[union-attr]

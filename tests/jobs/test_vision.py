@@ -82,6 +82,7 @@ def test_no_picture_with_truth_ever_reaches_a_tracker(monkeypatch: pytest.Monkey
     assert len(seen) > 5 and all(truth is None for truth in seen)
 
 
+@pytest.mark.usefixtures("full_pictures")
 def test_a_lying_truth_changes_nothing_but_the_remark(
     monkeypatch: pytest.MonkeyPatch, reach: Any, healthy: ReachReport
 ) -> None:

@@ -147,7 +147,7 @@ print("closed", flush=True)
 """
 
 
-@pytest.mark.parametrize("name", ["puma560", "panda"])
+@pytest.mark.parametrize("name", ["puma560", pytest.param("panda", marks=pytest.mark.soak)])
 def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, windows: Windows) -> None:
     assert windows.run(SCENE.replace("NAME", name)) == ["closed"]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, Protocol
 
 import cv2
@@ -47,7 +48,6 @@ class SensorNoise:
 
     def __init__(self, size: tuple[int, int], seed: int, shared: bool) -> None:
         self._shape, self._seed, self._shared = (size[1], size[0], 3), seed, shared
-        self._piece: NDArray[np.float32] | None = None
 
     def of(self, picture: int) -> NDArray[np.float32]:
         """(h, w, 3) of one picture; not to be written to."""
@@ -55,11 +55,17 @@ class SensorNoise:
         rng = np.random.default_rng([self._seed, picture])
         if not self._shared:
             return rng.standard_normal(self._shape, dtype=np.float32)
-        if self._piece is None:
-            larger = (h + _LARGER, w + _LARGER, channels)
-            self._piece = np.random.default_rng(self._seed).standard_normal(larger, dtype=np.float32)
         y, x = rng.integers(_LARGER + 1, size=2)
-        return self._piece[y : y + h, x : x + w]
+        return _larger_piece((h + _LARGER, w + _LARGER, channels), self._seed)[y : y + h, x : x + w]
+
+
+# A piece for pictures of 1280x720 takes 18 MB and as long as a quarter of one of them.
+@lru_cache(maxsize=1)
+def _larger_piece(shape: tuple[int, int, int], seed: int) -> NDArray[np.float32]:
+    """The (cached) noise that the pictures of a source share; not to be written to."""
+    piece = np.random.default_rng(seed).standard_normal(shape, dtype=np.float32)
+    piece.setflags(write=False)
+    return piece
 
 
 Array = NDArray[np.float64]

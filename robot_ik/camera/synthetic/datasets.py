@@ -202,46 +202,52 @@ def _paint_paper(
     levels = np.where(paper.bits > 0, look.white, look.black)
     wall = canvas[y0:y1, x0:x1].copy()
     bleed = paper.bleed / paper.size
-    one_ray = _bled(centres, np.full(wall.shape, -1.0), to_paper, levels, look.white, paper.margin, bleed)
+    x, y = centres[..., 0], centres[..., 1]
+    rays = tuple(a * x + b * y + c for a, b, c in to_paper)
+    one_ray = _bled(rays, np.full(wall.shape, -1.0), levels, look.white, paper.margin, bleed)
     # Many rays only where two of them can differ; everywhere else the first one has said it all.
     kernel = np.ones((5, 5), np.uint8)
     mixed = cv2.dilate(one_ray, kernel) - cv2.erode(one_ray, kernel) > 0
     one_ray = np.where(one_ray < 0, wall, one_ray)
-    some_centres, some_slopes, some_wall = centres[mixed], slopes[mixed], wall[mixed]
+    some_wall, some_slopes = wall[mixed], slopes[mixed]
+    # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
+    some_rays = [
+        (ray[mixed], *(some_slopes[:, :, k] @ row[:2] for k in (0, 1)))
+        for ray, row in zip(rays, to_paper, strict=True)
+    ]
     total = np.zeros(len(some_wall))
     for k in range(0, _RAYS, _TOGETHER):
-        # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
-        normalized = some_centres + np.einsum("mij,kj->kmi", some_slopes, _LATTICE[k : k + _TOGETHER])
-        total += _bled(normalized, some_wall, to_paper, levels, look.white, paper.margin, bleed).sum(axis=0)
+        across, down = _LATTICE[k : k + _TOGETHER, :, None].transpose(1, 0, 2)
+        near = tuple(ray + across * by_x + down * by_y for ray, by_x, by_y in some_rays)
+        total += _bled(near, some_wall, levels, look.white, paper.margin, bleed).sum(axis=0)
     one_ray[mixed] = total / _RAYS
     canvas[y0:y1, x0:x1] = one_ray
 
 
 def _bled(
-    normalized: Array, wall: Array, to_paper: Array, levels: Array, white: float, margin: float, bleed: float
+    rays: tuple[Array, ...], wall: Array, levels: Array, white: float, margin: float, bleed: float
 ) -> Array:
-    """Light along rays (..., 2): ``to_paper`` (3, 3) maps them to the marker's plane in marker sizes.
+    """Light along ``rays``: three arrays, homogeneous coordinates in the marker's plane in marker sizes.
 
     Ink bleeds: what lies within ``bleed`` of a black cell, along either side, is as dark.
     """
-    paper = normalized @ to_paper[:, :2].T + to_paper[:, 2]
-    u, v = paper[..., 0] / paper[..., 2], paper[..., 1] / paper[..., 2]
-    value = _paper_value(u, v, wall, levels, white, margin)
+    u, v = rays[0] / rays[2], rays[1] / rays[2]
+    # A ring of paper round the cells, so that every place on the paper is in the table.
+    table = np.pad(levels, 1, constant_values=white)
+    value = _paper_value(u, v, wall, table, margin)
     if bleed > 0.0:
         for du, dv in ((-bleed, -bleed), (bleed, -bleed), (bleed, bleed), (-bleed, bleed)):
-            value = np.minimum(value, _paper_value(u + du, v + dv, wall, levels, white, margin))
+            value = np.minimum(value, _paper_value(u + du, v + dv, wall, table, margin))
     return value
 
 
-def _paper_value(u: Array, v: Array, wall: Array, levels: Array, white: float, margin: float) -> Array:
-    cells = len(levels)
-    column = np.floor((u + 0.5) * cells).astype(int)
-    row = np.floor((0.5 - v) * cells).astype(int)
-    inside = (column >= 0) & (column < cells) & (row >= 0) & (row < cells)
-    edge = 0.5 + margin
-    value = np.where((np.abs(u) <= edge) & (np.abs(v) <= edge), white, wall)
-    value[inside] = levels[row[inside], column[inside]]
-    return np.asarray(value)
+def _paper_value(u: Array, v: Array, wall: Array, table: Array, margin: float) -> Array:
+    width, edge = len(table), 0.5 + margin
+    cells = width - 2
+    column = np.clip((u + 0.5) * cells + 1.0, 0.0, cells + 1.0).astype(np.intp)
+    row = np.clip((0.5 - v) * cells + 1.0, 0.0, cells + 1.0).astype(np.intp)
+    on_paper = (np.abs(u) <= edge) & (np.abs(v) <= edge)
+    return np.where(on_paper, table.take(row * width + column, mode="clip"), wall)
 
 
 def random_pose(

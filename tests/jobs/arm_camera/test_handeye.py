@@ -21,7 +21,8 @@ from robot_ik.geometry import Pose
 from robot_ik.jobs.arm_camera import handeye
 from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, handeye_from_samples, run_handeye, samples_path
 from robot_ik.jobs.arm_camera.measuring import SampleSet
-from robot_ik.robot import load_robot
+from robot_ik.jobs.arm_camera.view_planning import ViewTask, plan_views
+from robot_ik.robot import Robot, load_robot
 
 Array = NDArray[np.float64]
 
@@ -58,9 +59,21 @@ class Drawn(ClosingSource):
         return Frame(np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)
 
 
+PLANS: dict[tuple[object, ...], list[Array]] = {}
+
+
+def planned(robot: Robot, task: ViewTask, count: int, *, start: Array, seed: int) -> list[Array]:
+    """Stations, searched for once: the scenes of this file differ in robot, mounting and camera alone."""
+    key = (robot.name, task.mount.mounting, task.intrinsics, count, start.tobytes(), seed)
+    if key not in PLANS:
+        PLANS[key] = plan_views(robot, task, count, start=start, seed=seed)
+    return PLANS[key]
+
+
 @pytest.fixture(autouse=True)
 def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small pictures that are quickly made."""
+    monkeypatch.setattr(handeye, "plan_views", planned)
     scene_for = handeye.scene_for
 
     def small(*arguments: Any) -> Any:
