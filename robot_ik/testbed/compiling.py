@@ -38,7 +38,7 @@ from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.base import IterativeSolver, Solver
 from robot_ik.testbed.setup import BUDGET, Setup, prepare, warm_drag
 
-_NICE = 5  # of the processes: the page, and the browser that loads it, come first
+_NICE = 10  # of the processes: the page, and the browser that loads it, come first
 ARGUMENTS = types.int64, types.int64, types.int64, types.float64[::1]
 """What the loop of a method takes, in numba's words: addresses of tree, goals and work; options."""
 _STEP = ("tree", "goal", "work", "options")  # what the step of a method takes, if it needs no more

@@ -93,6 +93,9 @@ def test_without_a_display_it_says_what_to_run(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(ViewerError) as caught:
         WindowSink(load_robot("puma560"))
     assert "DISPLAY" in str(caught.value) and "--view" in caught.value.hint
+    with pytest.raises(ViewerError) as caught:
+        WindowSink(load_robot("puma560"), instead="run something else")
+    assert caught.value.hint.startswith("run something else\n")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11")

@@ -147,6 +147,7 @@ class WindowSink:
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
         eye: From where to look; None: from the side that MuJoCo takes.
+        instead: What to run where there can be no window, for the hint of the error.
 
     Attributes:
         data: The ``MjData`` that is shown; nobody else may write it.
@@ -166,6 +167,7 @@ class WindowSink:
         solids: Sequence[Solid] = (),
         see: Array | None = None,
         eye: Array | None = None,
+        instead: str = _WITHOUT_WINDOW,
     ) -> None:
         self._mujoco = import_mujoco()
         self._robot = robot
@@ -175,7 +177,7 @@ class WindowSink:
         self._write(robot.home if start is None else start)
         before = set(threading.enumerate())
         self._viewer = _launch(
-            self._model, self.data, limit, _WITHOUT_WINDOW, show_left_ui=panels, show_right_ui=panels
+            self._model, self.data, limit, instead, show_left_ui=panels, show_right_ui=panels
         )
         self._threads = [t for t in threading.enumerate() if t not in before]
         with self._lock():
