@@ -15,8 +15,8 @@ from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session
 
-READ_BY_OTHERS = {"Path"}
-"""Fields whose value a button takes."""
+ELSEWHERE = {"Path", "Hand over"}
+"""A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
 
 
 class Sent(queue.SimpleQueue[Command]):
@@ -28,8 +28,10 @@ def stage() -> Iterator[tuple[Page, PageClient, Sent]]:
     """A page that shows everything, and what looks at it; no loop runs."""
     sent = Sent()
     with Session(Start(), beside=False) as session:
+        for _ in range(3):
+            session.tick()
         session.send = sent.put  # type: ignore[method-assign]
-        with Page(session, port=8730, camera=lambda: None) as page, PageClient(page.url) as client:
+        with Page(session, port=8730) as page, PageClient(page.url) as client:
             yield page, client, sent
 
 
@@ -47,6 +49,16 @@ def another(handle: Any) -> Any:
     return "text"
 
 
+def counts(page: Page, buffers: list[Any]) -> list[int]:
+    """How many messages were sent, once what came before has had all its effects."""
+    found: list[int] = []
+    while found != (found := [buffer.message_counter for buffer in buffers]):
+        for _ in range(6):  # every panel has had its turn
+            page.draw(page._view)
+        time.sleep(0.02)
+    return found
+
+
 def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) -> str:
     """What a message led to: a command, or what the page sent but the value itself; empty: nothing."""
     server = page.server._websock_server
@@ -54,7 +66,8 @@ def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) 
         server._broadcast_buffer,
         *(one.message_buffer for one in server._client_state_from_id.values()),
     ]
-    before, deadline = [buffer.message_counter for buffer in buffers], time.monotonic() + 2.0
+    before = counts(page, buffers)
+    deadline = time.monotonic() + 2.0
     client._send(message)
     while time.monotonic() < deadline:
         page.draw(page._view)
@@ -64,7 +77,8 @@ def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) 
             return "something for this browser"
         for number in range(before[0], buffers[0].message_counter):
             found = buffers[0].message_from_id.get(number)
-            if found is not None and getattr(found, "uuid", "") != message["uuid"]:
+            # Not the value itself; nor menus that go back to what the session has.
+            if found is not None and "value" not in getattr(found, "updates", ()):
                 return type(found).__name__
         time.sleep(0.005)
     return ""
@@ -75,7 +89,7 @@ def test_every_control_leads_to_a_command_or_changes_the_page(stage: tuple[Page,
     dead = []
     for uuid, handle in list(page.server.gui._gui_input_handle_from_uuid.items()):
         name = getattr(handle, "label", "?")
-        if name in READ_BY_OTHERS or not handle.visible:
+        if name in ELSEWHERE or not handle.visible:
             continue
         message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": another(handle)}}
         if not effect(page, client, sent, message):

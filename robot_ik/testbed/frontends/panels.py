@@ -227,7 +227,7 @@ class _MethodFolder:
         self._gui, self._send, self._k = gui, send, k
         self._shown = ""
         self._widgets: dict[str, Control] = {}
-        self._place = gui.add_folder(f"Robot {k + 1}", visible=k == 0)
+        self._place = gui.add_folder(f"Robot {k + 1}", visible=False)
         with self._place:
             self._colour = gui.add_html("", visible=False)
             menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
@@ -235,8 +235,8 @@ class _MethodFolder:
         self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
-        """Follows the instance; None: there is none."""
-        visible = one is not None
+        """Follows the instance, once it has a method; None: there is none."""
+        visible = one is not None and one.method != ""
         if self._place.visible != visible:
             self._place.visible = visible
         if one is None:
@@ -559,11 +559,11 @@ class MeasuredPanel:
         rows = "".join(self._row(k, one, k < acting) for k, one in enumerate(view.instances))
         head = "<tr><th>method</th><th>µs</th><th>p99</th><th>steps</th><th>solved</th><th>off mm</th></tr>"
         counts = [one.statistics.count for one in view.instances[acting:]]
-        note = (
-            f"in this page, the last {min(counts)} solves of each; for comparable times: robot-ik bench"
-            if counts
-            else "the figure decides by itself: no method is measured"
-        )
+        note = "the figure decides by itself: no method is measured"
+        if counts:
+            note = (
+                f"in this page, the last {min(counts)} solves of each; for comparable times: robot-ik bench"
+            )
         self._table.content = page(f"<table>{head}{rows}</table><small>{note}</small>")
 
     @staticmethod
@@ -571,10 +571,11 @@ class MeasuredPanel:
         colour, name = hexadecimal(INSTANCE_COLOURS[k]), html.escape(one.method or "…")
         name, note = ("itself", "") if acting else (name, one.note)
         first = f'<td title="{html.escape(note)}"><i style="background:{colour}"></i>{name}</td>'
-        if acting:
-            return f"<tr>{first}{4 * '<td>–</td>'}<td>{1e3 * one.miss:.2f}</td></tr>"
-        if not one.able:
+        if not one.able and not acting:
             return f'<tr>{first}<td colspan="5" class="no">{html.escape(one.status)}</td></tr>'
+        if acting or not one.statistics.count:
+            off = f"{1e3 * one.miss:.2f}" if acting else "–"
+            return f"<tr>{first}{4 * '<td>–</td>'}<td>{off}</td></tr>"
         s = one.statistics
         times = "".join(f"<td>{1e6 * t:.{0 if t > 1e-4 else 1}f}</td>" for t in (s.mean, s.p99))
         return (
@@ -585,7 +586,7 @@ class MeasuredPanel:
     def draw(self, view: View, robot: Robot) -> None:
         """Plot and joints, five times a second."""
         for (n, name), plot in self._plots.items():
-            visible = (n, name) == (view.count, self._menu.value)
+            visible = (n, name) == (view.count, self._menu.value) and view.tick > 1
             if plot.visible != visible:
                 plot.visible = visible
             if visible:
