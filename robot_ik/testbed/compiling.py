@@ -94,7 +94,7 @@ class Compilers:
 
     def _start(self, *arguments: str, given: bytes = b"") -> subprocess.Popen[bytes] | None:
         with self._lock, contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
-            if not self._over:
+            if not self._over and sys.executable:
                 process = subprocess.Popen(
                     [sys.executable, "-m", __name__, *arguments],
                     stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
